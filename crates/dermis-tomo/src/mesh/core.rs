@@ -1,0 +1,531 @@
+//! The mesh itself: nodes, elements, their measures (area or volume), and electrodes as parts of the mesh.
+//! Every mesh is validated when it is made, so that what uses it later need not check again.
+
+use std::collections::HashMap;
+
+use thiserror::Error;
+
+/// What a mesh is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CellKind {
+    /// Three nodes a cell; flat sheets and surfaces in 3D.
+    Triangle,
+    /// Four nodes a cell; solids.
+    Tetrahedron,
+}
+
+impl CellKind {
+    /// Nodes of one element: 3 or 4.
+    pub fn nodes_per_element(self) -> usize {
+        match self {
+            CellKind::Triangle => 3,
+            CellKind::Tetrahedron => 4,
+        }
+    }
+
+    /// Nodes of one face (edge of a triangle, triangle of a tetrahedron): 2 or 3.
+    pub fn nodes_per_face(self) -> usize {
+        self.nodes_per_element() - 1
+    }
+}
+
+/// Why a mesh, or an electrode on it, was refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum MeshError {
+    /// A list's length does not fit.
+    #[error("{what}: expected {expected}, got {got}")]
+    Count {
+        /// What was counted.
+        what: &'static str,
+        /// What was expected, in words or a number.
+        expected: String,
+        /// What was found.
+        got: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("node {node}: coordinate {value} is not finite")]
+    NotFinite {
+        /// Node index.
+        node: usize,
+        /// The offending value.
+        value: f64,
+    },
+    /// An element or face names a node that does not exist.
+    #[error("{what} {index} names node {node}, but there are only {node_count} nodes")]
+    NodeOutOfRange {
+        /// `element` or `electrode`.
+        what: &'static str,
+        /// Its index.
+        index: usize,
+        /// The node named.
+        node: usize,
+        /// How many nodes there are.
+        node_count: usize,
+    },
+    /// An element has (almost) no area or volume.
+    #[error("element {element} is degenerate: measure {measure:e} (m^2 or m^3) where the mean is {mean:e}")]
+    Degenerate {
+        /// Element index.
+        element: usize,
+        /// Its area or volume.
+        measure: f64,
+        /// Mean area or volume.
+        mean: f64,
+    },
+    /// Elements overlap: a face is shared by more than two of them.
+    #[error("face {nodes:?} is shared by {count} elements; at most 2 can meet there")]
+    Overlapping {
+        /// The nodes of the face.
+        nodes: Vec<u32>,
+        /// How many elements share it.
+        count: usize,
+    },
+    /// Two elements that share a face lie on the same side of it.
+    #[error("elements {first} and {second} fold over each other at face {nodes:?}: one of them is inverted")]
+    Folded {
+        /// One element.
+        first: usize,
+        /// The other.
+        second: usize,
+        /// The shared face.
+        nodes: Vec<u32>,
+    },
+    /// The mesh falls into parts that no current can pass between.
+    #[error("the mesh is disconnected: {parts} parts; node {node} cannot be reached from node {from}")]
+    Disconnected {
+        /// Number of parts.
+        parts: usize,
+        /// A node of another part.
+        node: usize,
+        /// The node the search began at.
+        from: usize,
+    },
+    /// A node belongs to no element.
+    #[error("node {node} belongs to no element")]
+    Orphan {
+        /// Node index.
+        node: usize,
+    },
+    /// An electrode does not fit the mesh or its neighbours.
+    #[error("electrode {electrode}: {reason}")]
+    Electrode {
+        /// Electrode index, zero-based.
+        electrode: usize,
+        /// What is wrong, with the value.
+        reason: String,
+    },
+    /// The shape itself makes no sense.
+    #[error("{field}: {value} is not {expected}")]
+    Shape {
+        /// Which parameter.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// What was expected.
+        expected: String,
+    },
+    /// Text that should hold a mesh does not.
+    #[error("line {line}: {reason}")]
+    Parse {
+        /// One-based line number.
+        line: usize,
+        /// What was found and what was expected.
+        reason: String,
+    },
+}
+
+/// How an electrode touches the mesh.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Contact {
+    /// Faces (edges in 2D, triangles in 3D), `nodes_per_face` node indices each: rim and wall electrodes, and lines
+    /// inside a sheet. Contact impedance in ohm.m^2 (3D) or ohm.m (2D, thickness 1).
+    Faces(Vec<Vec<u32>>),
+    /// Elements of a sheet that an electrode pad lies under; contact impedance in ohm.m^2 of pad.
+    Area(Vec<u32>),
+    /// One node; no contact impedance.
+    Point(u32),
+}
+
+/// An electrode: where it touches, and through what.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Electrode {
+    /// Its place on the mesh.
+    pub contact: Contact,
+    /// Specific contact impedance; ignored by point electrodes. Units: see [`Contact`].
+    pub contact_impedance: f64,
+}
+
+/// A mesh of triangles or tetrahedra with positive measures, connected, no face shared by more than two elements.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    kind: CellKind,
+    nodes: Vec<[f64; 3]>,
+    elements: Vec<u32>,
+    measures: Vec<f64>,
+}
+
+/// A mesh with its electrodes, checked against each other.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ElectrodedMesh {
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Electrode 1 of the user's counting is index 0 here.
+    pub electrodes: Vec<Electrode>,
+}
+
+impl Mesh {
+    /// Makes a mesh from node coordinates in metres and a flat list of zero-based node indices, `kind.nodes_per_element()`
+    /// an element, in any orientation. Flat meshes have `z = 0` (or any constant).
+    ///
+    /// # Errors
+    /// Indices out of range, coordinates not finite, elements without measure, elements that fold over each other,
+    /// faces shared by more than two elements, nodes in no element, or a mesh of several unconnected parts.
+    pub fn new(kind: CellKind, nodes: Vec<[f64; 3]>, elements: Vec<u32>) -> Result<Self, MeshError> {
+        let per = kind.nodes_per_element();
+        if elements.is_empty() || elements.len() % per != 0 {
+            return Err(MeshError::Count {
+                what: "element node indices",
+                expected: format!("a positive multiple of {per}"),
+                got: elements.len(),
+            });
+        }
+        for (node, xyz) in nodes.iter().enumerate() {
+            if let Some(&value) = xyz.iter().find(|v| !v.is_finite()) {
+                return Err(MeshError::NotFinite { node, value });
+            }
+        }
+        for (position, &node) in elements.iter().enumerate() {
+            if node as usize >= nodes.len() {
+                return Err(MeshError::NodeOutOfRange {
+                    what: "element",
+                    index: position / per,
+                    node: node as usize,
+                    node_count: nodes.len(),
+                });
+            }
+        }
+        let measures: Vec<f64> = elements.chunks_exact(per).map(|cell| measure(&nodes, cell)).collect();
+        let mesh = Self { kind, nodes, elements, measures };
+        mesh.check_measures()?;
+        mesh.check_topology()?;
+        Ok(mesh)
+    }
+
+    /// Triangles or tetrahedra.
+    pub fn kind(&self) -> CellKind {
+        self.kind
+    }
+
+    /// Space dimension of the elements: 2 for sheets (flat or curved), 3 for solids.
+    pub fn dimension(&self) -> usize {
+        self.kind.nodes_per_face()
+    }
+
+    /// Node coordinates in metres.
+    pub fn nodes(&self) -> &[[f64; 3]] {
+        &self.nodes
+    }
+
+    /// Number of elements.
+    pub fn element_count(&self) -> usize {
+        self.measures.len()
+    }
+
+    /// The node indices of one element.
+    pub fn element(&self, index: usize) -> &[u32] {
+        let per = self.kind.nodes_per_element();
+        &self.elements[index * per..(index + 1) * per]
+    }
+
+    /// All elements in order, as slices of node indices.
+    pub fn elements(&self) -> std::slice::ChunksExact<'_, u32> {
+        self.elements.chunks_exact(self.kind.nodes_per_element())
+    }
+
+    /// Area (m^2) or volume (m^3) of each element.
+    pub fn measures(&self) -> &[f64] {
+        &self.measures
+    }
+
+    /// Centroid of one element, metres.
+    pub fn centroid(&self, index: usize) -> [f64; 3] {
+        let cell = self.element(index);
+        let mut centre = [0.0; 3];
+        for &node in cell {
+            for axis in 0..3 {
+                centre[axis] += self.nodes[node as usize][axis] / cell.len() as f64;
+            }
+        }
+        centre
+    }
+
+    /// Length (m) or area (m^2) of a face given by its nodes.
+    pub fn face_measure(&self, face: &[u32]) -> f64 {
+        measure(&self.nodes, face)
+    }
+
+    /// Smallest and largest coordinates, metres.
+    pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
+        let mut low = [f64::INFINITY; 3];
+        let mut high = [f64::NEG_INFINITY; 3];
+        for node in &self.nodes {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(node[axis]);
+                high[axis] = high[axis].max(node[axis]);
+            }
+        }
+        (low, high)
+    }
+
+    /// Faces that belong to one element only, sorted by node indices, each with its element.
+    pub fn boundary_faces(&self) -> Vec<(Vec<u32>, u32)> {
+        let mut faces: Vec<_> = self
+            .face_map()
+            .into_iter()
+            .filter(|(_, owners)| owners.len() == 1)
+            .map(|(face, owners)| (face, owners[0]))
+            .collect();
+        faces.sort_unstable();
+        faces
+    }
+
+    /// Pairs of elements that share a face, smaller index first, sorted.
+    pub fn neighbours(&self) -> Vec<[u32; 2]> {
+        let mut pairs: Vec<[u32; 2]> = self
+            .face_map()
+            .into_values()
+            .filter(|owners| owners.len() == 2)
+            .map(|owners| [owners[0].min(owners[1]), owners[0].max(owners[1])])
+            .collect();
+        pairs.sort_unstable();
+        pairs
+    }
+
+    fn face_map(&self) -> HashMap<Vec<u32>, Vec<u32>> {
+        let mut map: HashMap<Vec<u32>, Vec<u32>> = HashMap::with_capacity(self.measures.len() * 2);
+        for (index, cell) in self.elements().enumerate() {
+            for omitted in 0..cell.len() {
+                let mut face: Vec<u32> =
+                    cell.iter().enumerate().filter(|(corner, _)| *corner != omitted).map(|(_, &node)| node).collect();
+                face.sort_unstable();
+                map.entry(face).or_default().push(index as u32);
+            }
+        }
+        map
+    }
+
+    fn check_measures(&self) -> Result<(), MeshError> {
+        let mean = self.measures.iter().sum::<f64>() / self.measures.len() as f64;
+        match self.measures.iter().position(|m| !(*m > 1e-12 * mean)) {
+            Some(element) => Err(MeshError::Degenerate { element, measure: self.measures[element], mean }),
+            None => Ok(()),
+        }
+    }
+
+    fn check_topology(&self) -> Result<(), MeshError> {
+        let mut faces: Vec<_> = self.face_map().into_iter().collect();
+        faces.sort_unstable();
+        for (nodes, owners) in &faces {
+            if owners.len() > 2 {
+                return Err(MeshError::Overlapping { nodes: nodes.clone(), count: owners.len() });
+            }
+            if owners.len() == 2 && self.folds(nodes, owners[0], owners[1]) {
+                let (first, second) = (owners[0] as usize, owners[1] as usize);
+                return Err(MeshError::Folded { first, second, nodes: nodes.clone() });
+            }
+        }
+        self.check_connected()
+    }
+
+    /// True where two elements that share a face lie on the same side of it (in-plane, for triangles in 3D).
+    fn folds(&self, face: &[u32], first: u32, second: u32) -> bool {
+        let apex = |element: u32| {
+            let node = self.element(element as usize).iter().find(|node| !face.contains(node));
+            node.map(|&node| self.nodes[node as usize])
+        };
+        let (Some(a), Some(b)) = (apex(first), apex(second)) else { return true };
+        let origin = self.nodes[face[0] as usize];
+        let along = subtract(self.nodes[face[1] as usize], origin);
+        let (to_a, to_b) = (subtract(a, origin), subtract(b, origin));
+        if face.len() == 2 {
+            // Components perpendicular to the shared edge point to opposite sides of it.
+            let perpendicular = |v: [f64; 3]| {
+                let share = dot(v, along) / dot(along, along);
+                [v[0] - share * along[0], v[1] - share * along[1], v[2] - share * along[2]]
+            };
+            let (p, q) = (perpendicular(to_a), perpendicular(to_b));
+            dot(p, q) > 0.999_999 * (dot(p, p) * dot(q, q)).sqrt()
+        } else {
+            let normal = cross(along, subtract(self.nodes[face[2] as usize], origin));
+            dot(normal, to_a) * dot(normal, to_b) > 0.0
+        }
+    }
+
+    fn check_connected(&self) -> Result<(), MeshError> {
+        let mut parent: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        fn root(parent: &mut [u32], mut node: u32) -> u32 {
+            while parent[node as usize] != node {
+                parent[node as usize] = parent[parent[node as usize] as usize];
+                node = parent[node as usize];
+            }
+            node
+        }
+        let mut used = vec![false; self.nodes.len()];
+        for cell in self.elements() {
+            let first = root(&mut parent, cell[0]);
+            for &node in cell {
+                used[node as usize] = true;
+                let other = root(&mut parent, node);
+                parent[other as usize] = first;
+            }
+        }
+        if let Some(node) = used.iter().position(|used| !used) {
+            return Err(MeshError::Orphan { node });
+        }
+        let from = root(&mut parent, 0);
+        let mut roots: Vec<u32> = (0..self.nodes.len() as u32).map(|node| root(&mut parent, node)).collect();
+        let stranded = roots.iter().position(|&r| r != from);
+        roots.sort_unstable();
+        roots.dedup();
+        match stranded {
+            Some(node) => Err(MeshError::Disconnected { parts: roots.len(), node, from: 0 }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl ElectrodedMesh {
+    /// Joins a mesh and its electrodes.
+    ///
+    /// # Errors
+    /// Electrodes that touch nothing, name faces, elements or nodes the mesh does not have, share a face, an element
+    /// or (points) a node with another electrode, or have a contact impedance that is not positive and finite.
+    pub fn new(mesh: Mesh, electrodes: Vec<Electrode>) -> Result<Self, MeshError> {
+        let per_face = mesh.kind().nodes_per_face();
+        let face_map = mesh.face_map();
+        let mut taken: HashMap<Vec<u32>, usize> = HashMap::new();
+        for (index, electrode) in electrodes.iter().enumerate() {
+            let refuse = |reason: String| Err(MeshError::Electrode { electrode: index, reason });
+            let z = electrode.contact_impedance;
+            let keys: Vec<Vec<u32>> = match &electrode.contact {
+                Contact::Faces(faces) => faces
+                    .iter()
+                    .map(|face| {
+                        let mut key = face.clone();
+                        key.sort_unstable();
+                        key
+                    })
+                    .collect(),
+                Contact::Area(elements) => elements.iter().map(|&element| vec![u32::MAX, element]).collect(),
+                Contact::Point(node) => vec![vec![*node]],
+            };
+            if !matches!(electrode.contact, Contact::Point(_)) && !(z > 0.0 && z.is_finite()) {
+                return refuse(format!("contact impedance {z} must be positive and finite"));
+            }
+            if keys.is_empty() {
+                return refuse("touches no part of the mesh".into());
+            }
+            for key in keys {
+                match &electrode.contact {
+                    Contact::Faces(_) if key.len() != per_face => {
+                        return refuse(format!("a face has {} nodes, expected {per_face}", key.len()));
+                    }
+                    Contact::Faces(_) if !face_map.contains_key(&key) => {
+                        return refuse(format!("face {key:?} is no face of the mesh"));
+                    }
+                    Contact::Area(_) if mesh.kind() != CellKind::Triangle => {
+                        return refuse("area contacts are for sheets; use faces on a solid".into());
+                    }
+                    Contact::Area(_) if key[1] as usize >= mesh.element_count() => {
+                        return refuse(format!("element {} of {} does not exist", key[1], mesh.element_count()));
+                    }
+                    Contact::Point(node) if *node as usize >= mesh.nodes().len() => {
+                        return refuse(format!("node {node} of {} does not exist", mesh.nodes().len()));
+                    }
+                    _ => {}
+                }
+                if let Some(other) = taken.insert(key, index) {
+                    return refuse(format!("overlaps electrode {other}"));
+                }
+            }
+        }
+        Ok(Self { mesh, electrodes })
+    }
+}
+
+/// Length, area or volume of the simplex over 2, 3 or 4 nodes in 3D: sqrt(det(E'E)) / d! with E its edge vectors.
+fn measure(nodes: &[[f64; 3]], simplex: &[u32]) -> f64 {
+    let edge = |corner: usize| subtract(nodes[simplex[corner] as usize], nodes[simplex[0] as usize]);
+    match simplex.len() {
+        2 => dot(edge(1), edge(1)).sqrt(),
+        3 => {
+            let normal = cross(edge(1), edge(2));
+            0.5 * dot(normal, normal).sqrt()
+        }
+        _ => dot(cross(edge(1), edge(2)), edge(3)).abs() / 6.0,
+    }
+}
+
+pub(crate) fn subtract(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn square() -> (Vec<[f64; 3]>, Vec<u32>) {
+        (vec![[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]], vec![0, 1, 2, 0, 2, 3])
+    }
+
+    #[test]
+    fn measures_and_faces_of_a_square() {
+        let (nodes, elements) = square();
+        let mesh = Mesh::new(CellKind::Triangle, nodes, elements).unwrap();
+        assert_eq!(mesh.measures(), &[0.5, 0.5]);
+        assert_eq!(mesh.boundary_faces().len(), 4);
+        assert_eq!(mesh.neighbours(), vec![[0, 1]]);
+    }
+
+    #[test]
+    fn folded_elements_are_refused() {
+        let (mut nodes, elements) = square();
+        nodes[3] = [0.9, 0.1, 0.];
+        let error = Mesh::new(CellKind::Triangle, nodes, elements).unwrap_err();
+        assert!(matches!(error, MeshError::Folded { .. }), "{error}");
+    }
+
+    #[test]
+    fn bad_meshes_name_the_offender() {
+        let (nodes, _) = square();
+        let with = |elements: Vec<u32>| Mesh::new(CellKind::Triangle, nodes.clone(), elements).unwrap_err();
+        assert!(matches!(with(vec![0, 1]), MeshError::Count { got: 2, .. }));
+        assert!(matches!(with(vec![0, 1, 9]), MeshError::NodeOutOfRange { node: 9, .. }));
+        assert!(matches!(with(vec![0, 1, 1]), MeshError::Degenerate { element: 0, .. }));
+        assert!(matches!(with(vec![0, 1, 2]), MeshError::Orphan { node: 3 }));
+        let mut two = nodes.clone();
+        two.extend([[5., 0., 0.], [6., 0., 0.], [5., 1., 0.]]);
+        let error = Mesh::new(CellKind::Triangle, two, vec![0, 1, 2, 0, 2, 3, 4, 5, 6]).unwrap_err();
+        assert!(matches!(error, MeshError::Disconnected { parts: 2, .. }), "{error}");
+    }
+
+    #[test]
+    fn electrodes_that_overlap_are_refused() {
+        let (nodes, elements) = square();
+        let mesh = Mesh::new(CellKind::Triangle, nodes, elements).unwrap();
+        let on = |faces: Vec<Vec<u32>>| Electrode { contact: Contact::Faces(faces), contact_impedance: 0.1 };
+        assert!(ElectrodedMesh::new(mesh.clone(), vec![on(vec![vec![0, 1]]), on(vec![vec![2, 3]])]).is_ok());
+        let error = ElectrodedMesh::new(mesh.clone(), vec![on(vec![vec![0, 1]]), on(vec![vec![1, 0]])]).unwrap_err();
+        assert_eq!(error.to_string(), "electrode 1: overlaps electrode 0");
+        assert!(ElectrodedMesh::new(mesh, vec![on(vec![vec![1, 3]])]).is_err());
+    }
+}
