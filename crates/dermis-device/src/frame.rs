@@ -1,0 +1,111 @@
+//! One frame of measurements and when it was taken. Frames are made once and refilled, so that the live path does not
+//! allocate.
+
+use std::sync::LazyLock;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// One frame: every channel of the instrument once.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Frame {
+    /// The device's frame number, or a count from 0 where the device sends none. Gaps are lost frames.
+    pub sequence: u64,
+    /// The device's own clock in nanoseconds, origin as the device chooses, where it sends one.
+    pub device_time_ns: Option<u64>,
+    /// Host monotonic clock at the frame's first byte, nanoseconds since [`HostStamp`]'s origin.
+    pub host_monotonic_ns: u64,
+    /// Host wall clock at the frame's first byte, nanoseconds since 1970-01-01 UTC.
+    pub host_wall_ns: u64,
+    /// Readings in the instrument's channel order and unit; the real part for complex instruments. NaN where missing.
+    pub values: Vec<f64>,
+    /// Imaginary part of each reading; empty for instruments that read real values or magnitudes.
+    pub imaginary: Vec<f64>,
+}
+
+impl Frame {
+    /// An empty frame that can take `channels` real readings without allocating.
+    pub fn with_capacity(channels: usize) -> Self {
+        Self { values: Vec::with_capacity(channels), ..Self::default() }
+    }
+
+    /// Forgets the content and keeps the memory.
+    pub fn clear(&mut self) {
+        self.sequence = 0;
+        self.device_time_ns = None;
+        self.stamp(HostStamp { monotonic_ns: 0, wall_ns: 0 });
+        self.values.clear();
+        self.imaginary.clear();
+    }
+
+    /// Replaces the content. Allocates only if there are more readings than ever before; pass an empty `imaginary` for
+    /// real readings.
+    pub fn refill(&mut self, sequence: u64, at: HostStamp, values: &[f64], imaginary: &[f64]) {
+        self.clear();
+        self.sequence = sequence;
+        self.stamp(at);
+        self.values.extend_from_slice(values);
+        self.imaginary.extend_from_slice(imaginary);
+    }
+
+    /// Sets both host times.
+    pub fn stamp(&mut self, at: HostStamp) {
+        self.host_monotonic_ns = at.monotonic_ns;
+        self.host_wall_ns = at.wall_ns;
+    }
+}
+
+/// Both host clocks read together, to be taken when a frame's first byte arrives.
+///
+/// The monotonic origin is the first use in the process: differences are meaningful, across all sources of one process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct HostStamp {
+    /// Monotonic clock, nanoseconds since the process's first stamp.
+    pub monotonic_ns: u64,
+    /// Wall clock, nanoseconds since 1970-01-01 UTC.
+    pub wall_ns: u64,
+}
+
+static MONOTONIC_ORIGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
+
+impl HostStamp {
+    /// The clocks now.
+    pub fn now() -> Self {
+        let origin = *MONOTONIC_ORIGIN;
+        let monotonic_ns = Instant::now().saturating_duration_since(origin).as_nanos() as u64;
+        let wall_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
+        Self { monotonic_ns, wall_ns }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refilling_keeps_the_memory() {
+        let mut frame = Frame::with_capacity(4);
+        let memory = frame.values.as_ptr();
+        for sequence in 0..3 {
+            frame.refill(sequence, HostStamp::now(), &[1.0, 2.0, 3.0, f64::NAN], &[]);
+        }
+        assert_eq!((frame.sequence, frame.values.len()), (2, 4));
+        assert_eq!(frame.values.as_ptr(), memory);
+    }
+
+    #[test]
+    fn refilling_forgets_what_was_there() {
+        let mut frame = Frame { device_time_ns: Some(5), imaginary: vec![1.0], ..Frame::default() };
+        frame.refill(1, HostStamp { monotonic_ns: 7, wall_ns: 9 }, &[0.5], &[]);
+        assert_eq!(
+            frame,
+            Frame { sequence: 1, host_monotonic_ns: 7, host_wall_ns: 9, values: vec![0.5], ..Frame::default() }
+        );
+    }
+
+    #[test]
+    fn the_monotonic_clock_never_runs_backwards() {
+        let first = HostStamp::now();
+        let second = HostStamp::now();
+        assert!(second.monotonic_ns >= first.monotonic_ns);
+        assert!(first.wall_ns > 0);
+    }
+}

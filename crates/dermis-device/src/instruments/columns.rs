@@ -1,0 +1,64 @@
+//! Text tables with one frame a column, under a row of frame names. Cells as in [`super::csv`]; a single column has no
+//! blank cells (blank lines are skipped), so a missing reading is written `nan` there.
+
+use std::path::Path;
+
+use super::csv::{self, Shape};
+use crate::{DeviceError, FrameTable, Layout};
+
+/// Frames in columns, in whatever channel order the file has.
+///
+/// # Errors
+/// As [`csv::parse`].
+pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
+    decode_as(content, file, |count| Layout::Channels { count })
+}
+
+/// Whether the first name is one that only a column of readings has.
+pub(super) fn looks_like(shape: &Shape) -> bool {
+    let first = shape.header.as_ref().and_then(|names| names.first());
+    first.is_some_and(|name| ["ref", "reference", "baseline"].contains(&name.to_ascii_lowercase().as_str()))
+}
+
+/// Frames in columns with the layout that belongs to a number of rows.
+pub(super) fn decode_as(
+    content: &[u8],
+    file: &Path,
+    layout: impl FnOnce(usize) -> Layout,
+) -> Result<FrameTable, DeviceError> {
+    let table = csv::parse(content, file)?;
+    let layout = layout(table.rows());
+    if layout.channels() != table.rows() {
+        let expected = layout.channels();
+        let what = "rows, one for each channel";
+        return Err(DeviceError::Count { file: file.to_owned(), what, expected, found: table.rows() });
+    }
+    let values = (0..table.columns).flat_map(|column| table.column(column)).collect();
+    let frames = FrameTable::new(layout, values, file)?;
+    match table.header {
+        Some(names) => frames.with_names(names),
+        None => Ok(frames),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_become_frames_with_names() {
+        let table = decode(b"ref,a\n1,4\n2,\n3,6\n", Path::new("made.csv")).unwrap();
+        assert_eq!((table.frames(), table.channels()), (2, 3));
+        assert_eq!(table.row(0), Some([1.0, 2.0, 3.0].as_slice()));
+        assert!(table.row(1).unwrap()[1].is_nan());
+        assert_eq!(table.names().unwrap(), ["ref", "a"]);
+    }
+
+    #[test]
+    fn only_names_of_a_reference_are_recognised() {
+        let shape = |text: &str| Shape::of(text.as_bytes(), Path::new("made.csv")).unwrap();
+        assert!(looks_like(&shape("Reference,x\n1,2\n")));
+        assert!(!looks_like(&shape("x,ref\n1,2\n")));
+        assert!(!looks_like(&shape("1,2\n1,2\n")));
+    }
+}

@@ -1,0 +1,36 @@
+//! Magnitudes of a 16-electrode tank with neighbouring drive and measuring pairs, driven pairs included: frames in
+//! columns of 256 readings, drive-major, as the EIDORS sample data of Soleimani, Gomez-Laberge and Adler (2006).
+
+use std::path::Path;
+
+use super::columns;
+use super::csv::Shape;
+use crate::{DeviceError, FrameTable, Layout};
+
+const LAYOUT: Layout = Layout::FullMatrix { electrodes: 16 };
+
+/// Frames in columns.
+///
+/// # Errors
+/// As [`columns::decode`], and [`DeviceError::Count`] for another number of rows than 256.
+pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
+    columns::decode_as(content, file, |_| LAYOUT)
+}
+
+pub(super) fn looks_like(shape: &Shape) -> bool {
+    shape.header.is_some() && shape.rows == LAYOUT.channels() && shape.columns < 16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_full_matrices() {
+        let rows: String = (0..256).map(|row| format!("{row} {}\n", -row)).collect();
+        let table = decode(format!("rest ball\n{rows}").as_bytes(), Path::new("made.csv")).unwrap();
+        assert_eq!(table.layout(), &LAYOUT);
+        assert_eq!(table.row(1).unwrap()[17], -17.0);
+        assert!(decode(b"rest\n1\n2\n", Path::new("made.csv")).is_err());
+    }
+}

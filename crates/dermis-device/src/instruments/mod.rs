@@ -1,0 +1,225 @@
+//! What instruments write down: one module per format, each turning bytes into a [`FrameTable`], and the choice among
+//! them by name or by looking at the content.
+
+pub mod columns;
+pub mod csv;
+pub mod golfball;
+pub mod ktc;
+pub mod npy;
+pub mod pyeidors;
+pub mod sciospec;
+
+use std::fmt;
+use std::fs::{self, File};
+use std::io::Read;
+use std::path::Path;
+use std::str::FromStr;
+
+use crate::{DeviceError, FileSpec, FrameTable};
+
+/// Most bytes of one file that are read into memory.
+pub const MOST_BYTES: u64 = 1 << 30;
+
+/// A file format of frames.
+///
+/// ```
+/// use dermis_device::Format;
+///
+/// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
+/// let message = "xlsx".parse::<Format>().unwrap_err().to_string();
+/// assert_eq!(message, "'xlsx': expected one of csv, columns, npy, sciospec, ktc, golfball, pyeidors");
+/// # Ok::<(), dermis_device::DeviceError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text, one frame a row: [`csv`].
+    Csv,
+    /// Text, one frame a column under a row of names: [`columns`].
+    Columns,
+    /// NumPy array, one frame a row: [`npy`].
+    Npy,
+    /// Sciospec `.eit`, one frame a file: [`sciospec`].
+    Sciospec,
+    /// Columns of the Kuopio Tomography Challenge's 2356 readings: [`ktc`].
+    Ktc,
+    /// Columns of 16 x 16 magnitudes: [`golfball`].
+    Golfball,
+    /// A reference and a target frame as four columns of complex parts: [`pyeidors`].
+    Pyeidors,
+}
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 7] =
+        [Self::Csv, Self::Columns, Self::Npy, Self::Sciospec, Self::Ktc, Self::Golfball, Self::Pyeidors];
+
+    /// The name by which users choose it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Columns => "columns",
+            Self::Npy => "npy",
+            Self::Sciospec => "sciospec",
+            Self::Ktc => "ktc",
+            Self::Golfball => "golfball",
+            Self::Pyeidors => "pyeidors",
+        }
+    }
+
+    /// Recognises a format by a file's whole content; a directory is recognised with empty content.
+    ///
+    /// Text with numbers is told apart by its shape: a head of names over 256 or 2356 rows is golfball or ktc; a head
+    /// that starts with `ref`, `reference` or `baseline` is columns; four columns without a head and n(n-3) rows for an
+    /// electrode count n are pyeidors; all else is csv.
+    ///
+    /// # Errors
+    /// [`DeviceError::Foreign`] saying what the content looks like.
+    pub fn detect(path: &Path, content: &[u8]) -> Result<Self, DeviceError> {
+        if path.is_dir() || sciospec::looks_like(path, content) {
+            return Ok(Self::Sciospec);
+        }
+        if content.starts_with(npy::MAGIC) {
+            return Ok(Self::Npy);
+        }
+        let shape = csv::Shape::of(content, path)?;
+        if ktc::looks_like(&shape) {
+            Ok(Self::Ktc)
+        } else if golfball::looks_like(&shape) {
+            Ok(Self::Golfball)
+        } else if columns::looks_like(&shape) {
+            Ok(Self::Columns)
+        } else if pyeidors::looks_like(&shape) {
+            Ok(Self::Pyeidors)
+        } else {
+            Ok(Self::Csv)
+        }
+    }
+}
+
+impl FromStr for Format {
+    type Err = DeviceError;
+
+    fn from_str(text: &str) -> Result<Self, DeviceError> {
+        Self::ALL
+            .into_iter()
+            .find(|format| format.name() == text)
+            .ok_or_else(|| DeviceError::selector(text, format!("one of {}", Self::ALL.map(Self::name).join(", "))))
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+/// Reads the frames that `spec` names, in the given format or the one recognised.
+///
+/// Where a table with a head of names is read and `spec` chooses frames by name, its frames are taken to be columns.
+///
+/// # Errors
+/// Any [`DeviceError`]; the message names the file and the place in it.
+pub fn read(spec: &FileSpec, format: Option<Format>) -> Result<FrameTable, DeviceError> {
+    let path = spec.path.as_path();
+    if path.is_dir() {
+        return match format {
+            None | Some(Format::Sciospec) => sciospec::read_directory(path)?.select(&spec.select),
+            Some(_) => Err(DeviceError::Foreign {
+                file: path.to_owned(),
+                expected: "a file",
+                found: "a directory, which only the sciospec format reads".to_owned(),
+            }),
+        };
+    }
+    let content = read_bytes(path)?;
+    let format = match format {
+        Some(format) => format,
+        None => match Format::detect(path, &content)? {
+            Format::Csv if spec.select.names_frames() => Format::Columns,
+            detected => detected,
+        },
+    };
+    decode(format, &content, path)?.select(&spec.select)
+}
+
+/// Decodes the content of one file; `file` is for messages (and for Sciospec's frame number).
+///
+/// # Errors
+/// Any [`DeviceError`] but [`DeviceError::Io`].
+pub fn decode(format: Format, content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
+    match format {
+        Format::Csv => csv::decode(content, file),
+        Format::Columns => columns::decode(content, file),
+        Format::Npy => npy::decode(content, file)?.into_frames(file),
+        Format::Sciospec => sciospec::decode(content, file),
+        Format::Ktc => ktc::decode(content, file),
+        Format::Golfball => golfball::decode(content, file),
+        Format::Pyeidors => pyeidors::decode(content, file),
+    }
+}
+
+/// Reads a whole file, refusing more than [`MOST_BYTES`] even where its size is not known beforehand.
+///
+/// # Errors
+/// [`DeviceError::Io`] or [`DeviceError::TooLarge`].
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
+    let failed = |error| DeviceError::io(path, "read", error);
+    if path.is_dir() {
+        return Err(failed(std::io::ErrorKind::IsADirectory.into()));
+    }
+    let found = fs::metadata(path).map_err(failed)?.len();
+    let mut content = Vec::new();
+    if found <= MOST_BYTES {
+        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut content)).map_err(failed)?;
+    }
+    let found = found.max(content.len() as u64);
+    if found > MOST_BYTES {
+        return Err(DeviceError::TooLarge { file: path.to_owned(), limit: MOST_BYTES, found });
+    }
+    Ok(content)
+}
+
+/// What content looks like, for messages about foreign files.
+pub(crate) fn describe(content: &[u8]) -> &'static str {
+    const SIGNATURES: [(&[u8], &str); 16] = [
+        (npy::MAGIC, "a NumPy array (npy)"),
+        (b"PK\x03\x04", "a ZIP archive (npz or xlsx?)"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or MATLAB 7.3)"),
+        (b"MATLAB 5.0", "a MATLAB 5 file"),
+        (b"\x89MCAP0\r\n", "an MCAP recording"),
+        (b"\x89PNG", "a PNG image"),
+        (b"\xff\xd8\xff", "a JPEG image"),
+        (b"%PDF", "a PDF document"),
+        (b"PAR1", "a Parquet file"),
+        (b"\x1f\x8b", "gzip-compressed data"),
+        (b"\x28\xb5\x2f\xfd", "zstd-compressed data"),
+        (b"\xff\xfe", "UTF-16 text"),
+        (b"\xfe\xff", "UTF-16 text"),
+        (b"{", "JSON text"),
+        (b"<", "XML or HTML text"),
+        (b"---Draeger", "a Draeger .eit file"),
+    ];
+    if content.is_empty() {
+        return "an empty file";
+    }
+    match SIGNATURES.iter().find(|(signature, _)| content.starts_with(signature)) {
+        Some((_, name)) => name,
+        None if content.iter().take(4096).any(|&byte| byte == 0) => "binary data",
+        None if std::str::from_utf8(content).is_err() => "text or data that is not UTF-8",
+        None => "other text",
+    }
+}
+
+/// A [`DeviceError::Foreign`] from the content.
+pub(crate) fn foreign(file: &Path, expected: &'static str, content: &[u8]) -> DeviceError {
+    DeviceError::Foreign { file: file.to_owned(), expected, found: describe(content).to_owned() }
+}
+
+/// The content as text without a byte-order mark, or what it looks like instead.
+pub(crate) fn text_of<'a>(content: &'a [u8], file: &Path, expected: &'static str) -> Result<&'a str, DeviceError> {
+    let content = content.strip_prefix(b"\xef\xbb\xbf").unwrap_or(content);
+    match std::str::from_utf8(content) {
+        Ok(text) if !text.contains('\0') => Ok(text),
+        _ => Err(foreign(file, expected, content)),
+    }
+}

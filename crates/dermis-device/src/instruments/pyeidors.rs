@@ -1,0 +1,50 @@
+//! A reference and a target frame side by side: four columns without a head, real and imaginary part of the reference,
+//! then of the target, one channel a row.
+
+use std::path::Path;
+
+use super::csv::{self, Shape};
+use crate::{DeviceError, FrameTable, Layout};
+
+/// Two complex frames named `reference` and `target`.
+///
+/// # Errors
+/// As [`csv::parse`], and [`DeviceError::Count`] for another number of columns than four.
+pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
+    let table = csv::parse(content, file)?;
+    if table.columns != 4 {
+        let what = "columns (real and imaginary part of reference and target)";
+        return Err(DeviceError::Count { file: file.to_owned(), what, expected: 4, found: table.columns });
+    }
+    let pair = |first, second| table.column(first).chain(table.column(second)).collect();
+    FrameTable::new(Layout::Channels { count: table.rows() }, pair(0, 2), file)?
+        .with_imaginary(pair(1, 3))?
+        .with_names(vec!["reference".to_owned(), "target".to_owned()])
+}
+
+/// Four bare columns, and as many rows as n electrodes have neighbouring measurements without the driven ones: n(n-3).
+pub(super) fn looks_like(shape: &Shape) -> bool {
+    shape.header.is_none()
+        && shape.columns == 4
+        && (8..=64).any(|electrodes| shape.rows == electrodes * (electrodes - 3))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_four_columns_are_two_complex_frames() {
+        let table = decode(b"1,-2,3,-4\n5,-6,7,-8\n", Path::new("made.csv")).unwrap();
+        assert_eq!(table.row(0), Some([1.0, 5.0].as_slice()));
+        assert_eq!(table.imaginary_row(0), Some([-2.0, -6.0].as_slice()));
+        assert_eq!(table.row(1), Some([3.0, 7.0].as_slice()));
+        assert_eq!(table.imaginary_row(1), Some([-4.0, -8.0].as_slice()));
+    }
+
+    #[test]
+    fn another_number_of_columns_is_refused() {
+        let error = decode(b"1,2,3\n", Path::new("made.csv")).unwrap_err().to_string();
+        assert!(error.contains("expected 4 columns") && error.ends_with("found 3"), "{error}");
+    }
+}
