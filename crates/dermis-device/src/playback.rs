@@ -48,14 +48,17 @@ impl Playback {
     /// Plays `table` from its first frame.
     ///
     /// # Errors
-    /// [`DeviceError::Pacing`] for [`Pacing::Recorded`] without recorded times, or a rate that is not positive.
+    /// [`DeviceError::Pacing`] for [`Pacing::Recorded`] without finite recorded times, or a rate that is not positive.
     pub fn new(table: FrameTable, pacing: Pacing, repeat: Repeat) -> Result<Self, DeviceError> {
         let refuse = |expected, found| DeviceError::Pacing { file: table.source().to_owned(), expected, found };
-        match pacing {
-            Pacing::Recorded if table.times_s().is_none() => {
-                return Err(refuse("recorded frame times", "none".to_owned()));
+        match (pacing, table.times_s()) {
+            (Pacing::Recorded, None) => return Err(refuse("recorded frame times", "none".to_owned())),
+            (Pacing::Recorded, Some(times)) => {
+                if let Some(time_s) = times.iter().find(|time_s| !time_s.is_finite()) {
+                    return Err(refuse("finite frame times", format!("{time_s} s")));
+                }
             }
-            Pacing::Rate { frames_per_s } if !(frames_per_s.is_finite() && frames_per_s > 0.0) => {
+            (Pacing::Rate { frames_per_s }, _) if !(frames_per_s.is_finite() && frames_per_s > 0.0) => {
                 return Err(refuse("a positive number of frames per second", frames_per_s.to_string()));
             }
             _ => {}
@@ -90,7 +93,9 @@ impl Playback {
             }
             _ => 0.0,
         };
-        Duration::try_from_secs_f64(seconds).unwrap_or_default()
+        // Clocks cannot be set arbitrarily far ahead; a day is as good as never. Times that go back count as none.
+        const LONGEST_S: f64 = 86_400.0;
+        Duration::try_from_secs_f64(seconds.min(LONGEST_S)).unwrap_or_default()
     }
 
     /// Sequence number of frame `index`, counting what the recording lost before it.
@@ -157,7 +162,7 @@ mod tests {
         FrameTable::new(Layout::Channels { count: 2 }, values, "made.csv").unwrap()
     }
 
-    fn drain(source: &mut Playback, most: usize) -> Vec<(u64, Vec<f64>)> {
+    fn drain(source: &mut dyn Source, most: usize) -> Vec<(u64, Vec<f64>)> {
         let mut frame = Frame::with_capacity(2);
         let mut seen = Vec::new();
         while seen.len() < most && source.next_frame(&mut frame, Duration::MAX).unwrap() == SourceEvent::Frame {
@@ -185,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_frame_that_is_not_due_yet_is_idle_and_not_lost() {
-        let table = table().with_times_s(vec![10.0, 10.0, 1e6]).unwrap();
+        let table = table().with_times_s(vec![10.0, 10.0, 1e300]).unwrap();
         let mut source = Playback::new(table, Pacing::Recorded, Repeat::Once).unwrap();
         let mut frame = Frame::default();
         assert_eq!(source.next_frame(&mut frame, Duration::ZERO).unwrap(), SourceEvent::Frame);
@@ -199,6 +204,8 @@ mod tests {
     #[test]
     fn unusable_pacing_is_refused() {
         assert!(Playback::new(table(), Pacing::Recorded, Repeat::Once).is_err());
+        let timed = table().with_times_s(vec![0.0, f64::NAN, 1.0]).unwrap();
+        assert!(Playback::new(timed, Pacing::Recorded, Repeat::Once).is_err());
         for frames_per_s in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             assert!(Playback::new(table(), Pacing::Rate { frames_per_s }, Repeat::Once).is_err());
         }

@@ -78,7 +78,7 @@ fn a_truncated_array_is_never_taken_for_a_whole_one() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn arbitrary_bytes(content in prop::collection::vec(any::<u8>(), 0..600)) {

@@ -228,7 +228,7 @@ impl Lines<'_> {
         let first_row = header_lines + 2;
         let readings = self.line(first_row).split_whitespace().count();
         let Some(measuring) = self.listed(header_lines, CHANNELS_KEY)? else {
-            if !(4..=2 * MOST_ELECTRODES).contains(&readings) || readings % 2 != 0 {
+            if !(4..=2 * MOST_ELECTRODES).contains(&readings) || !readings.is_multiple_of(2) {
                 let expected = "a pair of numbers for each of 2 to 256 channels, as the header lists none";
                 return Err(DeviceError::field(
                     self.file,
