@@ -1,0 +1,302 @@
+//! One connected page: the scene first, then whatever is newest, while its requests go to the pipeline.
+//!
+//! A page acknowledges each update it has received. At most [`WINDOW`] are under way at once, so a slow page or network gets
+//! fewer updates rather than old ones: what it missed is counted, and nothing queues up.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use crossbeam_channel::TrySendError;
+use tokio::sync::{broadcast, mpsc, watch};
+use tokio::time::{Instant, interval, sleep, timeout};
+
+use super::command::{Command, Reply, Request};
+use super::hub::Level;
+use super::protocol::{self, Answer, Encoded, Notice, Said};
+use super::server::Shared;
+
+/// Updates sent and not yet acknowledged: enough for 60 a second over a round trip of 130 ms.
+const WINDOW: u64 = 8;
+/// Answers waiting to be sent to one page.
+const ANSWER_BACKLOG: usize = 64;
+/// A page that takes nothing for this long is gone.
+const SEND_LIMIT: Duration = Duration::from_secs(10);
+const ALIVE_PERIOD: Duration = Duration::from_secs(1);
+const RELEASE_LIMIT: Duration = Duration::from_secs(10);
+
+/// Why a page's connection ends.
+enum End {
+    /// The page went, or the network.
+    Gone,
+    /// The server ends it, for this reason.
+    Closed(u16, &'static str),
+}
+
+struct Client<'a> {
+    socket: WebSocket,
+    shared: &'a Shared,
+    number: u64,
+    answers: mpsc::Sender<Answer>,
+    held: BTreeSet<u64>,
+    allowance: Allowance,
+    sent: u64,
+    acknowledged: u64,
+    missed: u64,
+}
+
+/// A bucket that fills at the allowed rate and holds one second of it.
+struct Allowance {
+    per_s: f64,
+    left: f64,
+    filled: Instant,
+}
+
+/// Serves one page until it goes or the server stops.
+pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
+    let Ok(_place) = shared.places.try_acquire() else {
+        return close(&mut socket, close_code::AGAIN, "as many pages as allowed are open: close one").await;
+    };
+    let (answers, unsent) = mpsc::channel(ANSWER_BACKLOG);
+    let mut client = Client {
+        socket,
+        shared,
+        number: shared.next_client.fetch_add(1, Ordering::Relaxed),
+        answers,
+        held: BTreeSet::new(),
+        allowance: Allowance::new(shared.options.most_messages_per_s),
+        sent: 0,
+        acknowledged: 0,
+        missed: 0,
+    };
+    let count = &shared.hub.inner.counts.clients;
+    count.fetch_add(1, Ordering::Relaxed);
+    let end = client.talk(unsent).await;
+    count.fetch_sub(1, Ordering::Relaxed);
+    if let Err(End::Closed(code, reason)) = end {
+        close(&mut client.socket, code, reason).await;
+    }
+    client.release_all().await;
+}
+
+impl Client<'_> {
+    /// Passes messages both ways until the connection ends.
+    async fn talk(&mut self, mut answers: mpsc::Receiver<Answer>) -> Result<(), End> {
+        let shared = self.shared;
+        let mut stop = shared.stop.clone();
+        let mut notices = shared.hub.inner.notices.subscribe();
+        let mut noise = shared.hub.inner.noise.subscribe();
+        let mut updates = shared.updates.subscribe();
+        let mut alive = interval(ALIVE_PERIOD);
+        noise.mark_changed();
+        updates.mark_changed();
+        self.send_text(shared.scene_json.clone()).await?;
+        // An update published while no page was open is still waiting.
+        shared.hub.inner.published.notify_one();
+        loop {
+            let is_ready = self.sent - self.acknowledged < WINDOW;
+            tokio::select! {
+                () = stopped(&mut stop) => return Err(End::Closed(close_code::AWAY, "dermis ended")),
+                message = self.socket.recv() => self.receive(message)?,
+                Some(answer) = answers.recv() => self.send_text(protocol::answer(&answer)).await?,
+                notice = notices.recv() => self.send_notice(notice).await?,
+                Ok(()) = noise.changed() => {
+                    let message = protocol::noise(&noise.borrow_and_update().clone());
+                    self.send_binary(message).await?;
+                }
+                Ok(()) = updates.changed(), if is_ready => {
+                    let update = updates.borrow_and_update().clone();
+                    if let Some(update) = update {
+                        self.send_update(&update).await?;
+                    }
+                }
+                _ = alive.tick() => self.send_text(protocol::alive(self.missed, shared.hub.stats())).await?,
+            }
+        }
+    }
+
+    async fn send_update(&mut self, update: &Arc<Encoded>) -> Result<(), End> {
+        if self.sent > 0 {
+            let missed = update.sequence.saturating_sub(self.sent + 1);
+            self.missed += missed;
+            self.shared.hub.inner.counts.dropped.fetch_add(missed, Ordering::Relaxed);
+        } else {
+            self.acknowledged = update.sequence - 1;
+        }
+        self.sent = update.sequence;
+        self.send_binary(update.image.clone()).await?;
+        self.send_binary(update.channels.clone()).await?;
+        self.send_text(update.state.clone()).await
+    }
+
+    async fn send_notice(&mut self, notice: Result<Notice, broadcast::error::RecvError>) -> Result<(), End> {
+        let notice = match notice {
+            Ok(notice) => notice,
+            Err(broadcast::error::RecvError::Lagged(count)) => {
+                Notice { level: Level::Warning, text: format!("{count} notices were lost: this page was too slow") }
+            }
+            Err(broadcast::error::RecvError::Closed) => return Err(End::Gone),
+        };
+        self.send_text(protocol::notice(&notice)).await
+    }
+
+    fn receive(&mut self, message: Option<Result<Message, axum::Error>>) -> Result<(), End> {
+        let text = match message {
+            Some(Ok(Message::Text(text))) => text,
+            Some(Ok(Message::Binary(_))) => return Err(End::Closed(close_code::UNSUPPORTED, "expected text messages")),
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Ok(()),
+            Some(Ok(Message::Close(_))) | None => return Err(End::Gone),
+            Some(Err(error)) => return Err(unreadable(&error)),
+        };
+        match protocol::parse(&text) {
+            Ok(Said::Acknowledge(sequence)) => {
+                self.acknowledged = sequence.clamp(self.acknowledged, self.sent);
+                return Ok(());
+            }
+            _ if !self.allowance.spend() => return Err(End::Closed(close_code::POLICY, "too many messages per second")),
+            Ok(Said::Ask(id, command)) => self.pass_on(id, command),
+            Err((id, text)) => self.answer(id, text),
+        }
+        Ok(())
+    }
+
+    /// Checks a command and hands it to the pipeline, or says why not.
+    fn pass_on(&mut self, id: u64, mut command: Command) {
+        if let Err(refusal) = command.check(&self.shared.scene).and_then(|()| self.own(&mut command)) {
+            return self.answer(id, refusal);
+        }
+        let held = match &command {
+            Command::Press(press) => Some((press.pointer_id, true)),
+            Command::Release { pointer_id } => Some((*pointer_id, false)),
+            _ => None,
+        };
+        let reply = Reply { id, answers: Some(self.answers.clone()) };
+        let request = Request { client: self.number, command, reply };
+        match self.shared.commands.try_send(request) {
+            Ok(()) => match held {
+                Some((pointer, true)) => _ = self.held.insert(pointer),
+                Some((pointer, false)) => _ = self.held.remove(&pointer),
+                None => {}
+            },
+            Err(TrySendError::Full(request)) => {
+                request.reply.refuse("the pipeline is behind: not done, try again");
+                // The page has let go and will not say so again.
+                if let Some((pointer, false)) = held {
+                    self.release_later(pointer);
+                }
+            }
+            Err(TrySendError::Disconnected(request)) => request.reply.refuse("the pipeline has ended"),
+        }
+    }
+
+    /// Makes pointer numbers unique among pages, and lets a page move only what it presses.
+    fn own(&self, command: &mut Command) -> Result<(), String> {
+        let (pointer, is_new) = match command {
+            Command::Press(press) => (&mut press.pointer_id, true),
+            Command::Move(press) => (&mut press.pointer_id, false),
+            Command::Release { pointer_id } => (pointer_id, false),
+            _ => return Ok(()),
+        };
+        let Ok(number) = u32::try_from(*pointer) else {
+            return Err(format!("pointer_id {pointer} refused: expected at most {}", u32::MAX));
+        };
+        *pointer = (self.number << 32) | u64::from(number);
+        match self.held.contains(pointer) {
+            true if is_new => Err(format!("press refused: pointer_id {number} presses already")),
+            false if !is_new => Err(format!("pointer_id {number} refused: it does not press")),
+            false if self.held.len() >= Command::MOST_PRESSES => {
+                Err(format!("press refused: expected at most {} at once", Command::MOST_PRESSES))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn release_later(&mut self, pointer_id: u64) {
+        self.held.remove(&pointer_id);
+        tokio::spawn(release(self.shared.commands.clone(), self.number, pointer_id));
+    }
+
+    /// Ends the presses of a page that went away holding them.
+    async fn release_all(&mut self) {
+        for pointer_id in std::mem::take(&mut self.held) {
+            release(self.shared.commands.clone(), self.number, pointer_id).await;
+        }
+    }
+
+    fn answer(&self, id: u64, text: String) {
+        // A page with this many unread answers will not miss one more.
+        let _ = self.answers.try_send(Answer { id, ok: false, text });
+    }
+
+    async fn send_text(&mut self, text: String) -> Result<(), End> {
+        self.send(Message::Text(text.into())).await
+    }
+
+    async fn send_binary(&mut self, bytes: Bytes) -> Result<(), End> {
+        self.send(Message::Binary(bytes)).await
+    }
+
+    async fn send(&mut self, message: Message) -> Result<(), End> {
+        match timeout(SEND_LIMIT, self.socket.send(message)).await {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(_)) | Err(_) => Err(End::Gone),
+        }
+    }
+}
+
+impl Allowance {
+    fn new(per_s: u32) -> Self {
+        let per_s = f64::from(per_s);
+        Self { per_s, left: per_s, filled: Instant::now() }
+    }
+
+    /// Takes one message's worth, if there is any left.
+    fn spend(&mut self) -> bool {
+        let now = Instant::now();
+        let gained = (now - self.filled).as_secs_f64() * self.per_s;
+        self.left = (self.left + gained).min(self.per_s);
+        self.filled = now;
+        let is_enough = self.left >= 1.0;
+        self.left -= if is_enough { 1.0 } else { 0.0 };
+        is_enough
+    }
+}
+
+/// Returns when the server stops.
+pub(super) async fn stopped(stop: &mut watch::Receiver<bool>) {
+    // An error means that the handle is gone, which stops the server too.
+    let _ = stop.wait_for(|&is_stopped| is_stopped).await;
+}
+
+/// A release must arrive: without it a press would stay on the skin for good.
+async fn release(commands: crossbeam_channel::Sender<Request>, client: u64, pointer_id: u64) {
+    let deadline = Instant::now() + RELEASE_LIMIT;
+    let mut request = Request { client, command: Command::Release { pointer_id }, reply: Reply::unheard() };
+    loop {
+        request = match commands.try_send(request) {
+            Ok(()) | Err(TrySendError::Disconnected(_)) => return,
+            Err(TrySendError::Full(request)) => request,
+        };
+        if Instant::now() > deadline {
+            return tracing::error!("press {pointer_id} was not released: the pipeline took no command for {RELEASE_LIMIT:?}");
+        }
+        sleep(Duration::from_millis(5)).await;
+    }
+}
+
+/// Why a message could not be read: too long, or not a WebSocket message at all.
+fn unreadable(error: &axum::Error) -> End {
+    if error.to_string().contains("too long") {
+        return End::Closed(close_code::SIZE, "message too long");
+    }
+    End::Gone
+}
+
+async fn close(socket: &mut WebSocket, code: u16, reason: &'static str) {
+    let frame = CloseFrame { code, reason: reason.into() };
+    // The page may be gone already, which is what closing is for.
+    let _ = timeout(Duration::from_secs(1), socket.send(Message::Close(Some(frame)))).await;
+}

@@ -1,0 +1,151 @@
+//! What people ask of the pipeline from the page, and how it answers.
+
+use serde::Deserialize;
+use tokio::sync::mpsc;
+
+use super::protocol::Answer;
+use super::scene::Scene;
+
+/// A request of the page. Lengths are millimetres in the skin's frame.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[non_exhaustive]
+pub enum Command {
+    /// Take a new baseline.
+    Tare {
+        /// Also while something touches the skin.
+        force: bool,
+    },
+    /// Begin to record raw frames.
+    RecordStart,
+    /// End the recording.
+    RecordStop,
+    /// Use this hyperparameter (positive).
+    Hyperparameter(f64),
+    /// Press on the twin.
+    Press(Press),
+    /// Move, or change the radius or pressure of, an ongoing press.
+    Move(Press),
+    /// End a press. Also sent for every ongoing press of a page that went away.
+    Release {
+        /// The press to end.
+        pointer_id: u64,
+    },
+    /// Show these channels (0-based), at most [`Command::MOST_CHANNELS`].
+    ChooseChannels(Vec<u32>),
+}
+
+/// A round indenter on the twin.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Press {
+    /// Which press: unique among all open pages, stable from press to release.
+    pub pointer_id: u64,
+    /// Position to the right of the centroid.
+    pub x_mm: f64,
+    /// Position above the centroid.
+    pub y_mm: f64,
+    /// Radius of the indenter.
+    pub radius_mm: f64,
+    /// Pressure beneath it, kilopascals.
+    pub pressure_kpa: f64,
+}
+
+/// A command with the way to answer it.
+#[derive(Debug)]
+pub struct Request {
+    /// Number of the page that asks, for logs.
+    pub client: u64,
+    /// What is asked.
+    pub command: Command,
+    /// The way back; dropped without an answer, the page shows nothing.
+    pub reply: Reply,
+}
+
+/// Answers one request in the page that made it. Answering never blocks.
+#[derive(Debug)]
+pub struct Reply {
+    pub(super) id: u64,
+    pub(super) answers: Option<mpsc::Sender<Answer>>,
+}
+
+impl Reply {
+    /// A reply that nobody reads, for requests that come from elsewhere than a page.
+    pub fn unheard() -> Self {
+        Self { id: 0, answers: None }
+    }
+
+    /// Says that it was done: `tared over 25 frames`.
+    pub fn accept(self, text: impl Into<String>) {
+        self.send(true, text.into());
+    }
+
+    /// Says that it was not, and why: `tare refused: a touch is on the skin`.
+    pub fn refuse(self, text: impl Into<String>) {
+        self.send(false, text.into());
+    }
+
+    fn send(self, ok: bool, text: String) {
+        if let Some(answers) = self.answers {
+            // A page that went away, or that has this many answers unread, has nobody waiting for this one.
+            let _ = answers.try_send(Answer { id: self.id, ok, text });
+        }
+    }
+}
+
+impl Command {
+    /// Most channels that can be chosen for display at once.
+    pub const MOST_CHANNELS: usize = 64;
+    /// Most presses that one page can hold at once.
+    pub const MOST_PRESSES: usize = 16;
+
+    /// Refuses what no pipeline could do: presses on a real skin, values outside the scene's limits.
+    pub(super) fn check(&self, scene: &Scene) -> Result<(), String> {
+        match self {
+            Self::Tare { .. } | Self::RecordStart | Self::RecordStop => Ok(()),
+            Self::Hyperparameter(value) if value.is_finite() && *value > 0.0 => Ok(()),
+            Self::Hyperparameter(value) => {
+                Err(format!("hyperparameter {value} refused: expected a positive finite number"))
+            }
+            Self::Press(press) | Self::Move(press) => press.check(scene),
+            Self::Release { .. } if scene.is_twin => Ok(()),
+            Self::Release { .. } => Err("release refused: this skin is real".into()),
+            Self::ChooseChannels(indices) => check_channels(indices, scene),
+        }
+    }
+}
+
+impl Press {
+    fn check(&self, scene: &Scene) -> Result<(), String> {
+        if !scene.is_twin {
+            return Err("press refused: this skin is real, press it by hand".into());
+        }
+        let grid = &scene.grid;
+        let limits = &scene.press;
+        // Some room around the image, so that a press that slides off the skin is followed until it is released.
+        let (margin_x, margin_y) = ((grid.x_max_mm - grid.x_min_mm) / 2.0, (grid.y_max_mm - grid.y_min_mm) / 2.0);
+        let checks = [
+            ("x_mm", self.x_mm, grid.x_min_mm - margin_x, grid.x_max_mm + margin_x),
+            ("y_mm", self.y_mm, grid.y_min_mm - margin_y, grid.y_max_mm + margin_y),
+            ("radius_mm", self.radius_mm, limits.radius_mm[0], limits.radius_mm[1]),
+            ("pressure_kpa", self.pressure_kpa, limits.pressure_kpa[0], limits.pressure_kpa[1]),
+        ];
+        for (field, value, least, most) in checks {
+            if !(least..=most).contains(&value) {
+                return Err(format!("press refused: {field} is {value}, expected {least} to {most}"));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_channels(indices: &[u32], scene: &Scene) -> Result<(), String> {
+    let count = scene.channel_labels.len();
+    if indices.len() > Command::MOST_CHANNELS {
+        return Err(format!("{} channels refused: expected at most {}", indices.len(), Command::MOST_CHANNELS));
+    }
+    match indices.iter().find(|&&index| index as usize >= count) {
+        Some(index) => Err(format!("channel {index} refused: expected an index below {count}")),
+        None => Ok(()),
+    }
+}

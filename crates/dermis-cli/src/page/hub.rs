@@ -1,0 +1,184 @@
+//! Between the pipeline and the pages: the pipeline leaves its latest update here and goes on; the server takes it when it
+//! can. Three buffers change hands under a lock held for one pointer exchange, so neither side waits for the other, and an
+//! update that nobody took in time is overwritten and counted.
+
+use std::mem;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use tokio::sync::{Notify, broadcast, watch};
+
+use super::protocol::Notice;
+use super::update::Update;
+use super::PageError;
+
+/// Notices that a page may leave unread before it loses the oldest.
+const NOTICE_BACKLOG: usize = 64;
+
+/// Where the pipeline publishes. Cloning shares it.
+#[derive(Debug, Clone)]
+pub struct Hub {
+    pub(super) inner: Arc<Inner>,
+}
+
+#[derive(Debug)]
+pub(super) struct Inner {
+    back: Mutex<Update>,
+    middle: Mutex<Middle>,
+    pub(super) published: Notify,
+    pub(super) noise: watch::Sender<Arc<Vec<f32>>>,
+    pub(super) notices: broadcast::Sender<Notice>,
+    pub(super) counts: Counts,
+}
+
+#[derive(Debug, Default)]
+struct Middle {
+    update: Update,
+    is_fresh: bool,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Counts {
+    pub(super) clients: AtomicUsize,
+    pub(super) published: AtomicU64,
+    pub(super) coalesced: AtomicU64,
+    pub(super) dropped: AtomicU64,
+}
+
+/// How the pages keep up.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct HubStats {
+    /// Pages connected.
+    pub clients: usize,
+    /// Updates published.
+    pub published: u64,
+    /// Updates overwritten by a newer one before the server sent any: frames beyond the page's rate.
+    pub coalesced: u64,
+    /// Updates sent to some pages but skipped for a slow one, summed over pages.
+    pub dropped: u64,
+}
+
+/// How serious a notice is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    /// Something happened as it should.
+    Info,
+    /// Something needs attention.
+    Warning,
+    /// Something failed, or data was lost.
+    Error,
+}
+
+impl Default for Hub {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Hub {
+    /// An empty hub. It can be published to whether or not a server runs.
+    pub fn new() -> Self {
+        let inner = Inner {
+            back: Mutex::default(),
+            middle: Mutex::default(),
+            published: Notify::new(),
+            noise: watch::channel(Arc::default()).0,
+            notices: broadcast::channel(NOTICE_BACKLOG).0,
+            counts: Counts::default(),
+        };
+        Self { inner: Arc::new(inner) }
+    }
+
+    /// Shows `update` on every page as soon as the page can take it. Copies and returns; never waits for a page, and
+    /// allocates only while its buffers grow.
+    ///
+    /// # Errors
+    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] when the update contradicts itself; it is then not shown.
+    pub fn publish(&self, update: &Update) -> Result<(), PageError> {
+        update.check()?;
+        let inner = &self.inner;
+        let mut back = lock(&inner.back);
+        back.copy_from(update);
+        let mut middle = lock(&inner.middle);
+        mem::swap(&mut *back, &mut middle.update);
+        let was_taken = !mem::replace(&mut middle.is_fresh, true);
+        drop(middle);
+        inner.counts.published.fetch_add(1, Ordering::Relaxed);
+        if !was_taken && inner.counts.clients.load(Ordering::Relaxed) > 0 {
+            inner.counts.coalesced.fetch_add(1, Ordering::Relaxed);
+        }
+        inner.published.notify_one();
+        Ok(())
+    }
+
+    /// Shows the noise (standard deviation) of every channel, in the scene's channel unit. Sent only when it changes.
+    pub fn publish_noise(&self, noise: &[f32]) {
+        self.inner.noise.send_replace(Arc::new(noise.to_vec()));
+    }
+
+    /// Tells every page something once.
+    pub fn announce(&self, level: Level, text: impl Into<String>) {
+        // Without a page there is nobody to tell, which is not a failure.
+        let _ = self.inner.notices.send(Notice { level, text: text.into() });
+    }
+
+    /// How the pages keep up.
+    pub fn stats(&self) -> HubStats {
+        let counts = &self.inner.counts;
+        HubStats {
+            clients: counts.clients.load(Ordering::Relaxed),
+            published: counts.published.load(Ordering::Relaxed),
+            coalesced: counts.coalesced.load(Ordering::Relaxed),
+            dropped: counts.dropped.load(Ordering::Relaxed),
+        }
+    }
+
+    /// Exchanges `front` for the latest update. False when there has been none since the last time.
+    pub(super) fn take(&self, front: &mut Update) -> bool {
+        let mut middle = lock(&self.inner.middle);
+        if !mem::take(&mut middle.is_fresh) {
+            return false;
+        }
+        mem::swap(front, &mut middle.update);
+        true
+    }
+}
+
+/// A panic elsewhere cannot leave an update half written in a way that matters: the next one overwrites it.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbered(frame: u64) -> Update {
+        Update { frame, ..Update::default() }
+    }
+
+    #[test]
+    fn the_latest_update_wins_and_is_taken_once() {
+        let hub = Hub::new();
+        for frame in 1..=5 {
+            hub.publish(&numbered(frame)).expect("well formed");
+        }
+        let mut front = Update::default();
+        assert!(hub.take(&mut front));
+        assert_eq!(front.frame, 5);
+        assert!(!hub.take(&mut front));
+        assert_eq!(hub.stats().published, 5);
+    }
+
+    #[test]
+    fn an_image_that_does_not_fill_its_grid_is_refused_with_its_numbers() {
+        let mut update = numbered(12);
+        update.image.rows = 3;
+        update.image.cols = 4;
+        update.image.values = vec![0.0; 11];
+        let refusal = Hub::new().publish(&update).expect_err("one value is missing").to_string();
+        assert!(refusal.contains("frame 12") && refusal.contains("11 values") && refusal.contains("3 x 4"), "{refusal}");
+    }
+}

@@ -1,0 +1,45 @@
+//! The live page: a small web server that shows one skin in a browser and passes what people do there to the pipeline.
+//!
+//! It knows no pipeline. The pipeline fills an [`Update`] per frame and hands it to [`Hub::publish`], which copies it and
+//! returns: a slow browser loses updates (counted), the pipeline never waits. Clicks come back as [`Request`]s on a bounded
+//! channel, each with a [`Reply`] that the page shows. The wire format is described in `docs/src/page-protocol.md`.
+//!
+//! The server listens on loopback unless told otherwise. Every request must name an allowed host, and a WebSocket must come
+//! from the page's own origin, so that a site opened in the same browser can neither watch nor press; any address beyond
+//! loopback needs a [`Token`].
+//!
+//! ```no_run
+//! use dermis_cli::page::{self, Hub, PageOptions, Scene, Update};
+//!
+//! let hub = Hub::new();
+//! let (commands, requests) = crossbeam_channel::bounded(256);
+//! let address = "127.0.0.1:0".parse().expect("an address");
+//! let server = page::serve(address, PageOptions::default(), hub.clone(), Scene::default(), commands)?;
+//! println!("page: {}", server.url());
+//! hub.publish(&Update::default())?;
+//! for request in requests.try_iter() {
+//!     request.reply.refuse("nothing is connected");
+//! }
+//! # Ok::<(), dermis_cli::page::PageError>(())
+//! ```
+
+mod access;
+mod client;
+mod command;
+mod error;
+mod hub;
+mod protocol;
+mod scene;
+mod server;
+mod update;
+
+pub use access::Token;
+pub use command::{Command, Press, Reply, Request};
+pub use error::PageError;
+pub use hub::{Hub, HubStats, Level};
+pub use protocol::PROTOCOL_VERSION;
+pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
+pub use server::{PageOptions, ServerHandle, serve};
+pub use update::{
+    ChannelValues, Counter, Image, PipelineState, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+};

@@ -1,0 +1,242 @@
+//! The messages on the wire, version 1: binary little-endian ones for images, channels and noise, JSON for the rest.
+//! `docs/src/page-protocol.md` describes them for other programs; keep the two together.
+
+use axum::body::Bytes;
+use serde::{Deserialize, Serialize};
+
+use super::command::Command;
+use super::hub::{HubStats, Level};
+use super::scene::Scene;
+use super::update::{Counter, PipelineState, StageLatency, TouchView, Update};
+
+/// Version of the messages, in every one of them.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+const MAGIC: [u8; 4] = *b"DRMS";
+const KIND_IMAGE: u16 = 1;
+const KIND_CHANNELS: u16 = 2;
+const KIND_NOISE: u16 = 3;
+/// Bytes before the values of a binary message.
+const HEADER_BYTES: usize = 32;
+
+/// One update, encoded once for all pages.
+#[derive(Debug)]
+pub(super) struct Encoded {
+    /// Counts encoded updates from 1; pages acknowledge it, and its gaps are what a page missed.
+    pub(super) sequence: u64,
+    pub(super) image: Bytes,
+    pub(super) channels: Bytes,
+    pub(super) state: String,
+}
+
+/// An answer to one request.
+#[derive(Debug, Serialize)]
+pub(super) struct Answer {
+    pub(super) id: u64,
+    pub(super) ok: bool,
+    pub(super) text: String,
+}
+
+/// Something told to every page.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Notice {
+    pub(super) level: Level,
+    pub(super) text: String,
+}
+
+/// What a page says.
+#[derive(Debug, PartialEq)]
+pub(super) enum Said {
+    /// It has shown the update with this sequence number.
+    Acknowledge(u64),
+    /// It asks for something; the number comes back in the answer.
+    Ask(u64, Command),
+}
+
+/// A JSON message: version and type, then the body's own fields.
+#[derive(Serialize)]
+struct Envelope<'a, T> {
+    v: u16,
+    #[serde(rename = "type")]
+    kind: &'a str,
+    #[serde(flatten)]
+    body: T,
+}
+
+#[derive(Serialize)]
+struct State<'a> {
+    sequence: u64,
+    frame: u64,
+    /// Text, since JSON readers round integers beyond 2^53.
+    time_ns: String,
+    fps: f32,
+    touches: &'a [TouchView],
+    latency: &'a [StageLatency],
+    counters: &'a [Counter],
+    state: &'a PipelineState,
+}
+
+#[derive(Serialize)]
+struct Alive {
+    /// Updates that this page missed.
+    missed: u64,
+    hub: HubStats,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Incoming {
+    v: u16,
+    ack: Option<u64>,
+    id: Option<u64>,
+    command: Option<Command>,
+}
+
+impl Encoded {
+    pub(super) fn new(sequence: u64, update: &Update) -> Self {
+        let state = State {
+            sequence,
+            frame: update.frame,
+            time_ns: update.time_ns.to_string(),
+            fps: update.fps,
+            touches: &update.touches,
+            latency: &update.latency,
+            counters: &update.counters,
+            state: &update.state,
+        };
+        Self { sequence, image: image(update), channels: channels(update), state: json("state", state) }
+    }
+}
+
+/// The scene, sent first.
+pub(super) fn scene(scene: &Scene) -> String {
+    json("scene", scene)
+}
+
+/// An answer to one request.
+pub(super) fn answer(answer: &Answer) -> String {
+    json("answer", answer)
+}
+
+/// Something told to every page.
+pub(super) fn notice(notice: &Notice) -> String {
+    json("notice", notice)
+}
+
+/// Sent every second, so that a page knows a silent pipeline from a lost connection.
+pub(super) fn alive(missed: u64, hub: HubStats) -> String {
+    json("alive", Alive { missed, hub })
+}
+
+/// Channel noise: kind 3.
+pub(super) fn noise(values: &[f32]) -> Bytes {
+    let mut message = header(KIND_NOISE, 0, 0, [values.len() as u32, 0], values.len());
+    put_values(&mut message, values);
+    message.into()
+}
+
+/// Reads what a page says.
+///
+/// # Errors
+/// A sentence for the page: what was wrong and what was expected, with the request's number where it was readable.
+pub(super) fn parse(text: &str) -> Result<Said, (u64, String)> {
+    let incoming: Incoming = serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
+    let id = incoming.id.unwrap_or(0);
+    if incoming.v != PROTOCOL_VERSION {
+        return Err((id, format!("message of version {}; expected {PROTOCOL_VERSION}: reload the page", incoming.v)));
+    }
+    match (incoming.ack, incoming.id, incoming.command) {
+        (Some(sequence), None, None) => Ok(Said::Acknowledge(sequence)),
+        (None, Some(id), Some(command)) => Ok(Said::Ask(id, command)),
+        _ => Err((id, "message not understood: expected either ack, or id and command".into())),
+    }
+}
+
+fn json(kind: &str, body: impl Serialize) -> String {
+    // Fails only for maps with keys that are no text, and none of these types holds a map.
+    serde_json::to_string(&Envelope { v: PROTOCOL_VERSION, kind, body }).unwrap_or_default()
+}
+
+/// Image: kind 1, rows and columns, then row-major values.
+fn image(update: &Update) -> Bytes {
+    let image = &update.image;
+    let size = [image.rows as u32, image.cols as u32];
+    let mut message = header(KIND_IMAGE, update.frame, update.time_ns, size, image.values.len());
+    put_values(&mut message, &image.values);
+    message.into()
+}
+
+/// Channels: kind 2, numbers of values and of indices, then the indices, then the values.
+fn channels(update: &Update) -> Bytes {
+    let channels = &update.channels;
+    let size = [channels.values.len() as u32, channels.indices.len() as u32];
+    let words = channels.values.len() + channels.indices.len();
+    let mut message = header(KIND_CHANNELS, update.frame, update.time_ns, size, words);
+    message.extend(channels.indices.iter().flat_map(|index| index.to_le_bytes()));
+    put_values(&mut message, &channels.values);
+    message.into()
+}
+
+fn header(kind: u16, frame: u64, time_ns: u64, size: [u32; 2], words: usize) -> Vec<u8> {
+    let mut message = Vec::with_capacity(HEADER_BYTES + 4 * words);
+    message.extend_from_slice(&MAGIC);
+    message.extend_from_slice(&PROTOCOL_VERSION.to_le_bytes());
+    message.extend_from_slice(&kind.to_le_bytes());
+    message.extend_from_slice(&frame.to_le_bytes());
+    message.extend_from_slice(&time_ns.to_le_bytes());
+    message.extend_from_slice(&size[0].to_le_bytes());
+    message.extend_from_slice(&size[1].to_le_bytes());
+    message
+}
+
+fn put_values(message: &mut Vec<u8>, values: &[f32]) {
+    message.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::page::{Image, Press};
+
+    #[test]
+    fn an_image_message_has_the_documented_layout() {
+        let mut update = Update { frame: 7, time_ns: 9, ..Update::default() };
+        update.image = Image { rows: 1, cols: 2, values: vec![1.5, f32::NAN] };
+        let message = Encoded::new(1, &update).image;
+        assert_eq!(message.len(), 40);
+        assert_eq!(&message[..8], b"DRMS\x01\x00\x01\x00");
+        assert_eq!(message[8..16], 7u64.to_le_bytes());
+        assert_eq!(message[16..24], 9u64.to_le_bytes());
+        assert_eq!(message[24..32], [1, 0, 0, 0, 2, 0, 0, 0]);
+        assert_eq!(message[32..36], 1.5f32.to_le_bytes());
+        assert!(f32::from_le_bytes([message[36], message[37], message[38], message[39]]).is_nan());
+    }
+
+    #[test]
+    fn commands_are_read_and_others_explained() {
+        let press = r#"{"v":1,"id":3,"command":{"press":{"pointer_id":1,"x_mm":2,"y_mm":-3.5,"radius_mm":10,"pressure_kpa":80}}}"#;
+        let expected = Press { pointer_id: 1, x_mm: 2.0, y_mm: -3.5, radius_mm: 10.0, pressure_kpa: 80.0 };
+        assert_eq!(parse(press), Ok(Said::Ask(3, Command::Press(expected))));
+        assert_eq!(parse(r#"{"v":1,"id":4,"command":"record_start"}"#), Ok(Said::Ask(4, Command::RecordStart)));
+        assert_eq!(parse(r#"{"v":1,"ack":88}"#), Ok(Said::Acknowledge(88)));
+        for (wrong, hint) in [
+            (r#"{"v":2,"ack":1}"#, "version 2"),
+            (r#"{"v":1}"#, "expected either"),
+            (r#"{"v":1,"id":1,"command":{"hyperparameter":1e999}}"#, "out of range"),
+            (r#"{"v":1,"id":1,"command":{"tare":{"force":true,"more":1}}}"#, "unknown field `more`"),
+            (r#"{"v":1,"id":1,"command":"explode"}"#, "unknown variant `explode`"),
+            ("[1", "not understood"),
+        ] {
+            let (_, text) = parse(wrong).expect_err(wrong);
+            assert!(text.contains(hint), "{wrong}: {text}");
+        }
+    }
+
+    #[test]
+    fn unknown_numbers_become_null() {
+        let mut update = Update::default();
+        update.state.baseline_age_s = f64::NAN;
+        let state = Encoded::new(1, &update).state;
+        assert!(state.contains(r#""baseline_age_s":null"#), "{state}");
+    }
+}

@@ -1,0 +1,278 @@
+//! The server's own thread: a handful of embedded files, one WebSocket per page, and the guard before both.
+
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::{Request as HttpRequest, State, WebSocketUpgrade};
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use crossbeam_channel::Sender;
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::{Semaphore, watch};
+use tokio::time::{Instant, sleep_until};
+
+use super::access::{Access, Token, bracketed};
+use super::client;
+use super::command::Request;
+use super::hub::Hub;
+use super::protocol::{self, Encoded};
+use super::scene::Scene;
+use super::update::Update;
+use super::PageError;
+
+/// How the page is served.
+#[derive(Debug, Clone)]
+pub struct PageOptions {
+    /// Secret that pages must show; required beyond loopback.
+    pub token: Option<Token>,
+    /// Further host names by which the server is reached, without port.
+    pub allowed_hosts: Vec<String>,
+    /// Most pages connected at once; a further one is told so.
+    pub most_clients: usize,
+    /// Longest message accepted from a page.
+    pub most_message_bytes: usize,
+    /// Messages per second accepted from a page, on average and in a burst.
+    pub most_messages_per_s: u32,
+    /// Most updates per second sent to a page; frames in between are coalesced.
+    pub most_updates_per_s: u32,
+}
+
+/// A running server. Dropping it stops it.
+#[derive(Debug)]
+pub struct ServerHandle {
+    address: SocketAddr,
+    token: Option<Token>,
+    stop: watch::Sender<bool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// What every request sees.
+#[derive(Debug)]
+pub(super) struct Shared {
+    access: Access,
+    pub(super) options: PageOptions,
+    pub(super) hub: Hub,
+    pub(super) scene: Scene,
+    pub(super) scene_json: String,
+    pub(super) commands: Sender<Request>,
+    pub(super) updates: watch::Sender<Option<Arc<Encoded>>>,
+    pub(super) stop: watch::Receiver<bool>,
+    pub(super) places: Semaphore,
+    pub(super) next_client: AtomicU64,
+}
+
+/// What pages have to say goodbye in.
+const CLOSING_TIME: Duration = Duration::from_millis(500);
+
+struct Asset {
+    path: &'static str,
+    kind: &'static str,
+    bytes: &'static [u8],
+}
+
+const ASSETS: [Asset; 4] = [
+    Asset { path: "/", kind: "text/html; charset=utf-8", bytes: include_bytes!("../../assets/index.html") },
+    Asset { path: "/page.js", kind: "text/javascript; charset=utf-8", bytes: include_bytes!("../../assets/page.js") },
+    Asset { path: "/page.css", kind: "text/css; charset=utf-8", bytes: include_bytes!("../../assets/page.css") },
+    Asset { path: "/icon.svg", kind: "image/svg+xml", bytes: include_bytes!("../../assets/icon.svg") },
+];
+
+/// Sent with everything: nothing from elsewhere is loaded, nobody frames the page, nothing is kept.
+const HEADERS: [(header::HeaderName, &str); 7] = [
+    (
+        header::CONTENT_SECURITY_POLICY,
+        "default-src 'self'; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    ),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::CACHE_CONTROL, "no-store"),
+    (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+];
+
+impl Default for PageOptions {
+    fn default() -> Self {
+        Self {
+            token: None,
+            allowed_hosts: Vec::new(),
+            most_clients: 8,
+            most_message_bytes: 16 * 1024,
+            most_messages_per_s: 1000,
+            most_updates_per_s: 100,
+        }
+    }
+}
+
+/// Serves the page at `address` (port 0 for any free one) until the handle is dropped. Returns once it listens.
+///
+/// # Errors
+/// [`PageError::PortInUse`] or [`PageError::Bind`] when the address cannot be had, [`PageError::TokenMissing`] beyond
+/// loopback without a token, [`PageError::HostUnfit`] for a malformed host, [`PageError::Start`] when no thread could start.
+pub fn serve(
+    address: SocketAddr,
+    options: PageOptions,
+    hub: Hub,
+    scene: Scene,
+    commands: Sender<Request>,
+) -> Result<ServerHandle, PageError> {
+    // Checked before the port is opened, then again with the port that was really given.
+    Access::new(address, options.token.clone(), &options.allowed_hosts)?;
+    let listener = bind(address)?;
+    let start = |source| PageError::Start { source };
+    let address = listener.local_addr().map_err(start)?;
+    let (stop, stopped) = watch::channel(false);
+    let shared = Shared {
+        access: Access::new(address, options.token.clone(), &options.allowed_hosts)?,
+        hub,
+        scene_json: protocol::scene(&scene),
+        scene,
+        commands,
+        updates: watch::channel(None).0,
+        stop: stopped,
+        places: Semaphore::new(options.most_clients),
+        next_client: AtomicU64::new(1),
+        options,
+    };
+    let token = shared.options.token.clone();
+    let runtime = Builder::new_multi_thread()
+        .worker_threads(1)
+        .thread_name("page-worker")
+        .enable_io()
+        .enable_time()
+        .build()
+        .map_err(start)?;
+    let thread = thread::Builder::new()
+        .name("page".into())
+        .spawn(move || run(&runtime, listener, Arc::new(shared)))
+        .map_err(start)?;
+    Ok(ServerHandle { address, token, stop, thread: Some(thread) })
+}
+
+impl ServerHandle {
+    /// Where it listens, with the real port.
+    pub fn local_addr(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What to open in a browser on this machine, token included.
+    pub fn url(&self) -> String {
+        let ip = self.address.ip();
+        let host = if ip.is_unspecified() { "127.0.0.1".to_owned() } else { bracketed(ip) };
+        let query = self.token.as_ref().map(|token| format!("?token={}", token.as_str())).unwrap_or_default();
+        format!("http://{host}:{}/{query}", self.address.port())
+    }
+
+    /// Closes every page and the port, and waits until that is done.
+    pub fn shutdown(mut self) {
+        self.stop_and_join();
+    }
+
+    fn stop_and_join(&mut self) {
+        self.stop.send_replace(true);
+        if let Some(thread) = self.thread.take() {
+            // A panic in that thread has been printed, and there is nothing left to stop.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for ServerHandle {
+    fn drop(&mut self) {
+        self.stop_and_join();
+    }
+}
+
+fn bind(address: SocketAddr) -> Result<TcpListener, PageError> {
+    let bind_error = |source: io::Error| match source.kind() {
+        io::ErrorKind::AddrInUse => PageError::PortInUse { address },
+        _ => PageError::Bind { address, source },
+    };
+    let listener = TcpListener::bind(address).map_err(bind_error)?;
+    listener.set_nonblocking(true).map_err(bind_error)?;
+    Ok(listener)
+}
+
+fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>) {
+    let served = runtime.block_on(async {
+        tokio::spawn(encode(shared.clone()));
+        let (mut stop, mut stop_again) = (shared.stop.clone(), shared.stop.clone());
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        // Idle connections must not hold the process: what is still open soon after the stop is cut.
+        let deadline = async move {
+            client::stopped(&mut stop_again).await;
+            tokio::time::sleep(CLOSING_TIME).await;
+        };
+        let stopped = async move { client::stopped(&mut stop).await };
+        tokio::select! {
+            served = axum::serve(listener, router(shared)).with_graceful_shutdown(stopped) => served,
+            () = deadline => Ok(()),
+        }
+    });
+    if let Err(error) = served {
+        tracing::error!("the page's server stopped: {error}");
+    }
+}
+
+/// Takes the latest update, encodes it once for all pages, and paces them.
+async fn encode(shared: Arc<Shared>) {
+    let pause = Duration::from_secs(1) / shared.options.most_updates_per_s.max(1);
+    let mut front = Update::default();
+    let mut sequence = 0;
+    loop {
+        shared.hub.inner.published.notified().await;
+        let next = Instant::now() + pause;
+        if shared.updates.receiver_count() > 0 && shared.hub.take(&mut front) {
+            sequence += 1;
+            shared.updates.send_replace(Some(Arc::new(Encoded::new(sequence, &front))));
+        }
+        sleep_until(next).await;
+    }
+}
+
+fn router(shared: Arc<Shared>) -> Router {
+    let mut router = Router::new().route("/ws", get(upgrade));
+    for asset in &ASSETS {
+        router = router.route(asset.path, get(move || async move { ([(header::CONTENT_TYPE, asset.kind)], asset.bytes) }));
+    }
+    router
+        .fallback(|| async { (StatusCode::NOT_FOUND, "Not found.\n") })
+        .layer(middleware::from_fn_with_state(shared.clone(), guard))
+        .with_state(shared)
+}
+
+/// Turns strangers away, and marks every answer.
+async fn guard(State(shared): State<Arc<Shared>>, request: HttpRequest<Body>, next: Next) -> Response {
+    let origin_required = request.uri().path() == "/ws";
+    let cookie = shared.access.cookie(request.uri());
+    let mut response = match shared.access.check(request.headers(), request.uri(), origin_required) {
+        Err(denial) => (denial.status(), denial.explanation()).into_response(),
+        Ok(()) => {
+            let mut response = next.run(request).await;
+            if let Some(Ok(cookie)) = cookie.map(|cookie| HeaderValue::from_str(&cookie)) {
+                response.headers_mut().insert(header::SET_COOKIE, cookie);
+            }
+            response
+        }
+    };
+    for (name, value) in HEADERS {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+async fn upgrade(State(shared): State<Arc<Shared>>, socket: WebSocketUpgrade) -> Response {
+    let bytes = shared.options.most_message_bytes;
+    socket
+        .max_message_size(bytes)
+        .max_frame_size(bytes)
+        .on_upgrade(move |socket| async move { client::serve(socket, &shared).await })
+}

@@ -1,0 +1,198 @@
+//! What the pipeline shows for one frame: the image, the touches, chosen channels, timing and state. Plain values; an
+//! [`Update`] kept by the pipeline and refilled each frame costs no allocation once its vectors have grown.
+
+use std::borrow::Cow;
+
+use serde::Serialize;
+
+use super::PageError;
+
+/// Everything the page shows of one frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Update {
+    /// Frame number, counted by the pipeline.
+    pub frame: u64,
+    /// Host monotonic time of the frame's first byte, nanoseconds.
+    pub time_ns: u64,
+    /// The reconstructed image.
+    pub image: Image,
+    /// Touches on the skin; a touch that ended may be listed once with [`TouchPhase::End`].
+    pub touches: Vec<TouchView>,
+    /// Channel values, all or a chosen subset.
+    pub channels: ChannelValues,
+    /// Frames per second that leave the pipeline.
+    pub fps: f32,
+    /// Latency of every stage, in the order of the pipeline.
+    pub latency: Vec<StageLatency>,
+    /// Counters, losses among them.
+    pub counters: Vec<Counter>,
+    /// What the pipeline is doing.
+    pub state: PipelineState,
+}
+
+/// An image: row-major, row 0 at the top (+y), NaN outside the skin, positive where more pressed.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Image {
+    /// Rows.
+    pub rows: usize,
+    /// Columns.
+    pub cols: usize,
+    /// `rows * cols` values in the unit the scene states.
+    pub values: Vec<f32>,
+}
+
+/// Values of channels, in the unit the scene states.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ChannelValues {
+    /// Channel index (0-based) of each value; empty when `values` holds every channel in order.
+    pub indices: Vec<u32>,
+    /// The values; NaN for a missing one.
+    pub values: Vec<f32>,
+}
+
+/// Where a touch is in its life.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TouchPhase {
+    /// First frame of the touch.
+    #[default]
+    Begin,
+    /// Any later frame with the touch on the skin.
+    Move,
+    /// First frame without it.
+    End,
+}
+
+/// One touch. Positions are in the skin's frame: x right, y up, origin at the centroid.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct TouchView {
+    /// Number that stays with the touch for its life.
+    pub id: u64,
+    /// Where it is in its life.
+    pub phase: TouchPhase,
+    /// Position to the right of the centroid, millimetres.
+    pub x_mm: f64,
+    /// Position above the centroid, millimetres.
+    pub y_mm: f64,
+    /// Amplitude in the image's unit.
+    pub amplitude: f64,
+    /// Area above half of the peak, square millimetres.
+    pub area_mm2: f64,
+    /// Standard deviation of `x_mm`; NaN when unknown.
+    pub sigma_x_mm: f64,
+    /// Standard deviation of `y_mm`; NaN when unknown.
+    pub sigma_y_mm: f64,
+    /// Normal force, newtons, where a calibration gives one.
+    pub force_n: Option<f64>,
+}
+
+/// Latency of one stage, microseconds.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct StageLatency {
+    /// Name of the stage.
+    pub stage: Cow<'static, str>,
+    /// Median.
+    pub p50_us: f64,
+    /// 99th percentile.
+    pub p99_us: f64,
+}
+
+/// One counter.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Counter {
+    /// What is counted.
+    pub name: Cow<'static, str>,
+    /// How many so far.
+    pub value: u64,
+    /// True when anything above zero means lost data, which the page marks.
+    pub is_loss: bool,
+}
+
+/// What feeds the pipeline, and whether it does.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum SourceState {
+    /// Frames arrive.
+    #[default]
+    Running,
+    /// Connected but silent, or connecting.
+    Waiting {
+        /// What is waited for.
+        reason: String,
+    },
+    /// The connection is gone.
+    Lost {
+        /// What happened.
+        reason: String,
+    },
+    /// A recording came to its end.
+    Ended,
+}
+
+/// Whether there is a baseline to compare with.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum TareState {
+    /// No baseline yet.
+    #[default]
+    None,
+    /// A baseline is being averaged.
+    Taring {
+        /// Frames still to come.
+        frames_left: u32,
+    },
+    /// A baseline is in use.
+    Tared,
+}
+
+/// What the pipeline is doing.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct PipelineState {
+    /// The source.
+    pub source: SourceState,
+    /// The baseline.
+    pub tare: TareState,
+    /// Seconds since the baseline was taken; NaN without one.
+    pub baseline_age_s: f64,
+    /// File being recorded to, if any.
+    pub recording: Option<String>,
+    /// Frames recorded to that file.
+    pub recorded_frames: u64,
+    /// Hyperparameter in use (the lambda of the skin's prior).
+    pub hyperparameter: f64,
+}
+
+impl Update {
+    /// Copies `other` into `self`, reusing every allocation that is large enough.
+    pub fn copy_from(&mut self, other: &Update) {
+        self.frame = other.frame;
+        self.time_ns = other.time_ns;
+        self.image.rows = other.image.rows;
+        self.image.cols = other.image.cols;
+        self.image.values.clone_from(&other.image.values);
+        self.touches.clone_from(&other.touches);
+        self.channels.indices.clone_from(&other.channels.indices);
+        self.channels.values.clone_from(&other.channels.values);
+        self.fps = other.fps;
+        self.latency.clone_from(&other.latency);
+        self.counters.clone_from(&other.counters);
+        self.state.clone_from(&other.state);
+    }
+
+    /// Checks that the image fills its grid and that channel indices match values.
+    ///
+    /// # Errors
+    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] with the sizes found.
+    pub(super) fn check(&self) -> Result<(), PageError> {
+        let Image { rows, cols, ref values } = self.image;
+        let side = usize::from(u16::MAX);
+        if rows > side || cols > side || rows * cols != values.len() {
+            return Err(PageError::ImageShape { frame: self.frame, rows, cols, values: values.len() });
+        }
+        let ChannelValues { indices, values } = &self.channels;
+        if !indices.is_empty() && indices.len() != values.len() {
+            return Err(PageError::ChannelShape { frame: self.frame, indices: indices.len(), values: values.len() });
+        }
+        Ok(())
+    }
+}

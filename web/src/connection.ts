@@ -1,0 +1,119 @@
+// The WebSocket to the server: reconnects by itself, acknowledges updates so that the server sends no more than the page
+// can take, and matches answers to what was asked.
+
+import { type Alive, type Channels, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
+
+export type Link = "connecting" | "live" | "silent" | "lost";
+
+export interface Listener {
+  link(link: Link, detail: string): void;
+  scene(scene: Scene): void;
+  image(image: Image): void;
+  channels(channels: Channels): void;
+  noise(noise: Float32Array): void;
+  state(state: State): void;
+  alive(alive: Alive): void;
+  notice(notice: Notice): void;
+}
+
+/** The server says that it lives every second; silence for this long is a lost connection. */
+const SILENCE_MS = 5000;
+/** No update for this long: the pipeline is silent. */
+const STALE_MS = 2000;
+const RETRY_MS = [250, 500, 1000, 2000, 4000];
+
+export class Connection {
+  private socket: WebSocket | null = null;
+  private attempts = 0;
+  private nextId = 1;
+  private heard = 0;
+  private updated = 0;
+
+  constructor(private readonly listener: Listener) {
+    this.open();
+    setInterval(() => this.watch(), 500);
+  }
+
+  /** Asks the pipeline for something. False when there is no connection. */
+  ask(command: Command): boolean {
+    return this.send({ v: VERSION, id: this.nextId++, command });
+  }
+
+  private send(message: object): boolean {
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
+  }
+
+  private open(): void {
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/ws`);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.heard = performance.now();
+      this.updated = this.heard;
+    };
+    socket.onmessage = (event) => this.receive(event.data);
+    socket.onclose = (event) => this.lost(socket, event.reason);
+    this.socket = socket;
+  }
+
+  private lost(socket: WebSocket, reason: string): void {
+    if (socket !== this.socket) return;
+    this.socket = null;
+    const wait = RETRY_MS[Math.min(this.attempts, RETRY_MS.length - 1)];
+    this.attempts += 1;
+    this.listener.link("lost", reason || "no connection; trying again");
+    setTimeout(() => this.open(), wait);
+  }
+
+  private watch(): void {
+    const socket = this.socket;
+    if (socket?.readyState !== WebSocket.OPEN) return;
+    const now = performance.now();
+    if (now - this.heard > SILENCE_MS) {
+      socket.close();
+      this.lost(socket, "the server fell silent; trying again");
+    } else if (now - this.updated > STALE_MS) {
+      this.listener.link("silent", `no frame for ${((now - this.updated) / 1000).toFixed(0)} s`);
+    }
+  }
+
+  private receive(data: string | ArrayBuffer): void {
+    this.heard = performance.now();
+    if (typeof data !== "string") {
+      const message = decode(data);
+      if (message?.kind === "image") this.listener.image(message.image);
+      else if (message?.kind === "channels") this.listener.channels(message.channels);
+      else if (message?.kind === "noise") this.listener.noise(message.noise);
+      return;
+    }
+    const message = JSON.parse(data);
+    if (message.v !== VERSION) {
+      this.listener.notice({ level: "error", text: `the server speaks version ${message.v}, this page ${VERSION}: reload the page` });
+      return;
+    }
+    switch (message.type) {
+      case "scene":
+        this.attempts = 0;
+        this.listener.scene(message);
+        this.listener.link("live", "live");
+        break;
+      case "state":
+        this.updated = this.heard;
+        this.send({ v: VERSION, ack: message.sequence });
+        this.listener.link("live", "live");
+        this.listener.state(message);
+        break;
+      case "alive":
+        this.listener.alive(message);
+        break;
+      case "notice":
+        this.listener.notice(message);
+        break;
+      case "answer":
+        this.listener.notice({ level: message.ok ? "info" : "warning", text: message.text });
+        break;
+    }
+  }
+}

@@ -1,0 +1,253 @@
+// The live page: wires the connection, the picture, the traces and the controls. Messages only store what is newest; the
+// drawing happens once per display frame.
+
+import "uplot/dist/uPlot.min.css";
+import "./page.css";
+import { AmplitudeStrip, ChannelStrip, MOST_TRACES, brief, parseChannels } from "./charts";
+import type { MapName, RangeMode } from "./colour";
+import { Connection, type Link } from "./connection";
+import { NoiseBars } from "./noise";
+import { showBadges, showCounters, showLatency, showMessage, showPipeline, showTouches } from "./panels";
+import { Presser } from "./press";
+import type { Channels, Image, Scene, State } from "./protocol";
+import { View } from "./view";
+
+/** Charts and tables change at most this often; the picture follows every display frame. */
+const PANEL_PERIOD_MS = 50;
+/** The hyperparameter's slider is logarithmic, in this many steps. */
+const SLIDER_STEPS = 1000;
+
+function find<T extends Element = HTMLElement>(id: string): T {
+  const found = document.getElementById(id);
+  if (!found) throw new Error(`the page has no #${id}`);
+  return found as unknown as T;
+}
+
+const view = new View(find("stage"), find<HTMLCanvasElement>("image"), find<SVGSVGElement>("overlay"), find<HTMLCanvasElement>("bar"));
+const amplitudes = new AmplitudeStrip(find("amplitudes"));
+const traces = new ChannelStrip(find("traces"));
+const noise = new NoiseBars(find<HTMLCanvasElement>("noise"), find("noise-pick"));
+const slider = find<HTMLInputElement>("hyperparameter");
+
+let connection: Connection;
+const presser = new Presser(view, () => connection, find<HTMLInputElement>("radius"), find<HTMLInputElement>("pressure"), find("cursor"));
+
+let scene: Scene | null = null;
+let image: Image | null = null;
+let channels: Channels | null = null;
+let state: State | null = null;
+let isFresh = false;
+let isStateFresh = false;
+let isPaused = false;
+let shownImages = 0;
+let sliderTouchedAt = -Infinity;
+
+connection = new Connection({
+  link: showLink,
+  scene: begin,
+  image: (next) => {
+    image = next;
+    isFresh = true;
+  },
+  channels: (next) => (channels = next),
+  noise: (next) => noise.show(next),
+  state: receiveState,
+  alive: ({ missed }) => (find("missed").textContent = String(missed)),
+  notice: ({ level, text }) => showMessage(level, text),
+});
+
+function begin(next: Scene): void {
+  const isNew = JSON.stringify(next) !== JSON.stringify(scene);
+  scene = next;
+  // A connection that came back shows the same skin: what people set stays as it was.
+  if (!isNew) return;
+  document.title = `${next.skin} – dermis`;
+  find("skin-name").textContent = next.skin;
+  showBadges(next);
+  view.begin(next);
+  presser.begin(next);
+  amplitudes.begin();
+  noise.begin(next.channel_labels, next.channel_unit);
+  find("amplitude-unit").textContent = next.image_unit;
+  for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
+  find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
+  find("press-controls").hidden = !next.is_twin;
+  view.stage.classList.toggle("twin", next.is_twin);
+  find("stage-help").textContent = next.is_twin
+    ? "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius."
+    : "";
+  chooseChannels();
+}
+
+function receiveState(next: State): void {
+  state = next;
+  isStateFresh = true;
+  if (isPaused) return;
+  const time_s = Number(BigInt(next.time_ns) / 1000n) / 1e6;
+  amplitudes.push(time_s, next.touches);
+  if (channels) traces.push(time_s, channels);
+}
+
+function showLink(link: Link, detail: string): void {
+  document.body.dataset.connection = link;
+  find("connection").textContent = detail;
+}
+
+function drawImage(): void {
+  presser.flush();
+  if (isFresh && image && !isPaused) {
+    isFresh = false;
+    shownImages += 1;
+    const [low, high] = view.draw(image);
+    setText("range-low", brief(low));
+    setText("range-high", brief(high));
+    find("wait").hidden = true;
+    if (state) view.touches(state.touches);
+  }
+  requestAnimationFrame(drawImage);
+}
+
+function drawPanels(): void {
+  if (!state || !isStateFresh || document.hidden) return;
+  isStateFresh = false;
+  showPipeline(state.state);
+  setText("fps", state.fps.toFixed(1));
+  showCounters(state.counters);
+  followHyperparameter(state.state.hyperparameter);
+  if (isPaused) return;
+  showTouches(state.touches);
+  showLatency(state.latency);
+  setText("frame", String(state.frame));
+  amplitudes.draw();
+  traces.draw();
+}
+
+function setText(id: string, text: string): void {
+  const target = find(id);
+  if (target.textContent !== text) target.textContent = text;
+}
+
+/** The slider shows what the pipeline uses, but not while somebody moves it. */
+function followHyperparameter(value: number): void {
+  if (!scene || performance.now() - sliderTouchedAt < 1000 || !(value > 0)) return;
+  const [low, high] = scene.hyperparameter_range.map(Math.log);
+  slider.value = String(Math.round((SLIDER_STEPS * (Math.log(value) - low)) / (high - low)));
+  setText("hyperparameter-value", value.toExponential(2));
+}
+
+function sendHyperparameter(): void {
+  if (!scene) return;
+  sliderTouchedAt = performance.now();
+  const [low, high] = scene.hyperparameter_range.map(Math.log);
+  const value = Math.exp(low + (Number(slider.value) / SLIDER_STEPS) * (high - low));
+  setText("hyperparameter-value", value.toExponential(2));
+  connection.ask({ hyperparameter: value });
+}
+
+function chooseChannels(): void {
+  const input = find<HTMLInputElement>("channels");
+  const count = scene?.channel_labels.length ?? 0;
+  const chosen = parseChannels(input.value, count);
+  const isFit = chosen !== null && chosen.length <= MOST_TRACES;
+  input.setCustomValidity(isFit ? "" : `expected at most ${MOST_TRACES} numbers from 1 to ${count}`);
+  input.title = isFit ? chosen.map((channel) => `${channel + 1}: ${scene?.channel_labels[channel]}`).join("\n") : input.validationMessage;
+  if (!isFit || !scene) return;
+  traces.choose(chosen, scene.channel_labels);
+  connection.ask({ choose_channels: chosen });
+}
+
+function pause(): void {
+  isPaused = !isPaused;
+  const button = find<HTMLButtonElement>("pause");
+  button.setAttribute("aria-pressed", String(isPaused));
+  button.textContent = isPaused ? "Resume view" : "Pause view";
+  document.body.classList.toggle("paused", isPaused);
+}
+
+const tare = (force: boolean) => connection.ask({ tare: { force } });
+const record = () => connection.ask(state?.state.recording ? "record_stop" : "record_start");
+
+function bindControls(): void {
+  find("tare").addEventListener("click", () => tare(false));
+  find("tare-force").addEventListener("click", () => tare(true));
+  find("record").addEventListener("click", record);
+  find("pause").addEventListener("click", pause);
+  slider.addEventListener("input", () => (sliderTouchedAt = performance.now()));
+  slider.addEventListener("input", throttled(sendHyperparameter, 60));
+  find("channels").addEventListener("input", chooseChannels);
+  for (const [id, unit] of [["radius", "mm"], ["pressure", "kPa"]]) {
+    const input = find<HTMLInputElement>(id);
+    const show = () => (find(`${id}-value`).textContent = `${Number(input.value)} ${unit}`);
+    input.addEventListener("input", show);
+    show();
+  }
+  document.addEventListener("keydown", (event) => {
+    const isTyping = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+    if (isTyping || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+    const action = { t: () => tare(false), r: record, p: pause }[event.key.toLowerCase()];
+    action?.();
+  });
+}
+
+function bindPicture(): void {
+  const { range } = view;
+  const [low, high] = [find<HTMLInputElement>("fixed-low"), find<HTMLInputElement>("fixed-high")];
+  const redraw = () => (isFresh = image !== null);
+  const fix = () => {
+    range.fixed = [Number(low.value), Number(high.value)];
+    redraw();
+  };
+  find("range-mode").addEventListener("change", (event) => {
+    range.mode = (event.target as HTMLSelectElement).value as RangeMode;
+    find("range-fixed").hidden = range.mode !== "fixed";
+    if (range.mode === "fixed") {
+      [low.value, high.value] = [find("range-low").textContent ?? "0", find("range-high").textContent ?? "1"];
+      fix();
+    }
+    redraw();
+  });
+  low.addEventListener("input", fix);
+  high.addEventListener("input", fix);
+  find("range-reset").addEventListener("click", () => {
+    range.reset();
+    redraw();
+  });
+  find("colours").addEventListener("change", (event) => {
+    view.colour((event.target as HTMLSelectElement).value as MapName);
+    redraw();
+  });
+  for (const id of ["smooth", "numbers", "trails"]) {
+    const box = find<HTMLInputElement>(id);
+    const apply = () => view.stage.classList.toggle(`no-${id}`, !box.checked);
+    box.addEventListener("change", apply);
+    apply();
+  }
+}
+
+/** Calls at most once per period, and once more with what came last. */
+function throttled(action: () => void, period_ms: number): () => void {
+  let timer: number | undefined;
+  return () => {
+    timer ??= window.setTimeout(() => {
+      timer = undefined;
+      action();
+    }, period_ms);
+  };
+}
+
+function countShown(): void {
+  let since = performance.now();
+  setInterval(() => {
+    const now = performance.now();
+    setText("shown", ((1000 * shownImages) / (now - since)).toFixed(1));
+    [shownImages, since] = [0, now];
+  }, 1000);
+}
+
+// The token is in a cookie by now; it need not stay in the address, where it would be copied along.
+if (location.search.includes("token=")) history.replaceState(null, "", location.pathname);
+bindControls();
+bindPicture();
+countShown();
+setInterval(drawPanels, PANEL_PERIOD_MS);
+requestAnimationFrame(drawImage);

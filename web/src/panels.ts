@@ -1,0 +1,113 @@
+// Tables, badges and messages. Rows are kept and only what changed is written: tables that are rebuilt fifty times a second
+// can neither be read nor selected.
+
+import { brief } from "./charts";
+import type { Notice, Pipeline, Scene, State, Touch } from "./protocol";
+import { touchColour } from "./view";
+
+const MOST_MESSAGES = 50;
+
+const find = (id: string) => document.getElementById(id)!;
+
+function write(cell: Element, text: string): void {
+  if (cell.textContent !== text) cell.textContent = text;
+}
+
+/** Makes `body` have a row of `cells` texts for each key, in order, reusing rows. */
+function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowElement[] {
+  const present = new Map([...body.children].map((row) => [(row as HTMLElement).dataset.key, row as HTMLTableRowElement]));
+  const made = [...wanted].map(([key, cells]) => {
+    const row = present.get(key) ?? document.createElement("tr");
+    present.delete(key);
+    row.dataset.key = key;
+    while (row.cells.length < cells.length) row.insertCell();
+    cells.forEach((text, index) => write(row.cells[index], text));
+    return row;
+  });
+  for (const row of present.values()) row.remove();
+  made.forEach((row, index) => {
+    if (body.children[index] !== row) body.insertBefore(row, body.children[index] ?? null);
+  });
+  return made;
+}
+
+export function showTouches(touches: Touch[]): void {
+  const live = touches.filter((touch) => touch.phase !== "end").sort((a, b) => a.id - b.id);
+  const texts = live.map((touch): [string, string[]] => {
+    const sigmas = [touch.sigma_x_mm, touch.sigma_y_mm].map((sigma) => (sigma === null ? "–" : sigma.toFixed(1)));
+    const force = touch.force_n === null ? "–" : touch.force_n.toFixed(2);
+    return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(1), touch.y_mm.toFixed(1), brief(touch.amplitude), touch.area_mm2.toFixed(0), sigmas.join(" × "), force]];
+  });
+  rows(find("touches"), new Map(texts)).forEach((row, index) => {
+    const touch = live[index];
+    row.dataset.id = String(touch.id);
+    row.dataset.phase = touch.phase;
+    row.dataset.xMm = touch.x_mm.toFixed(3);
+    row.dataset.yMm = touch.y_mm.toFixed(3);
+    row.dataset.amplitude = String(touch.amplitude);
+    row.style.setProperty("--touch", touchColour(touch.id));
+  });
+  write(find("touch-count"), String(live.length));
+}
+
+export function showLatency(latency: State["latency"]): void {
+  rows(find("latency"), new Map(latency.map(({ stage, p50_us, p99_us }) => [stage, [stage, p50_us.toFixed(0), p99_us.toFixed(0)]])));
+  // An upper bound: the stages rarely have their worst frame together.
+  const sum_us = latency.reduce((sum, { p99_us }) => sum + p99_us, 0);
+  write(find("latency-sum"), sum_us >= 1000 ? `${(sum_us / 1000).toFixed(1)} ms` : `${sum_us.toFixed(0)} µs`);
+}
+
+export function showCounters(counters: State["counters"]): void {
+  const made = rows(find("counters"), new Map(counters.map(({ name, value }) => [name, [name, String(value)]])));
+  made.forEach((row, index) => {
+    row.dataset.counter = counters[index].name;
+    row.classList.toggle("bad", counters[index].is_loss && counters[index].value > 0);
+  });
+}
+
+export function showBadges(scene: Scene): void {
+  const texts = [scene.modality.toUpperCase(), scene.is_twin ? "digital twin" : "measured", `${scene.electrodes.length} electrodes`, `${scene.channel_labels.length} channels`, `${scene.grid.cols} × ${scene.grid.rows}`];
+  find("badges").replaceChildren(
+    ...texts.map((text) => {
+      const badge = document.createElement("span");
+      badge.className = "badge";
+      badge.textContent = text;
+      return badge;
+    }),
+  );
+}
+
+export function showPipeline({ source, tare, baseline_age_s, recording, recorded_frames }: Pipeline): void {
+  const age = baseline_age_s === null ? "" : `, ${baseline_age_s < 120 ? `${baseline_age_s.toFixed(0)} s` : `${(baseline_age_s / 60).toFixed(0)} min`} old`;
+  const texts = { none: "no baseline", taring: `taring, ${tare.frames_left ?? 0} frames left`, tared: `baseline${age}` };
+  write(find("tare-state"), texts[tare.kind]);
+  find("record").setAttribute("aria-pressed", String(recording !== null));
+  write(find("record-label"), recording === null ? "Record" : "Stop");
+  write(find("record-state"), recording === null ? "" : `${recorded_frames} frames to ${recording}`);
+  find("record-state").title = recording ?? "";
+  document.body.dataset.source = source.kind;
+  if (source.kind !== "running" && document.body.dataset.connection === "live") {
+    const text = { waiting: "source waiting", lost: "source lost", ended: "recording ended" }[source.kind];
+    write(find("connection"), source.reason ? `${text}: ${source.reason}` : text);
+  }
+}
+
+export function showMessage(level: Notice["level"], text: string): void {
+  const list = find("messages");
+  const newest = list.firstElementChild as HTMLElement | null;
+  const time = new Date().toLocaleTimeString([], { hour12: false });
+  // The same again is counted, not listed again.
+  if (newest?.dataset.text === text) {
+    const times = Number(newest.dataset.times) + 1;
+    newest.dataset.times = String(times);
+    newest.textContent = `${time}  ${text} (${times} times)`;
+    return;
+  }
+  const item = document.createElement("li");
+  item.className = level;
+  item.dataset.text = text;
+  item.dataset.times = "1";
+  item.textContent = `${time}  ${text}`;
+  list.prepend(item);
+  while (list.children.length > MOST_MESSAGES) list.lastElementChild!.remove();
+}

@@ -1,0 +1,146 @@
+// The messages between the page and the server, version 1; docs/src/page-protocol.md describes them.
+
+export const VERSION = 1;
+
+export type Point = [number, number];
+
+export interface Electrode {
+  number: number;
+  position_mm: Point;
+  outline_mm: Point[];
+}
+
+export interface Grid {
+  rows: number;
+  cols: number;
+  x_min_mm: number;
+  x_max_mm: number;
+  y_min_mm: number;
+  y_max_mm: number;
+}
+
+export interface Scene {
+  skin: string;
+  modality: string;
+  is_twin: boolean;
+  outline_mm: Point[][];
+  electrodes: Electrode[];
+  grid: Grid;
+  channel_labels: string[];
+  channel_unit: string;
+  image_quantity: string;
+  image_unit: string;
+  range_hint: [number, number] | null;
+  hyperparameter_range: [number, number];
+  press: {
+    radius_mm: [number, number];
+    pressure_kpa: [number, number];
+    initial_radius_mm: number;
+    initial_pressure_kpa: number;
+  };
+}
+
+export interface Touch {
+  id: number;
+  phase: "begin" | "move" | "end";
+  x_mm: number;
+  y_mm: number;
+  amplitude: number;
+  area_mm2: number;
+  sigma_x_mm: number | null;
+  sigma_y_mm: number | null;
+  force_n: number | null;
+}
+
+export interface Pipeline {
+  source: { kind: "running" | "waiting" | "lost" | "ended"; reason?: string };
+  tare: { kind: "none" | "taring" | "tared"; frames_left?: number };
+  baseline_age_s: number | null;
+  recording: string | null;
+  recorded_frames: number;
+  hyperparameter: number;
+}
+
+export interface State {
+  sequence: number;
+  frame: number;
+  time_ns: string;
+  fps: number;
+  touches: Touch[];
+  latency: { stage: string; p50_us: number; p99_us: number }[];
+  counters: { name: string; value: number; is_loss: boolean }[];
+  state: Pipeline;
+}
+
+export interface Image {
+  frame: number;
+  time_ns: bigint;
+  rows: number;
+  cols: number;
+  values: Float32Array;
+}
+
+export interface Channels {
+  indices: Uint32Array;
+  values: Float32Array;
+}
+
+export interface Alive {
+  missed: number;
+  hub: { clients: number; published: number; coalesced: number; dropped: number };
+}
+
+export interface Notice {
+  level: "info" | "warning" | "error";
+  text: string;
+}
+
+export interface Press {
+  pointer_id: number;
+  x_mm: number;
+  y_mm: number;
+  radius_mm: number;
+  pressure_kpa: number;
+}
+
+export type Command =
+  | { tare: { force: boolean } }
+  | "record_start"
+  | "record_stop"
+  | { hyperparameter: number }
+  | { press: Press }
+  | { move: Press }
+  | { release: { pointer_id: number } }
+  | { choose_channels: number[] };
+
+type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Channels } | { kind: "noise"; noise: Float32Array };
+
+const MAGIC = 0x534d5244; // "DRMS" read as a little-endian word
+const HEADER_BYTES = 32;
+
+/** Reads a binary message; null for one that this version does not know. */
+export function decode(buffer: ArrayBuffer): Binary | null {
+  const view = new DataView(buffer);
+  if (buffer.byteLength < HEADER_BYTES || view.getUint32(0, true) !== MAGIC || view.getUint16(4, true) !== VERSION) return null;
+  const first = view.getUint32(24, true);
+  const second = view.getUint32(28, true);
+  const words = (buffer.byteLength - HEADER_BYTES) / 4;
+  switch (view.getUint16(6, true)) {
+    case 1: {
+      if (words !== first * second) return null;
+      const values = new Float32Array(buffer, HEADER_BYTES, words);
+      const frame = Number(view.getBigUint64(8, true));
+      return { kind: "image", image: { frame, time_ns: view.getBigUint64(16, true), rows: first, cols: second, values } };
+    }
+    case 2: {
+      if (words !== first + second) return null;
+      const indices = new Uint32Array(buffer, HEADER_BYTES, second);
+      const values = new Float32Array(buffer, HEADER_BYTES + 4 * second, first);
+      return { kind: "channels", channels: { indices, values } };
+    }
+    case 3:
+      return words === first ? { kind: "noise", noise: new Float32Array(buffer, HEADER_BYTES, first) } : null;
+    default:
+      return null;
+  }
+}

@@ -1,0 +1,218 @@
+// The picture of the skin: the image on a canvas, and over it a drawing in millimetres (x right, y up) of the outline, the
+// numbered electrodes, touches and their trails.
+
+import { Range, paint, table } from "./colour";
+import type { Electrode, Image, Point, Scene, Touch } from "./protocol";
+
+const SVG = "http://www.w3.org/2000/svg";
+const TRAIL_POINTS = 120;
+/** Colours by which touches are told apart, here and in their traces: Okabe and Ito's, told apart by colour-blind eyes too. */
+export const TOUCH_COLOURS = ["#e69f00", "#56b4e9", "#d55e00", "#cc79a7", "#009e73", "#0072b2", "#f0e442", "#999999"];
+
+export function touchColour(id: number): string {
+  return TOUCH_COLOURS[id % TOUCH_COLOURS.length];
+}
+
+export function element<K extends keyof SVGElementTagNameMap>(name: K, attributes: Record<string, string | number>, text?: string): SVGElementTagNameMap[K] {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, String(value));
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+interface Drawn {
+  group: SVGGElement;
+  circle: SVGCircleElement;
+  label: SVGTextElement;
+}
+
+/** y grows downwards in the drawing. */
+const path = (points: Point[], isClosed: boolean) => points.map(([x, y], index) => `${index ? "L" : "M"}${x} ${-y}`).join("") + (isClosed ? "Z" : "");
+
+export class View {
+  readonly range = new Range();
+  private readonly context: CanvasRenderingContext2D;
+  private readonly touchLayer = element("g", { class: "touches" });
+  private readonly trailLayer = element("g", { class: "trails" });
+  private readonly pressLayer = element("g", { class: "presses" });
+  private readonly drawn = new Map<number, Drawn>();
+  private readonly trails = new Map<number, { points: Point[]; line: SVGPathElement; isLive: boolean }>();
+  private pixels: ImageData | null = null;
+  private colours = table("viridis");
+  private scene: Scene | null = null;
+  private unit = 1;
+
+  constructor(
+    readonly stage: HTMLElement,
+    private readonly canvas: HTMLCanvasElement,
+    readonly overlay: SVGSVGElement,
+    private readonly bar: HTMLCanvasElement,
+  ) {
+    this.context = canvas.getContext("2d")!;
+    new ResizeObserver(() => this.place()).observe(stage);
+    this.colour("viridis");
+  }
+
+  begin(scene: Scene): void {
+    this.scene = scene;
+    const { grid, outline_mm, electrodes } = scene;
+    const points = [...outline_mm.flat(), ...electrodes.flatMap((one) => [one.position_mm, ...one.outline_mm])];
+    const xs = [grid.x_min_mm, grid.x_max_mm, ...points.map(([x]) => x)];
+    const ys = [grid.y_min_mm, grid.y_max_mm, ...points.map(([, y]) => y)];
+    const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+    const size = Math.max(right - left, top - bottom);
+    const margin = 0.055 * size;
+    this.unit = size / 100;
+    this.overlay.style.setProperty("--unit", String(this.unit));
+    this.overlay.setAttribute("viewBox", `${left - margin} ${-top - margin} ${right - left + 2 * margin} ${top - bottom + 2 * margin}`);
+    this.drawn.clear();
+    this.trails.clear();
+    for (const layer of [this.touchLayer, this.trailLayer, this.pressLayer]) layer.replaceChildren();
+    const outline = element("path", { class: "outline", d: outline_mm.map((ring) => path(ring, true)).join("") });
+    const marks = element("g", { class: "electrodes" });
+    marks.append(...electrodes.map((one) => this.electrode(one)));
+    this.overlay.replaceChildren(outline, marks, this.trailLayer, this.touchLayer, this.pressLayer);
+    this.range.begin(scene.range_hint);
+    this.canvas.width = Math.max(grid.cols, 1);
+    this.canvas.height = Math.max(grid.rows, 1);
+    this.pixels = null;
+    this.place();
+  }
+
+  /** Draws an image and returns the range of its colours. */
+  draw(image: Image): [number, number] {
+    if (this.pixels?.width !== image.cols || this.pixels.height !== image.rows) {
+      this.canvas.width = image.cols;
+      this.canvas.height = image.rows;
+      this.pixels = this.context.createImageData(image.cols, image.rows);
+    }
+    const range = this.range.update(image.values);
+    paint(image.values, new Uint32Array(this.pixels.data.buffer), this.colours, range);
+    this.context.putImageData(this.pixels, 0, 0);
+    return range;
+  }
+
+  colour(name: "viridis" | "cividis" | "signed"): void {
+    this.colours = table(name);
+    this.range.isSymmetric = name === "signed";
+    const context = this.bar.getContext("2d")!;
+    const pixels = context.createImageData(256, 1);
+    new Uint32Array(pixels.data.buffer).set(this.colours);
+    context.putImageData(pixels, 0, 0);
+  }
+
+  touches(touches: Touch[]): void {
+    const live = new Set<number>();
+    for (const touch of touches) {
+      if (touch.phase === "end") continue;
+      live.add(touch.id);
+      this.touch(touch);
+    }
+    for (const [id, { group }] of this.drawn) {
+      if (live.has(id)) continue;
+      group.remove();
+      this.drawn.delete(id);
+    }
+    this.ageTrails(live);
+  }
+
+  /** Shows where the mouse, fingers or keys press. */
+  presses(presses: Iterable<{ x_mm: number; y_mm: number; radius_mm: number; isDown: boolean }>): void {
+    const rings = [...presses].map(({ x_mm, y_mm, radius_mm, isDown }) => {
+      const group = element("g", { class: isDown ? "press down" : "press" });
+      const arm = 1.5 * this.unit;
+      group.append(
+        element("circle", { cx: x_mm, cy: -y_mm, r: radius_mm }),
+        element("path", { d: `M${x_mm - arm} ${-y_mm}h${2 * arm}M${x_mm} ${-y_mm - arm}v${2 * arm}` }),
+      );
+      return group;
+    });
+    this.pressLayer.replaceChildren(...rings);
+  }
+
+  /** Where on the skin a point of the window lies, in millimetres. */
+  skinFromWindow(clientX: number, clientY: number): Point | null {
+    const matrix = this.overlay.getScreenCTM();
+    if (!matrix || !this.scene) return null;
+    const point = new DOMPoint(clientX, clientY).matrixTransform(matrix.inverse());
+    return [point.x, -point.y];
+  }
+
+  /** Puts the canvas where the drawing shows the image's grid. */
+  private place(): void {
+    const matrix = this.overlay.getScreenCTM();
+    if (!matrix || !this.scene) return;
+    const { grid } = this.scene;
+    const stage = this.stage.getBoundingClientRect();
+    const corner = new DOMPoint(grid.x_min_mm, -grid.y_max_mm).matrixTransform(matrix);
+    const { style } = this.canvas;
+    style.left = `${corner.x - stage.left - this.stage.clientLeft}px`;
+    style.top = `${corner.y - stage.top - this.stage.clientTop}px`;
+    style.width = `${(grid.x_max_mm - grid.x_min_mm) * matrix.a}px`;
+    style.height = `${(grid.y_max_mm - grid.y_min_mm) * matrix.d}px`;
+  }
+
+  private electrode({ number, position_mm, outline_mm }: Electrode): SVGGElement {
+    const group = element("g", { "data-electrode": number });
+    const [x, y] = position_mm;
+    if (outline_mm.length > 2) group.append(element("path", { d: path(outline_mm, true) }));
+    else if (outline_mm.length === 2) group.append(element("path", { class: "segment", d: path(outline_mm, false) }));
+    else group.append(element("circle", { cx: x, cy: -y, r: 1.1 * this.unit }));
+    // On a rim segment the number stands inside the skin, where nothing covers it.
+    const inward = outline_mm.length === 2 ? 1 - (4.2 * this.unit) / Math.max(Math.hypot(x, y), 5 * this.unit) : 1;
+    group.append(element("text", { class: "number", x: x * inward, y: -y * inward, "font-size": 3.1 * this.unit, dy: "0.36em" }, String(number)));
+    return group;
+  }
+
+  private touch(touch: Touch): void {
+    let drawn = this.drawn.get(touch.id);
+    if (!drawn) {
+      const colour = touchColour(touch.id);
+      drawn = {
+        group: element("g", { class: "touch", "data-touch": touch.id }),
+        circle: element("circle", { stroke: colour }),
+        label: element("text", { "font-size": 3.1 * this.unit }),
+      };
+      drawn.group.append(drawn.circle, drawn.label);
+      this.touchLayer.append(drawn.group);
+      this.drawn.set(touch.id, drawn);
+    }
+    const { x_mm: x, y_mm: y } = touch;
+    const radius = Math.max(Math.sqrt(Math.max(touch.area_mm2, 0) / Math.PI), 1.6 * this.unit);
+    drawn.circle.setAttribute("cx", String(x));
+    drawn.circle.setAttribute("cy", String(-y));
+    drawn.circle.setAttribute("r", String(radius));
+    // The label keeps to the side with more room.
+    const isRight = x > 0;
+    drawn.label.setAttribute("x", String(isRight ? x - radius - this.unit : x + radius + this.unit));
+    drawn.label.setAttribute("y", String(-y + this.unit));
+    drawn.label.setAttribute("text-anchor", isRight ? "end" : "start");
+    const text = `${touch.id}: ${x.toFixed(1)}, ${y.toFixed(1)} mm`;
+    if (drawn.label.textContent !== text) drawn.label.textContent = text;
+    this.extendTrail(touch);
+  }
+
+  private extendTrail({ id, x_mm, y_mm }: Touch): void {
+    let trail = this.trails.get(id);
+    if (!trail) {
+      trail = { points: [], line: element("path", { stroke: touchColour(id) }), isLive: true };
+      this.trails.set(id, trail);
+      this.trailLayer.append(trail.line);
+    }
+    trail.points.push([x_mm, y_mm]);
+    if (trail.points.length > TRAIL_POINTS) trail.points.shift();
+    trail.line.setAttribute("d", path(trail.points, false));
+  }
+
+  /** The trail of a touch that ended runs out. */
+  private ageTrails(live: Set<number>): void {
+    for (const [id, trail] of this.trails) {
+      if (live.has(id)) continue;
+      trail.points.splice(0, 2);
+      trail.line.setAttribute("d", path(trail.points, false));
+      if (trail.points.length > 1) continue;
+      trail.line.remove();
+      this.trails.delete(id);
+    }
+  }
+}
