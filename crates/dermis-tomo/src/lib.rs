@@ -8,3 +8,4 @@
 pub mod eit;
 pub mod inverse;
 pub mod mesh;
+pub mod sparse;

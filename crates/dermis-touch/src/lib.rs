@@ -1,1 +1,34 @@
-//! dermis-touch
+//! From images over time to touches.
+//!
+//! This crate is pure: it turns images, one after another, into contacts ([`ContactFinder`]) and contacts into touches
+//! with stable identities ([`Tracker`]); it keeps the baseline that difference data are taken against ([`Baseline`])
+//! and the statistics of the noise ([`RunningStats`], [`Covariance`], [`snr_db`]). It knows no forward model, no
+//! instrument and no clock: times are given by the caller, in nanoseconds on any monotonic axis.
+//!
+//! Conventions: x right, y up, metres; an image is row-major `f32` with row 0 at the top (+y), a pixel's value stands at
+//! the pixel's centre, and NaN marks pixels outside the skin ([`ImageGeometry`]). Everything that runs once per frame
+//! works in memory that its owner keeps, and allocates nothing once that memory has grown to its working size.
+
+mod assignment;
+mod baseline;
+mod blob;
+mod contact;
+mod error;
+mod geometry;
+mod kalman;
+mod moments;
+mod noise;
+mod track;
+mod watershed;
+
+pub use baseline::{
+    Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceOrigin, ReferenceRecord,
+    TareGuard,
+};
+pub use contact::{
+    CentroidWeight, Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise,
+};
+pub use error::TouchError;
+pub use geometry::ImageGeometry;
+pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
+pub use track::{Observation, PositionSource, Touch, TouchEvent, TouchPhase, Tracker, TrackerParams};

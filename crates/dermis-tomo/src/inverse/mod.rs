@@ -1,1 +1,85 @@
-//! Inverse operators.
+//! Inverse operators: `x = (J'WJ + lambda^2 R)^-1 J'W dv` in the form that is cheaper, its hyperparameter, what it does
+//! without some channels, and how sure it is.
+//!
+//! `J` is channels x unknowns (pixels or elements), `W` the inverse noise covariance of the channels, `R` the prior's
+//! inverse covariance up to `lambda^2` (the hyperparameter enters squared, as in EIDORS), `dv` the difference data.
+
+mod greit;
+mod hyperparameter;
+mod linear;
+mod live;
+mod missing;
+mod prior;
+mod total_variation;
+mod weighting;
+
+pub use greit::{Greit, GreitSpec};
+pub use hyperparameter::{Hyperparameter, LCurvePoint, Spectrum};
+pub use linear::{LinearProblem, Operator};
+pub use live::LiveOperator;
+pub use missing::MissingChannels;
+pub use prior::{ImageBasis, Prior, PriorMatrix};
+pub use total_variation::{TotalVariation, TotalVariationResult};
+pub use weighting::Weighting;
+
+use thiserror::Error;
+
+/// Why an inverse operator could not be made.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum InverseError {
+    /// Two things that belong together have different sizes.
+    #[error("{what}: expected {expected}, got {got}")]
+    Size {
+        /// What was counted.
+        what: &'static str,
+        /// Expected count.
+        expected: usize,
+        /// Found count.
+        got: usize,
+    },
+    /// A value that makes no sense where it stands.
+    #[error("{what}{at}: {value} is not {expected}", at = index.map(|i| format!(" {i}")).unwrap_or_default())]
+    Value {
+        /// What it is.
+        what: &'static str,
+        /// Where in its list, if it is in one.
+        index: Option<usize>,
+        /// The value.
+        value: f64,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// A matrix that should be positive definite is not.
+    #[error("{what} is not positive definite; {hint}")]
+    Singular {
+        /// Which matrix.
+        what: &'static str,
+        /// What may help.
+        hint: &'static str,
+    },
+    /// Every channel is missing.
+    #[error("all {channels} channels are missing")]
+    NoChannels {
+        /// How many there are.
+        channels: usize,
+    },
+    /// A search for a hyperparameter did not find one.
+    #[error("no hyperparameter gives a noise figure of {target}: the reachable range is {low:.3} to {high:.3}")]
+    NoiseFigure {
+        /// What was asked.
+        target: f64,
+        /// Smallest reachable.
+        low: f64,
+        /// Largest reachable.
+        high: f64,
+    },
+}
+
+/// Refuses NaN and infinities, naming the place.
+pub(crate) fn check_finite(what: &'static str, values: &[f64]) -> Result<(), InverseError> {
+    match values.iter().position(|value| !value.is_finite()) {
+        Some(index) => Err(InverseError::Value { what, index: Some(index), value: values[index], expected: "finite" }),
+        None => Ok(()),
+    }
+}

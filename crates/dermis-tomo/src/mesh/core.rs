@@ -183,7 +183,7 @@ impl Mesh {
     /// faces shared by more than two elements, nodes in no element, or a mesh of several unconnected parts.
     pub fn new(kind: CellKind, nodes: Vec<[f64; 3]>, elements: Vec<u32>) -> Result<Self, MeshError> {
         let per = kind.nodes_per_element();
-        if elements.is_empty() || elements.len() % per != 0 {
+        if elements.is_empty() || !elements.len().is_multiple_of(per) {
             return Err(MeshError::Count {
                 what: "element node indices",
                 expected: format!("a positive multiple of {per}"),
@@ -280,59 +280,55 @@ impl Mesh {
 
     /// Faces that belong to one element only, sorted by node indices, each with its element.
     pub fn boundary_faces(&self) -> Vec<(Vec<u32>, u32)> {
-        let mut faces: Vec<_> = self
-            .face_map()
-            .into_iter()
-            .filter(|(_, owners)| owners.len() == 1)
-            .map(|(face, owners)| (face, owners[0]))
-            .collect();
-        faces.sort_unstable();
-        faces
+        let per = self.kind.nodes_per_face();
+        let table = self.face_table();
+        let alone = table.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() == 1);
+        alone.map(|group| (group[0].0[..per].to_vec(), group[0].1)).collect()
     }
 
     /// Pairs of elements that share a face, smaller index first, sorted.
     pub fn neighbours(&self) -> Vec<[u32; 2]> {
-        let mut pairs: Vec<[u32; 2]> = self
-            .face_map()
-            .into_values()
-            .filter(|owners| owners.len() == 2)
-            .map(|owners| [owners[0].min(owners[1]), owners[0].max(owners[1])])
-            .collect();
+        let table = self.face_table();
+        let shared = table.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() == 2);
+        let mut pairs: Vec<[u32; 2]> = shared.map(|group| [group[0].1, group[1].1]).collect();
         pairs.sort_unstable();
         pairs
     }
 
-    fn face_map(&self) -> HashMap<Vec<u32>, Vec<u32>> {
-        let mut map: HashMap<Vec<u32>, Vec<u32>> = HashMap::with_capacity(self.measures.len() * 2);
+    /// Every face of every element as its sorted nodes (padded to three in 2D) and the element, sorted.
+    fn face_table(&self) -> Vec<([u32; 3], u32)> {
+        let mut table = Vec::with_capacity(self.elements.len());
         for (index, cell) in self.elements().enumerate() {
             for omitted in 0..cell.len() {
-                let mut face: Vec<u32> =
-                    cell.iter().enumerate().filter(|(corner, _)| *corner != omitted).map(|(_, &node)| node).collect();
+                let mut face = [u32::MAX; 3];
+                let corners = cell.iter().enumerate().filter(|(corner, _)| *corner != omitted);
+                face.iter_mut().zip(corners).for_each(|(slot, (_, &node))| *slot = node);
                 face.sort_unstable();
-                map.entry(face).or_default().push(index as u32);
+                table.push((face, index as u32));
             }
         }
-        map
+        table.sort_unstable();
+        table
     }
 
     fn check_measures(&self) -> Result<(), MeshError> {
         let mean = self.measures.iter().sum::<f64>() / self.measures.len() as f64;
-        match self.measures.iter().position(|m| !(*m > 1e-12 * mean)) {
+        match self.measures.iter().position(|m| m.is_nan() || *m <= 1e-12 * mean) {
             Some(element) => Err(MeshError::Degenerate { element, measure: self.measures[element], mean }),
             None => Ok(()),
         }
     }
 
     fn check_topology(&self) -> Result<(), MeshError> {
-        let mut faces: Vec<_> = self.face_map().into_iter().collect();
-        faces.sort_unstable();
-        for (nodes, owners) in &faces {
-            if owners.len() > 2 {
-                return Err(MeshError::Overlapping { nodes: nodes.clone(), count: owners.len() });
+        let per = self.kind.nodes_per_face();
+        for group in self.face_table().chunk_by(|a, b| a.0 == b.0) {
+            let face = &group[0].0[..per];
+            if group.len() > 2 {
+                return Err(MeshError::Overlapping { nodes: face.to_vec(), count: group.len() });
             }
-            if owners.len() == 2 && self.folds(nodes, owners[0], owners[1]) {
-                let (first, second) = (owners[0] as usize, owners[1] as usize);
-                return Err(MeshError::Folded { first, second, nodes: nodes.clone() });
+            if group.len() == 2 && self.folds(face, group[0].1, group[1].1) {
+                let (first, second) = (group[0].1 as usize, group[1].1 as usize);
+                return Err(MeshError::Folded { first, second, nodes: face.to_vec() });
             }
         }
         self.check_connected()
@@ -403,7 +399,13 @@ impl ElectrodedMesh {
     /// or (points) a node with another electrode, or have a contact impedance that is not positive and finite.
     pub fn new(mesh: Mesh, electrodes: Vec<Electrode>) -> Result<Self, MeshError> {
         let per_face = mesh.kind().nodes_per_face();
-        let face_map = mesh.face_map();
+        let touched = |electrode: &Electrode| matches!(electrode.contact, Contact::Faces(_));
+        let table = if electrodes.iter().any(touched) { mesh.face_table() } else { Vec::new() };
+        let has_face = |face: &[u32]| {
+            let mut padded = [u32::MAX; 3];
+            padded[..per_face].copy_from_slice(face);
+            table.binary_search_by(|entry| entry.0.cmp(&padded)).is_ok()
+        };
         let mut taken: HashMap<Vec<u32>, usize> = HashMap::new();
         for (index, electrode) in electrodes.iter().enumerate() {
             let refuse = |reason: String| Err(MeshError::Electrode { electrode: index, reason });
@@ -420,7 +422,8 @@ impl ElectrodedMesh {
                 Contact::Area(elements) => elements.iter().map(|&element| vec![u32::MAX, element]).collect(),
                 Contact::Point(node) => vec![vec![*node]],
             };
-            if !matches!(electrode.contact, Contact::Point(_)) && !(z > 0.0 && z.is_finite()) {
+            let is_usable = z > 0.0 && z.is_finite();
+            if !is_usable && !matches!(electrode.contact, Contact::Point(_)) {
                 return refuse(format!("contact impedance {z} must be positive and finite"));
             }
             if keys.is_empty() {
@@ -431,7 +434,7 @@ impl ElectrodedMesh {
                     Contact::Faces(_) if key.len() != per_face => {
                         return refuse(format!("a face has {} nodes, expected {per_face}", key.len()));
                     }
-                    Contact::Faces(_) if !face_map.contains_key(&key) => {
+                    Contact::Faces(_) if !has_face(&key) => {
                         return refuse(format!("face {key:?} is no face of the mesh"));
                     }
                     Contact::Area(_) if mesh.kind() != CellKind::Triangle => {
@@ -451,6 +454,16 @@ impl ElectrodedMesh {
             }
         }
         Ok(Self { mesh, electrodes })
+    }
+
+    /// Length (m) or area (m^2) of every electrode as meshed; 0 for points.
+    pub fn electrode_measures(&self) -> Vec<f64> {
+        let measure = |electrode: &Electrode| match &electrode.contact {
+            Contact::Faces(faces) => faces.iter().map(|face| self.mesh.face_measure(face)).sum(),
+            Contact::Area(elements) => elements.iter().map(|&element| self.mesh.measures()[element as usize]).sum(),
+            Contact::Point(_) => 0.0,
+        };
+        self.electrodes.iter().map(measure).collect()
     }
 }
 

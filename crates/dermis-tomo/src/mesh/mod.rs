@@ -2,5 +2,15 @@
 //! them, and the pixel grid that images live on.
 
 mod core;
+mod layout;
+mod plane;
+mod shapes;
+mod sheet;
+mod solid;
+mod triangulate;
 
+pub(crate) use self::core::{dot, subtract};
 pub use self::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
+pub use self::shapes::{Direction, ElectrodeShape, Outline};
+pub use self::sheet::{MeshQuality, SheetSpec};
+pub use self::solid::{PatchShape, PrismElectrode, PrismSpec, SlabElectrode, SlabFace, SlabSpec};

@@ -1,0 +1,272 @@
+//! The forward model: conductivity in, potentials and measured voltages out. One factorisation and one solve per
+//! electrode for any number of stimulations and measurements, by superposition.
+
+use faer::Mat;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use super::protocol::{Pattern, Protocol};
+use super::system::{ElementGeometry, System};
+use crate::mesh::{Contact, ElectrodedMesh};
+use crate::sparse::SparseError;
+
+/// Why a forward problem could not be posed or solved.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum EitError {
+    /// Mesh and protocol disagree, or there are too few electrodes.
+    #[error("the mesh carries {mesh} electrodes, the protocol is for {protocol}; both must agree and be at least 2")]
+    ElectrodeCount {
+        /// Electrodes of the mesh.
+        mesh: usize,
+        /// Electrodes of the protocol.
+        protocol: usize,
+    },
+    /// Wrong number of conductivities.
+    #[error("conductivity: expected {expected} values (one an element), got {got}")]
+    ConductivityCount {
+        /// Elements.
+        expected: usize,
+        /// Values given.
+        got: usize,
+    },
+    /// A conductivity that no passive material has.
+    #[error("conductivity of element {element} is {value}; expected positive and finite")]
+    Conductivity {
+        /// Element index.
+        element: usize,
+        /// The value.
+        value: f64,
+    },
+    /// The system could not be factored.
+    #[error("forward problem: {0}")]
+    System(#[from] SparseError),
+}
+
+/// Mesh, electrodes and protocol made ready to solve for any conductivity.
+#[derive(Debug)]
+pub struct ForwardModel {
+    pub(super) body: ElectrodedMesh,
+    pub(super) protocol: Protocol,
+    pub(super) geometry: ElementGeometry,
+    pub(super) system: System,
+}
+
+/// Potentials of a [`ForwardModel`] at one conductivity.
+#[derive(Debug)]
+pub struct Solution<'a> {
+    pub(super) model: &'a ForwardModel,
+    /// Unknowns x electrodes but the reference: potentials for 1 A into each electrode, out of the reference.
+    pub(super) fields: Mat<f64>,
+    /// Transfer impedances in ohm, electrodes x electrodes, row and column of the reference zero.
+    impedance: Mat<f64>,
+}
+
+impl ForwardModel {
+    /// Prepares the structure: symbolic factorisation and element matrices, reused by every solve.
+    ///
+    /// # Errors
+    /// Electrode counts that disagree.
+    pub fn new(body: ElectrodedMesh, protocol: Protocol) -> Result<Self, EitError> {
+        if body.electrodes.len() != protocol.electrode_count() || body.electrodes.len() < 2 {
+            return Err(EitError::ElectrodeCount { mesh: body.electrodes.len(), protocol: protocol.electrode_count() });
+        }
+        let geometry = ElementGeometry::new(&body.mesh);
+        let system = System::new(&body, &geometry)?;
+        Ok(Self { body, protocol, geometry, system })
+    }
+
+    /// Mesh and electrodes.
+    pub fn body(&self) -> &ElectrodedMesh {
+        &self.body
+    }
+
+    /// Stimulation and measurement.
+    pub fn protocol(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// Solves for one conductivity (S/m in 3D; sheet conductance in S for sheets, i.e. sigma times thickness), one
+    /// value an element.
+    ///
+    /// # Errors
+    /// Wrong count, values not positive and finite, or a system that is singular.
+    pub fn solve(&self, conductivity: &[f64]) -> Result<Solution<'_>, EitError> {
+        self.check_conductivity(conductivity)?;
+        let mut values = Vec::with_capacity(self.system.structure.value_count());
+        self.system.assemble(conductivity, &mut values);
+        let factor = self.system.factor(&values)?;
+        let electrodes = self.body.electrodes.len();
+        let mut fields = Mat::zeros(self.system.structure.size(), electrodes - 1);
+        for (column, unknown) in self.system.electrode_unknowns[..electrodes - 1].iter().enumerate() {
+            // Only the last electrode may lack an unknown; a repeated point electrode shares one.
+            if let Some(unknown) = unknown {
+                fields[(*unknown, column)] = 1.0;
+            }
+        }
+        self.system.structure.solve_in_place(&factor, fields.as_mut());
+        let impedance = Mat::from_fn(electrodes, electrodes, |row, column| {
+            match (self.system.electrode_unknowns[row], column + 1 < electrodes) {
+                (Some(unknown), true) => fields[(unknown, column)],
+                _ => 0.0,
+            }
+        });
+        Ok(Solution { model: self, fields, impedance })
+    }
+
+    /// Voltages of many conductivities, in parallel over the samples.
+    ///
+    /// # Errors
+    /// As [`ForwardModel::solve`], of the first sample that failed.
+    pub fn voltages_of_many(&self, conductivities: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, EitError> {
+        conductivities.par_iter().map(|sigma| Ok(self.solve(sigma)?.voltages())).collect()
+    }
+
+    fn check_conductivity(&self, conductivity: &[f64]) -> Result<(), EitError> {
+        let expected = self.body.mesh.element_count();
+        if conductivity.len() != expected {
+            return Err(EitError::ConductivityCount { expected, got: conductivity.len() });
+        }
+        match conductivity.iter().position(|&sigma| !(sigma > 0.0 && sigma.is_finite())) {
+            Some(element) => Err(EitError::Conductivity { element, value: conductivity[element] }),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Solution<'_> {
+    /// The model that was solved.
+    pub fn model(&self) -> &ForwardModel {
+        self.model
+    }
+
+    /// One voltage a channel, volts: `v[m] = meas[m] . U(stim of m)`.
+    pub fn voltages(&self) -> Vec<f64> {
+        let protocol = &self.model.protocol;
+        let potentials: Vec<Vec<f64>> =
+            (0..protocol.stimulations().len()).map(|stimulation| self.electrode_potentials(stimulation)).collect();
+        protocol
+            .measurements()
+            .iter()
+            .map(|channel| {
+                let potential = &potentials[channel.stimulation as usize];
+                let pattern = &protocol.patterns()[channel.pattern as usize];
+                pattern.entries().iter().map(|&(electrode, weight)| weight * potential[electrode as usize]).sum()
+            })
+            .collect()
+    }
+
+    /// Electrode potentials in volts during one stimulation, shifted so that they add to zero.
+    pub fn electrode_potentials(&self, stimulation: usize) -> Vec<f64> {
+        let count = self.impedance.nrows();
+        let mut potential = vec![0.0; count];
+        for &(electrode, current) in self.model.protocol.stimulations()[stimulation].entries() {
+            for (row, value) in potential.iter_mut().enumerate() {
+                *value += current * self.impedance[(row, electrode as usize)];
+            }
+        }
+        let mean = potential.iter().sum::<f64>() / count as f64;
+        potential.iter_mut().for_each(|value| *value -= mean);
+        potential
+    }
+
+    /// Node potentials in volts during one stimulation, against the last electrode.
+    pub fn node_potentials(&self, stimulation: usize) -> Vec<f64> {
+        self.pattern_potentials(&self.model.protocol.stimulations()[stimulation])
+    }
+
+    /// Current density in A/m^2 (A/m on a sheet) in each element during one stimulation: `-sigma grad u`.
+    pub fn current_density(&self, stimulation: usize, conductivity: &[f64]) -> Vec<[f64; 3]> {
+        let potentials = self.node_potentials(stimulation);
+        let mesh = &self.model.body.mesh;
+        (0..mesh.element_count())
+            .map(|element| {
+                let gradient = gradient(mesh, element, &potentials);
+                gradient.map(|component| -conductivity[element] * component)
+            })
+            .collect()
+    }
+
+    /// Node potentials for any pattern of electrode currents; an unbalanced one returns evenly through all electrodes
+    /// (which makes it the adjoint field of a voltage measured against their mean).
+    pub(super) fn pattern_potentials(&self, pattern: &Pattern) -> Vec<f64> {
+        let mut unknowns = vec![0.0; self.fields.nrows()];
+        for (electrode, weight) in balanced(pattern, self.impedance.nrows()) {
+            if electrode < self.fields.ncols() {
+                let field = self.fields.col(electrode);
+                unknowns.iter_mut().zip(field.iter()).for_each(|(sum, value)| *sum += weight * value);
+            }
+        }
+        self.model.system.node_unknowns.iter().map(|unknown| unknown.map_or(0.0, |u| unknowns[u])).collect()
+    }
+}
+
+/// The pattern with its mean over all electrodes removed, where it does not add to zero.
+fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
+    let sum = pattern.sum();
+    let scale = pattern.entries().iter().map(|entry| entry.1.abs()).fold(0.0, f64::max);
+    if sum.abs() <= 1e-12 * scale {
+        return pattern.entries().iter().map(|&(electrode, weight)| (electrode as usize, weight)).collect();
+    }
+    let mut dense = vec![-sum / count as f64; count];
+    for &(electrode, weight) in pattern.entries() {
+        dense[electrode as usize] += weight;
+    }
+    dense.into_iter().enumerate().collect()
+}
+
+/// In-element gradient of a linear field given at the nodes: E G^-1 du.
+fn gradient(mesh: &crate::mesh::Mesh, element: usize, potentials: &[f64]) -> [f64; 3] {
+    let cell = mesh.element(element);
+    let edges: Vec<[f64; 3]> = cell[1..]
+        .iter()
+        .map(|&node| crate::mesh::subtract(mesh.nodes()[node as usize], mesh.nodes()[cell[0] as usize]))
+        .collect();
+    let rise = Mat::from_fn(edges.len(), 1, |row, _| potentials[cell[row + 1] as usize] - potentials[cell[0] as usize]);
+    let gram = Mat::from_fn(edges.len(), edges.len(), |a, b| crate::mesh::dot(edges[a], edges[b]));
+    // Gram matrices of simplices with positive measure are positive definite.
+    let coefficients = match gram.llt(faer::Side::Lower) {
+        Ok(factor) => faer::linalg::solvers::Solve::solve(&factor, &rise),
+        Err(_) => rise,
+    };
+    let mut sum = [0.0; 3];
+    for (row, edge) in edges.iter().enumerate() {
+        for axis in 0..3 {
+            sum[axis] += coefficients[(row, 0)] * edge[axis];
+        }
+    }
+    sum
+}
+
+/// The nodes under an electrode, sorted, for drawing.
+pub(crate) fn electrode_nodes(body: &ElectrodedMesh, electrode: usize) -> Vec<u32> {
+    let mut nodes: Vec<u32> = match &body.electrodes[electrode].contact {
+        Contact::Faces(faces) => faces.iter().flatten().copied().collect(),
+        Contact::Area(elements) => {
+            elements.iter().flat_map(|&element| body.mesh.element(element as usize).iter().copied()).collect()
+        }
+        Contact::Point(node) => vec![*node],
+    };
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes
+}
+
+impl ElectrodedMesh {
+    /// The nodes under an electrode, sorted.
+    pub fn electrode_nodes(&self, electrode: usize) -> Vec<u32> {
+        electrode_nodes(self, electrode)
+    }
+
+    /// Mean position of an electrode's nodes, metres.
+    pub fn electrode_centre(&self, electrode: usize) -> [f64; 3] {
+        let nodes = self.electrode_nodes(electrode);
+        let mut centre = [0.0; 3];
+        for &node in &nodes {
+            for axis in 0..3 {
+                centre[axis] += self.mesh.nodes()[node as usize][axis] / nodes.len() as f64;
+            }
+        }
+        centre
+    }
+}

@@ -1,0 +1,281 @@
+//! Are the channels in the order that the protocol says? A measured baseline is compared with the model's voltages in
+//! the stated order and in the orders that instruments are known to confuse it with.
+//!
+//! A body with rotational symmetry cannot tell a rotated *body* from its baseline; what is found here are rotated,
+//! reversed or resorted *lists*, and flipped signs.
+
+use super::protocol::Protocol;
+
+/// A rearrangement of a protocol's channels: entry `i` of the file is channel `source[i]` of the protocol, times `sign`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelMap {
+    /// Channel of the protocol for each position in the file.
+    pub source: Vec<u32>,
+    /// +1 or -1, common to all channels.
+    pub sign: f64,
+}
+
+impl ChannelMap {
+    /// Puts a frame in the file's order into the protocol's order.
+    pub fn to_protocol(&self, frame: &[f64]) -> Vec<f64> {
+        let mut ordered = vec![f64::NAN; frame.len()];
+        for (value, &channel) in frame.iter().zip(&self.source) {
+            ordered[channel as usize] = self.sign * value;
+        }
+        ordered
+    }
+}
+
+/// One hypothesis about the order, and how well it fits.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OrderFit {
+    /// In words, for a message to the user.
+    pub description: String,
+    /// Pearson correlation with the model under this hypothesis.
+    pub correlation: f64,
+    /// The rearrangement that it stands for.
+    pub map: ChannelMap,
+}
+
+/// Outcome of [`diagnose_order`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct OrderReport {
+    /// Correlation with the model in the stated order.
+    pub correlation: f64,
+    /// The best other hypothesis, if it fits clearly better (by 0.05 or more).
+    pub better: Option<OrderFit>,
+}
+
+/// How much better a less simple hypothesis must fit to be preferred.
+const MARGIN: f64 = 0.05;
+
+/// Compares measured baseline voltages with the model's, both in channels of `protocol`; `NaN` channels are left out.
+/// With `magnitudes`, absolute values are compared and the sign is not examined.
+pub fn diagnose_order(protocol: &Protocol, model: &[f64], measured: &[f64], magnitudes: bool) -> OrderReport {
+    let prepare = |values: &[f64]| -> Vec<f64> {
+        values.iter().map(|value| if magnitudes { value.abs() } else { *value }).collect()
+    };
+    let (model, measured) = (prepare(model), prepare(measured));
+    let stated = correlation(&model, &measured);
+    let mut best: Option<OrderFit> = None;
+    for (description, source) in hypotheses(protocol) {
+        let predicted: Vec<f64> = source.iter().map(|&channel| model[channel as usize]).collect();
+        let fit = correlation(&predicted, &measured);
+        let flipped = !magnitudes && fit < 0.0;
+        let (value, sign) = if flipped { (-fit, -1.0) } else { (fit, 1.0) };
+        let bar = best.as_ref().map_or(stated, |fit: &OrderFit| fit.correlation);
+        if value > bar + MARGIN {
+            let description = match (flipped, description.is_empty()) {
+                (true, true) => "sign reversed".to_string(),
+                (true, false) => format!("{description}, sign reversed"),
+                (false, _) => description,
+            };
+            best = Some(OrderFit { description, correlation: value, map: ChannelMap { source, sign } });
+        }
+    }
+    OrderReport { correlation: stated, better: best }
+}
+
+/// Pearson correlation over the positions where both values are finite; 0 where either does not vary.
+pub(crate) fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let pairs: Vec<(f64, f64)> =
+        a.iter().zip(b).map(|(x, y)| (*x, *y)).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    let count = pairs.len() as f64;
+    let (mean_a, mean_b) =
+        (pairs.iter().map(|p| p.0).sum::<f64>() / count, pairs.iter().map(|p| p.1).sum::<f64>() / count);
+    let sum = |f: &dyn Fn(f64, f64) -> f64| pairs.iter().map(|p| f(p.0 - mean_a, p.1 - mean_b)).sum::<f64>();
+    let scale = (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt();
+    if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
+}
+
+/// From simple to involved, so that of equally good ones the simplest wins. The first is the stated order itself.
+fn hypotheses(protocol: &Protocol) -> Vec<(String, Vec<u32>)> {
+    let groups = channels_by_stimulation(protocol);
+    let mut list = Vec::new();
+    let orders: [(&str, fn(&Protocol, u32) -> i64); 4] = [
+        ("", |_, channel| channel as i64),
+        ("measurements sorted by absolute electrode number", |p, c| first_electrode(p, c)),
+        ("measurements rotating from the drive pair", |p, c| {
+            (first_electrode(p, c) - drive_electrode(p, c)).rem_euclid(count(p))
+        }),
+        ("measurements in reverse order", |_, channel| -(channel as i64)),
+    ];
+    let bases: Vec<(&str, Vec<Vec<u32>>)> = orders
+        .iter()
+        .map(|(name, key)| {
+            let sorted = groups.iter().map(|group| {
+                let mut group = group.clone();
+                group.sort_by_key(|&channel| key(protocol, channel));
+                group
+            });
+            (*name, sorted.collect())
+        })
+        .collect();
+    for (name, base) in &bases {
+        list.push((name.to_string(), base.concat()));
+    }
+    for (name, base) in &bases {
+        let longest = base.iter().map(Vec::len).max().unwrap_or(0);
+        let prefix = if name.is_empty() { String::new() } else { format!("{name}, ") };
+        for shift in 1..longest {
+            let rotated = base.iter().flat_map(|group| {
+                let by = shift % group.len().max(1);
+                group[by..].iter().chain(&group[..by]).copied()
+            });
+            list.push((format!("{prefix}measurement list rotated by {shift}"), rotated.collect()));
+        }
+        for shift in 1..base.len() {
+            if base.iter().all(|group| group.len() == base[0].len()) {
+                let rotated = base[shift..].iter().chain(&base[..shift]).flatten().copied();
+                list.push((format!("{prefix}drive list rotated by {shift}"), rotated.collect()));
+            }
+        }
+    }
+    list
+}
+
+fn channels_by_stimulation(protocol: &Protocol) -> Vec<Vec<u32>> {
+    let mut groups = vec![Vec::new(); protocol.stimulations().len()];
+    for (channel, measurement) in protocol.measurements().iter().enumerate() {
+        groups[measurement.stimulation as usize].push(channel as u32);
+    }
+    groups
+}
+
+fn count(protocol: &Protocol) -> i64 {
+    protocol.electrode_count() as i64
+}
+
+/// The electrode that a pattern starts from: the positive one of a measuring pair.
+fn first_electrode(protocol: &Protocol, channel: u32) -> i64 {
+    let entries = protocol.pattern_of(channel as usize).entries();
+    entries.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |entry| entry.0 as i64)
+}
+
+/// The electrode that a drive pair starts from: the sink.
+fn drive_electrode(protocol: &Protocol, channel: u32) -> i64 {
+    let entries = protocol.stimulation_of(channel as usize).entries();
+    entries.iter().min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |entry| entry.0 as i64)
+}
+
+impl Protocol {
+    /// The channels as seen after renaming electrode `k` to `relabel[k]`: channel `i` becomes channel `source[i]` times
+    /// `sign[i]`, if the renamed protocol consists of the same channels. Symmetries of a skin are such renamings.
+    pub fn relabelled(&self, relabel: &[u32]) -> Option<(Vec<u32>, Vec<f64>)> {
+        let rename = |pattern: &super::Pattern| {
+            super::Pattern::new(pattern.entries().iter().map(|&(e, w)| (relabel[e as usize], w)).collect())
+        };
+        let key = |stimulation: &super::Pattern, pattern: &super::Pattern| {
+            let (stimulation, first) = unsigned(stimulation);
+            let (pattern, second) = unsigned(pattern);
+            ((stimulation, pattern), first * second)
+        };
+        let known: std::collections::HashMap<_, (u32, f64)> = (0..self.channel_count())
+            .map(|channel| {
+                let (key, sign) = key(self.stimulation_of(channel), self.pattern_of(channel));
+                (key, (channel as u32, sign))
+            })
+            .collect();
+        let mut source = Vec::with_capacity(self.channel_count());
+        let mut signs = Vec::with_capacity(self.channel_count());
+        for channel in 0..self.channel_count() {
+            let (key, sign) = key(&rename(self.stimulation_of(channel)), &rename(self.pattern_of(channel)));
+            let &(target, target_sign) = known.get(&key)?;
+            source.push(target);
+            signs.push(sign * target_sign);
+        }
+        Some((source, signs))
+    }
+}
+
+/// A pattern in units of its first weight, so that opposite ones look alike, and the sign that was taken out.
+fn unsigned(pattern: &super::Pattern) -> (Vec<(u32, i64)>, f64) {
+    let first = pattern.entries().first().map_or(1.0, |entry| entry.1);
+    let rounded = pattern.entries().iter().map(|&(e, w)| (e, (w / first * 1e9).round() as i64)).collect();
+    (rounded, first.signum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::eit::{Drive, Driven, Measure, Order, ProtocolSpec};
+
+    fn protocol(order: Order) -> Protocol {
+        let spec = ProtocolSpec {
+            electrode_count: 16,
+            drive: Drive::Adjacent,
+            measure: Measure::Adjacent,
+            order,
+            driven: Driven::Drop,
+            amplitude_a: 1.0,
+        };
+        Protocol::generate(&spec).unwrap()
+    }
+
+    /// The field of a current dipole on the rim of a half-plane, good enough to look like a tank.
+    fn voltages(protocol: &Protocol) -> Vec<f64> {
+        let position = |e: u32| (std::f64::consts::TAU * e as f64 / 16.0).sin_cos();
+        let green = |a: u32, b: u32| {
+            let ((s1, c1), (s2, c2)) = (position(a), position(b));
+            -(((s1 - s2).powi(2) + (c1 - c2).powi(2)).max(1e-3)).ln()
+        };
+        (0..protocol.channel_count())
+            .map(|channel| {
+                let mut sum = 0.0;
+                for &(e, w) in protocol.pattern_of(channel).entries() {
+                    for &(d, i) in protocol.stimulation_of(channel).entries() {
+                        sum += w * i * green(e, d);
+                    }
+                }
+                sum
+            })
+            .collect()
+    }
+
+    #[test]
+    fn rotating_files_read_as_absolute_are_found() {
+        let (absolute, rotating) = (protocol(Order::Absolute), protocol(Order::Rotating));
+        let (model, file) = (voltages(&absolute), voltages(&rotating));
+        let report = diagnose_order(&absolute, &model, &file, false);
+        assert!(report.correlation < 0.5, "{}", report.correlation);
+        let better = report.better.unwrap();
+        assert_eq!(better.description, "measurements rotating from the drive pair");
+        assert!(better.correlation > 0.999);
+        assert_eq!(better.map.to_protocol(&file), model);
+    }
+
+    #[test]
+    fn sign_and_rotation_of_the_list_are_found() {
+        let absolute = protocol(Order::Absolute);
+        let model = voltages(&absolute);
+        let negative: Vec<f64> = model.iter().map(|v| -v).collect();
+        assert_eq!(diagnose_order(&absolute, &model, &negative, false).better.unwrap().description, "sign reversed");
+        let mut late = model.clone();
+        late.rotate_left(13 * 3);
+        assert!(diagnose_order(&absolute, &model, &late, false).better.is_some());
+        assert!(diagnose_order(&absolute, &model, &model, false).better.is_none());
+    }
+
+    #[test]
+    fn a_rotation_of_the_electrodes_permutes_the_channels() {
+        let absolute = protocol(Order::Absolute);
+        let rotated: Vec<u32> = (0..16).map(|k| (k + 3) % 16).collect();
+        let (source, sign) = absolute.relabelled(&rotated).unwrap();
+        let model = voltages(&absolute);
+        for channel in 0..208 {
+            assert!((sign[channel] * model[source[channel] as usize] - model[channel]).abs() < 1e-9);
+        }
+        let broken: Vec<u32> = (0..16)
+            .map(|k| {
+                if k == 0 {
+                    5
+                } else if k == 5 {
+                    0
+                } else {
+                    k
+                }
+            })
+            .collect();
+        assert!(absolute.relabelled(&broken).is_none());
+    }
+}

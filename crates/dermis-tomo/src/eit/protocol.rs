@@ -1,0 +1,543 @@
+//! Stimulation and measurement patterns as explicit lists, and the generators whose names the field uses.
+//!
+//! A drive pair `(a, b)` puts `-I` on electrode `a` and `+I` on `b`; a measuring pair `(a, b)` reads `U_a - U_b`
+//! (the EIDORS convention). Indices are zero-based.
+
+use std::collections::HashMap;
+
+use thiserror::Error;
+
+/// A sparse vector over electrodes: `(electrode, weight)`, sorted by electrode, no zeros.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pattern(Vec<(u32, f64)>);
+
+impl Pattern {
+    /// Sorts, merges and drops zeros.
+    pub fn new(mut entries: Vec<(u32, f64)>) -> Self {
+        entries.sort_unstable_by_key(|entry| entry.0);
+        let mut merged: Vec<(u32, f64)> = Vec::with_capacity(entries.len());
+        for (electrode, weight) in entries {
+            match merged.last_mut() {
+                Some(last) if last.0 == electrode => last.1 += weight,
+                _ => merged.push((electrode, weight)),
+            }
+        }
+        merged.retain(|entry| entry.1 != 0.0);
+        Self(merged)
+    }
+
+    /// A pair with weights `first` on `a` and `-first` on `b`.
+    pub fn pair(a: u32, b: u32, first: f64) -> Self {
+        Self::new(vec![(a, first), (b, -first)])
+    }
+
+    /// The entries, sorted by electrode.
+    pub fn entries(&self) -> &[(u32, f64)] {
+        &self.0
+    }
+
+    /// Sum of the weights; zero for a balanced pattern.
+    pub fn sum(&self) -> f64 {
+        self.0.iter().map(|entry| entry.1).sum()
+    }
+
+    /// True where a weight lies on this electrode.
+    pub fn touches(&self, electrode: u32) -> bool {
+        self.0.iter().any(|entry| entry.0 == electrode)
+    }
+
+    fn key(&self) -> Vec<(u32, u64)> {
+        self.0.iter().map(|&(electrode, weight)| (electrode, weight.to_bits())).collect()
+    }
+}
+
+/// One channel: which stimulation it belongs to and which of the measuring patterns it reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Measurement {
+    /// Index into [`Protocol::stimulations`].
+    pub stimulation: u32,
+    /// Index into [`Protocol::patterns`].
+    pub pattern: u32,
+}
+
+/// What was wrong with a protocol.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum ProtocolError {
+    /// Fewer electrodes than the generator needs.
+    #[error("{pattern} needs at least {needed} electrodes{even}, got {got}", even = if *.even { " and an even number" } else { "" })]
+    TooFewElectrodes {
+        /// Name of the generator.
+        pattern: &'static str,
+        /// Fewest that work.
+        needed: usize,
+        /// Whether the count must be even.
+        even: bool,
+        /// What was asked.
+        got: usize,
+    },
+    /// An electrode that does not exist.
+    #[error("{what} {index} names electrode index {electrode}, but there are only {count} electrodes")]
+    ElectrodeOutOfRange {
+        /// `stimulation` or `measurement`.
+        what: &'static str,
+        /// Which of them.
+        index: usize,
+        /// The electrode named.
+        electrode: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// The currents of a stimulation do not add to zero, or nothing flows.
+    #[error("stimulation {index}: currents add to {sum:e} A, expected 0 with at least two electrodes driven")]
+    Unbalanced {
+        /// Which stimulation.
+        index: usize,
+        /// Its net current.
+        sum: f64,
+    },
+    /// A row has the wrong length or a list the wrong count.
+    #[error("{what} {index}: expected {expected} values, got {got}")]
+    Length {
+        /// Which list.
+        what: &'static str,
+        /// Which row.
+        index: usize,
+        /// Expected length.
+        expected: usize,
+        /// Found length.
+        got: usize,
+    },
+    /// A weight is NaN or infinite, or an amplitude is not positive.
+    #[error("{what} {index}: {value} is not {expected}")]
+    Value {
+        /// Which list.
+        what: &'static str,
+        /// Which row.
+        index: usize,
+        /// The value.
+        value: f64,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// No channel is left.
+    #[error("the protocol has no measurements left after dropping driven electrodes")]
+    Empty,
+}
+
+/// Which electrodes drive current, one pattern after another.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Drive {
+    /// Pairs (k, k+1).
+    Adjacent,
+    /// Pairs (k, k+L/2).
+    Opposite,
+    /// Pairs (k, k+n+1); `Skip(0)` is adjacent.
+    Skip(usize),
+    /// Pairs (k, k+L/2-1): paper H's 'pseudo-polar'.
+    PseudoPolar,
+    /// cos(m theta) for m = 1..L/2 and sin(m theta) for m = 1..L/2-1 over all electrodes: L-1 patterns.
+    Trigonometric,
+    /// Listed pairs (sink, source).
+    Pairs(Vec<(u32, u32)>),
+}
+
+/// What is read for each drive.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Measure {
+    /// Pairs (j, j+1).
+    Adjacent,
+    /// Pairs (j, j+L/2).
+    Opposite,
+    /// Pairs (j, j+n+1).
+    Skip(usize),
+    /// Pairs (j, j+L/2-1).
+    PseudoPolar,
+    /// Every electrode against a reference.
+    SingleEnded(Reference),
+    /// The same listed pairs (+, -) for every drive.
+    Pairs(Vec<(u32, u32)>),
+}
+
+/// What single-ended voltages are measured against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reference {
+    /// One electrode.
+    Electrode(u32),
+    /// The electrode that sinks the current of the drive in hand (grounded sink).
+    Sink,
+    /// The mean of all electrodes.
+    Mean,
+}
+
+/// Where the list of measurements of a drive begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// At electrode 1, whatever the drive.
+    Absolute,
+    /// At the drive's own first electrode, going round.
+    Rotating,
+}
+
+/// What happens to channels that touch a driven electrode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Driven {
+    /// They are measured.
+    Keep,
+    /// They are dropped.
+    Drop,
+}
+
+/// What [`Protocol::generate`] makes a protocol from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProtocolSpec {
+    /// Number of electrodes.
+    pub electrode_count: usize,
+    /// Drive patterns.
+    pub drive: Drive,
+    /// Measuring patterns.
+    pub measure: Measure,
+    /// Order of the measurements of a drive.
+    pub order: Order,
+    /// Channels on driven electrodes.
+    pub driven: Driven,
+    /// Drive amplitude, amperes.
+    pub amplitude_a: f64,
+}
+
+/// Stimulations (amperes into the body), measuring patterns, and the channels that pair them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol {
+    electrode_count: usize,
+    stimulations: Vec<Pattern>,
+    patterns: Vec<Pattern>,
+    measurements: Vec<Measurement>,
+}
+
+impl Protocol {
+    /// From dense rows as in `case.json`: `stimulations` (n_stim x n_electrodes, amperes), `measurements`
+    /// (n_meas x n_electrodes) and the stimulation that each measurement belongs to.
+    ///
+    /// # Errors
+    /// Rows of unequal length, values not finite, unbalanced stimulations, stimulation indices out of range.
+    pub fn from_rows(
+        stimulations: &[Vec<f64>],
+        measurements: &[Vec<f64>],
+        stimulation_of: &[usize],
+    ) -> Result<Self, ProtocolError> {
+        let electrode_count = stimulations.first().map_or(0, Vec::len);
+        let sparse = |what: &'static str, rows: &[Vec<f64>]| -> Result<Vec<Pattern>, ProtocolError> {
+            rows.iter()
+                .enumerate()
+                .map(|(index, row)| {
+                    if row.len() != electrode_count {
+                        return Err(ProtocolError::Length { what, index, expected: electrode_count, got: row.len() });
+                    }
+                    Ok(Pattern::new(row.iter().enumerate().map(|(electrode, &w)| (electrode as u32, w)).collect()))
+                })
+                .collect()
+        };
+        if stimulation_of.len() != measurements.len() {
+            return Err(ProtocolError::Length {
+                what: "stimulation of each measurement, list",
+                index: 0,
+                expected: measurements.len(),
+                got: stimulation_of.len(),
+            });
+        }
+        let channels = sparse("measurement", measurements)?.into_iter().zip(stimulation_of.iter().copied()).collect();
+        Self::from_patterns(electrode_count, sparse("stimulation", stimulations)?, channels)
+    }
+
+    /// From sparse patterns: the stimulations, and for each channel its measuring pattern and stimulation index.
+    ///
+    /// # Errors
+    /// As [`Protocol::from_rows`].
+    pub fn from_patterns(
+        electrode_count: usize,
+        stimulations: Vec<Pattern>,
+        channels: Vec<(Pattern, usize)>,
+    ) -> Result<Self, ProtocolError> {
+        for (index, stimulation) in stimulations.iter().enumerate() {
+            check_pattern("stimulation", index, stimulation, electrode_count)?;
+            let scale = stimulation.entries().iter().map(|entry| entry.1.abs()).fold(0.0, f64::max);
+            if stimulation.entries().len() < 2 || stimulation.sum().abs() > 1e-6 * scale {
+                return Err(ProtocolError::Unbalanced { index, sum: stimulation.sum() });
+            }
+        }
+        let mut patterns: Vec<Pattern> = Vec::new();
+        let mut known: HashMap<Vec<(u32, u64)>, u32> = HashMap::new();
+        let mut measurements = Vec::with_capacity(channels.len());
+        for (index, (pattern, stimulation)) in channels.into_iter().enumerate() {
+            check_pattern("measurement", index, &pattern, electrode_count)?;
+            if stimulation >= stimulations.len() {
+                return Err(ProtocolError::Value {
+                    what: "stimulation index of measurement",
+                    index,
+                    value: stimulation as f64,
+                    expected: "an existing stimulation",
+                });
+            }
+            let id = *known.entry(pattern.key()).or_insert_with(|| {
+                patterns.push(pattern);
+                patterns.len() as u32 - 1
+            });
+            measurements.push(Measurement { stimulation: stimulation as u32, pattern: id });
+        }
+        if measurements.is_empty() {
+            return Err(ProtocolError::Empty);
+        }
+        Ok(Self { electrode_count, stimulations, patterns, measurements })
+    }
+
+    /// Makes the lists that a named pattern stands for.
+    ///
+    /// # Errors
+    /// Too few electrodes, an odd number where opposite pairs are asked for, listed pairs out of range, an amplitude
+    /// that is not positive, or nothing left to measure.
+    pub fn generate(spec: &ProtocolSpec) -> Result<Self, ProtocolError> {
+        let count = spec.electrode_count;
+        if !(spec.amplitude_a > 0.0 && spec.amplitude_a.is_finite()) {
+            return Err(ProtocolError::Value {
+                what: "drive amplitude (A)",
+                index: 0,
+                value: spec.amplitude_a,
+                expected: "positive and finite",
+            });
+        }
+        let stimulations = drive_patterns(&spec.drive, count, spec.amplitude_a)?;
+        let pairs = measure_pairs(&spec.measure, count)?;
+        let mut channels = Vec::new();
+        for (index, stimulation) in stimulations.iter().enumerate() {
+            for position in 0..pairs.len() {
+                let choice = match spec.order {
+                    Order::Absolute => position,
+                    Order::Rotating => (position + index) % pairs.len(),
+                };
+                let pattern = match pairs[choice] {
+                    MeasurePair::Pair(a, b) => Pattern::pair(a, b, 1.0),
+                    MeasurePair::Single(electrode) => single_ended(&spec.measure, electrode, stimulation, count),
+                };
+                let drives = pattern.entries().iter().any(|entry| stimulation.touches(entry.0));
+                if !(spec.driven == Driven::Drop && drives) {
+                    channels.push((pattern, index));
+                }
+            }
+        }
+        Self::from_patterns(count, stimulations, channels)
+    }
+
+    /// Number of electrodes.
+    pub fn electrode_count(&self) -> usize {
+        self.electrode_count
+    }
+
+    /// Stimulations, amperes into the body.
+    pub fn stimulations(&self) -> &[Pattern] {
+        &self.stimulations
+    }
+
+    /// The distinct measuring patterns.
+    pub fn patterns(&self) -> &[Pattern] {
+        &self.patterns
+    }
+
+    /// The channels in order.
+    pub fn measurements(&self) -> &[Measurement] {
+        &self.measurements
+    }
+
+    /// Number of channels of a frame.
+    pub fn channel_count(&self) -> usize {
+        self.measurements.len()
+    }
+
+    /// The measuring pattern of a channel.
+    pub fn pattern_of(&self, channel: usize) -> &Pattern {
+        &self.patterns[self.measurements[channel].pattern as usize]
+    }
+
+    /// The stimulation of a channel.
+    pub fn stimulation_of(&self, channel: usize) -> &Pattern {
+        &self.stimulations[self.measurements[channel].stimulation as usize]
+    }
+
+    /// True where the channel drives or reads this electrode.
+    pub fn channel_touches(&self, channel: usize, electrode: u32) -> bool {
+        self.pattern_of(channel).touches(electrode) || self.stimulation_of(channel).touches(electrode)
+    }
+
+    /// A label for people, one-based: `1-2 > 5-6` (drive, then measure).
+    pub fn channel_label(&self, channel: usize) -> String {
+        let list = |pattern: &Pattern| {
+            let names: Vec<String> = pattern.entries().iter().take(3).map(|e| (e.0 + 1).to_string()).collect();
+            format!("{}{}", names.join("-"), if pattern.entries().len() > 3 { ".." } else { "" })
+        };
+        format!("{} > {}", list(self.stimulation_of(channel)), list(self.pattern_of(channel)))
+    }
+}
+
+fn check_pattern(what: &'static str, index: usize, pattern: &Pattern, count: usize) -> Result<(), ProtocolError> {
+    for &(electrode, weight) in pattern.entries() {
+        if electrode as usize >= count {
+            return Err(ProtocolError::ElectrodeOutOfRange { what, index, electrode: electrode as usize, count });
+        }
+        if !weight.is_finite() {
+            return Err(ProtocolError::Value { what, index, value: weight, expected: "finite" });
+        }
+    }
+    Ok(())
+}
+
+#[derive(Clone, Copy)]
+enum MeasurePair {
+    Pair(u32, u32),
+    Single(u32),
+}
+
+fn ring_pairs(name: &'static str, count: usize, offset: usize) -> Result<Vec<(u32, u32)>, ProtocolError> {
+    if offset == 0 || offset >= count {
+        return Err(ProtocolError::TooFewElectrodes { pattern: name, needed: offset + 1, even: false, got: count });
+    }
+    Ok((0..count).map(|k| (k as u32, ((k + offset) % count) as u32)).collect())
+}
+
+fn half(name: &'static str, count: usize) -> Result<usize, ProtocolError> {
+    if count < 4 || count % 2 != 0 {
+        return Err(ProtocolError::TooFewElectrodes { pattern: name, needed: 4, even: true, got: count });
+    }
+    Ok(count / 2)
+}
+
+fn drive_patterns(drive: &Drive, count: usize, amplitude: f64) -> Result<Vec<Pattern>, ProtocolError> {
+    let pairs = match drive {
+        Drive::Adjacent => ring_pairs("adjacent drive", count.max(1), 1)?,
+        Drive::Opposite => ring_pairs("opposite drive", count, half("opposite drive", count)?)?,
+        Drive::Skip(skip) => ring_pairs("skip drive", count, skip.saturating_add(1))?,
+        Drive::PseudoPolar => ring_pairs("pseudo-polar drive", count, half("pseudo-polar drive", count)? - 1)?,
+        Drive::Pairs(pairs) => pairs.clone(),
+        Drive::Trigonometric => return trigonometric(count, amplitude),
+    };
+    Ok(pairs.into_iter().map(|(a, b)| Pattern::pair(a, b, -amplitude)).collect())
+}
+
+fn trigonometric(count: usize, amplitude: f64) -> Result<Vec<Pattern>, ProtocolError> {
+    let half = half("trigonometric drive", count)?;
+    let wave = |harmonic: usize, sine: bool| {
+        let entries = (0..count).map(|k| {
+            let angle = std::f64::consts::TAU * (harmonic * k) as f64 / count as f64;
+            let value = if sine { angle.sin() } else { angle.cos() };
+            // Round-off of exact zeros would count an electrode as driven.
+            (k as u32, if value.abs() < 1e-12 { 0.0 } else { amplitude * value })
+        });
+        Pattern::new(entries.collect())
+    };
+    Ok((1..=half).map(|m| wave(m, false)).chain((1..half).map(|m| wave(m, true))).collect())
+}
+
+fn measure_pairs(measure: &Measure, count: usize) -> Result<Vec<MeasurePair>, ProtocolError> {
+    let pairs = match measure {
+        Measure::Adjacent => ring_pairs("adjacent measurement", count, 1)?,
+        Measure::Opposite => ring_pairs("opposite measurement", count, half("opposite measurement", count)?)?,
+        Measure::Skip(skip) => ring_pairs("skip measurement", count, skip.saturating_add(1))?,
+        Measure::PseudoPolar => {
+            ring_pairs("pseudo-polar measurement", count, half("pseudo-polar measurement", count)? - 1)?
+        }
+        Measure::Pairs(pairs) => pairs.clone(),
+        Measure::SingleEnded(reference) => {
+            if let Reference::Electrode(electrode) = *reference
+                && electrode as usize >= count
+            {
+                return Err(ProtocolError::ElectrodeOutOfRange {
+                    what: "reference",
+                    index: 0,
+                    electrode: electrode as usize,
+                    count,
+                });
+            }
+            return Ok((0..count as u32).map(MeasurePair::Single).collect());
+        }
+    };
+    Ok(pairs.into_iter().map(|(a, b)| MeasurePair::Pair(a, b)).collect())
+}
+
+fn single_ended(measure: &Measure, electrode: u32, stimulation: &Pattern, count: usize) -> Pattern {
+    let Measure::SingleEnded(reference) = measure else { return Pattern::new(vec![(electrode, 1.0)]) };
+    let mut entries = vec![(electrode, 1.0)];
+    match reference {
+        Reference::Electrode(index) => entries.push((*index, -1.0)),
+        Reference::Sink => {
+            let sink = stimulation.entries().iter().min_by(|a, b| a.1.total_cmp(&b.1));
+            entries.extend(sink.map(|entry| (entry.0, -1.0)));
+        }
+        Reference::Mean => entries.extend((0..count as u32).map(|other| (other, -1.0 / count as f64))),
+    }
+    Pattern::new(entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec(drive: Drive, measure: Measure) -> ProtocolSpec {
+        ProtocolSpec {
+            electrode_count: 16,
+            drive,
+            measure,
+            order: Order::Absolute,
+            driven: Driven::Drop,
+            amplitude_a: 1e-3,
+        }
+    }
+
+    #[test]
+    fn published_channel_counts() {
+        let count = |spec: &ProtocolSpec| Protocol::generate(spec).unwrap().channel_count();
+        assert_eq!(count(&spec(Drive::Adjacent, Measure::Adjacent)), 208);
+        // Paper H: 16 drives x 13 pseudo-polar pairs that share no electrode with the drive.
+        assert_eq!(count(&spec(Drive::PseudoPolar, Measure::PseudoPolar)), 208);
+        // The hydrogel skin: opposite drive, adjacent measurement.
+        assert_eq!(count(&spec(Drive::Opposite, Measure::Adjacent)), 192);
+        let piezo = ProtocolSpec {
+            electrode_count: 64,
+            driven: Driven::Keep,
+            ..spec(Drive::Adjacent, Measure::SingleEnded(Reference::Mean))
+        };
+        assert_eq!(count(&piezo), 4096);
+        assert_eq!(
+            Protocol::generate(&spec(Drive::Trigonometric, Measure::Adjacent)).unwrap_err(),
+            ProtocolError::Empty
+        );
+        let trigonometric = ProtocolSpec { driven: Driven::Keep, ..spec(Drive::Trigonometric, Measure::Adjacent) };
+        assert_eq!(count(&trigonometric), 15 * 16);
+    }
+
+    #[test]
+    fn signs_follow_eidors() {
+        let protocol = Protocol::generate(&spec(Drive::Adjacent, Measure::Adjacent)).unwrap();
+        assert_eq!(protocol.stimulation_of(0).entries(), &[(0, -1e-3), (1, 1e-3)]);
+        assert_eq!(protocol.pattern_of(0).entries(), &[(2, 1.0), (3, -1.0)]);
+    }
+
+    #[test]
+    fn rotating_order_starts_after_the_drive() {
+        let rotating = ProtocolSpec { order: Order::Rotating, ..spec(Drive::Adjacent, Measure::Adjacent) };
+        let protocol = Protocol::generate(&rotating).unwrap();
+        assert_eq!(protocol.channel_label(13), "2-3 > 4-5");
+        let absolute = Protocol::generate(&spec(Drive::Adjacent, Measure::Adjacent)).unwrap();
+        assert_eq!(absolute.channel_label(13), "2-3 > 4-5");
+        assert_eq!(absolute.channel_label(26), "3-4 > 1-2");
+        assert_eq!(protocol.channel_label(26), "3-4 > 5-6");
+    }
+
+    #[test]
+    fn bad_requests_say_what_was_expected() {
+        let odd = ProtocolSpec { electrode_count: 7, ..spec(Drive::Opposite, Measure::Adjacent) };
+        let text = Protocol::generate(&odd).unwrap_err().to_string();
+        assert_eq!(text, "opposite drive needs at least 4 electrodes and an even number, got 7");
+        let outside = spec(Drive::Pairs(vec![(0, 99)]), Measure::Adjacent);
+        assert!(Protocol::generate(&outside).unwrap_err().to_string().contains("electrode index 99"));
+        let same = spec(Drive::Pairs(vec![(3, 3)]), Measure::Adjacent);
+        assert!(matches!(Protocol::generate(&same).unwrap_err(), ProtocolError::Unbalanced { index: 0, .. }));
+    }
+}

@@ -1,0 +1,239 @@
+//! Choosing lambda: by number, relative to the problem, L-curve, generalised cross-validation (GCV), noise figure, or a
+//! known noise level. All look at the eigenvalues of the whitened data-space matrix `W^1/2 J P J' W^1/2'`, so that one
+//! decomposition serves every candidate.
+
+use faer::{Mat, MatRef, Side};
+
+use super::{InverseError, LinearProblem};
+
+/// How the hyperparameter is found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Hyperparameter {
+    /// This lambda.
+    Number(f64),
+    /// `lambda^2 = factor * trace(W^1/2 J P J' W^1/2') / unknowns`: scale-free, so one factor serves skins of any
+    /// unit, gain or number of channels.
+    Relative(f64),
+    /// Corner (largest curvature) of log residual against log solution norm (Hansen, SIAM Rev. 34, 1992).
+    LCurve,
+    /// Minimum of the GCV function (Golub, Heath and Wahba, Technometrics 21, 1979).
+    Gcv,
+    /// Ratio of data SNR to image SNR for a small target (Adler and Guardo, IEEE TMI 15, 1996).
+    NoiseFigure {
+        /// The figure wanted; 0.5 to 1 is customary.
+        target: f64,
+        /// Noise-free difference data of the target, e.g. a small central touch.
+        signal: Vec<f64>,
+    },
+    /// Discrepancy principle (Morozov): the mean squared whitened residual equals `factor` (1 where W is the true
+    /// inverse noise covariance).
+    KnownNoise {
+        /// Expected mean squared residual of whitened data.
+        factor: f64,
+    },
+}
+
+/// Eigenvalues and eigenvectors of the whitened data-space matrix.
+#[derive(Debug)]
+pub struct Spectrum {
+    values: Vec<f64>,
+    vectors: Mat<f64>,
+}
+
+/// One point of the L-curve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LCurvePoint {
+    /// lambda.
+    pub hyperparameter: f64,
+    /// Norm of the whitened residual.
+    pub residual: f64,
+    /// `sqrt(x'Rx)`.
+    pub solution: f64,
+}
+
+/// Candidates per search: 10 per decade over 12 decades below the largest eigenvalue.
+const CANDIDATES: usize = 121;
+const DECADES: f64 = 12.0;
+
+impl Spectrum {
+    pub(super) fn new(gram: MatRef<'_, f64>) -> Result<Self, InverseError> {
+        let decomposition = gram.self_adjoint_eigen(Side::Lower).map_err(|_| InverseError::Singular {
+            what: "the data-space matrix (its eigenvalues were not found)",
+            hint: "look for channels of vastly different scale",
+        })?;
+        let values = decomposition.S().column_vector().iter().map(|value| value.max(0.0)).collect();
+        Ok(Self { values, vectors: decomposition.U().to_owned() })
+    }
+
+    /// Components of whitened data along the eigenvectors.
+    fn components(&self, whitened: &[f64]) -> Vec<f64> {
+        let column = faer::ColRef::from_slice(whitened);
+        (self.vectors.transpose() * column).iter().copied().collect()
+    }
+
+    fn candidates(&self) -> Vec<f64> {
+        let largest = self.values.iter().copied().fold(0.0, f64::max);
+        let step = DECADES / (CANDIDATES - 1) as f64;
+        (0..CANDIDATES).map(|k| (largest * 10f64.powf(1.0 - k as f64 * step)).sqrt()).collect()
+    }
+
+    fn residual_squared(&self, components: &[f64], lambda: f64) -> f64 {
+        let l2 = lambda * lambda;
+        self.values.iter().zip(components).map(|(s, c)| (l2 / (s + l2) * c).powi(2)).sum()
+    }
+
+    fn solution_squared(&self, components: &[f64], lambda: f64) -> f64 {
+        let l2 = lambda * lambda;
+        self.values.iter().zip(components).map(|(s, c)| s * (c / (s + l2)).powi(2)).sum()
+    }
+
+    /// The L-curve of whitened difference data.
+    pub fn l_curve(&self, whitened: &[f64]) -> Vec<LCurvePoint> {
+        let components = self.components(whitened);
+        let point = |hyperparameter: f64| LCurvePoint {
+            hyperparameter,
+            residual: self.residual_squared(&components, hyperparameter).sqrt(),
+            solution: self.solution_squared(&components, hyperparameter).sqrt(),
+        };
+        self.candidates().into_iter().map(point).collect()
+    }
+
+    /// The GCV function at lambda: `n |residual|^2 / trace(residual matrix)^2`, summed over frames by the caller.
+    fn gcv(&self, components: &[f64], lambda: f64) -> f64 {
+        let l2 = lambda * lambda;
+        let trace: f64 = self.values.iter().map(|s| l2 / (s + l2)).sum();
+        self.values.len() as f64 * self.residual_squared(components, lambda) / (trace * trace)
+    }
+}
+
+impl Hyperparameter {
+    /// Applies the rule. `data` are difference frames; rules that do not look at data ignore it.
+    ///
+    /// # Errors
+    /// A number that is not positive, no data where some is needed, or a noise figure that cannot be reached.
+    pub fn choose(&self, problem: &LinearProblem, data: &[Vec<f64>]) -> Result<f64, InverseError> {
+        let positive = |what: &'static str, value: f64| {
+            if value > 0.0 && value.is_finite() {
+                Ok(value)
+            } else {
+                Err(InverseError::Value { what, index: None, value, expected: "positive and finite" })
+            }
+        };
+        match self {
+            Hyperparameter::Number(value) => positive("hyperparameter", *value),
+            Hyperparameter::Relative(factor) => {
+                let factor = positive("relative hyperparameter", *factor)?;
+                Ok((factor * problem.gram_trace()? / problem.unknowns() as f64).sqrt())
+            }
+            Hyperparameter::LCurve => l_curve_corner(&problem.spectrum()?, &problem.whiten_all(data)?),
+            Hyperparameter::Gcv => {
+                let spectrum = problem.spectrum()?;
+                let components: Vec<_> = problem.whiten_all(data)?.iter().map(|d| spectrum.components(d)).collect();
+                let score = |lambda: f64| components.iter().map(|c| spectrum.gcv(c, lambda)).sum::<f64>();
+                let best = spectrum.candidates().into_iter().min_by(|a, b| score(*a).total_cmp(&score(*b)));
+                Ok(best.unwrap_or(1.0))
+            }
+            Hyperparameter::KnownNoise { factor } => {
+                let factor = positive("expected squared residual", *factor)?;
+                let spectrum = problem.spectrum()?;
+                let components: Vec<_> = problem.whiten_all(data)?.iter().map(|d| spectrum.components(d)).collect();
+                let count = (components.len() * problem.channels()) as f64;
+                let residual =
+                    |l: f64| components.iter().map(|c| spectrum.residual_squared(c, l)).sum::<f64>() / count;
+                // From the smoothest on, the first that explains the data; the sharpest if none does.
+                let candidates = spectrum.candidates();
+                let found = candidates.iter().find(|&&lambda| residual(lambda) <= factor);
+                Ok(found.or(candidates.last()).copied().unwrap_or(1.0))
+            }
+            Hyperparameter::NoiseFigure { target, signal } => {
+                noise_figure_search(problem, positive("noise figure", *target)?, signal)
+            }
+        }
+    }
+}
+
+fn l_curve_corner(spectrum: &Spectrum, data: &[Vec<f64>]) -> Result<f64, InverseError> {
+    let curves: Vec<Vec<LCurvePoint>> = data.iter().map(|d| spectrum.l_curve(d)).collect();
+    let candidates = spectrum.candidates();
+    let mean_log = |k: usize, of: &dyn Fn(&LCurvePoint) -> f64| {
+        curves.iter().map(|curve| of(&curve[k]).max(1e-300).ln()).sum::<f64>() / curves.len() as f64
+    };
+    let points: Vec<(f64, f64)> =
+        (0..candidates.len()).map(|k| (mean_log(k, &|p| p.residual), mean_log(k, &|p| p.solution))).collect();
+    // Curvature by central differences over the (even) steps of log lambda.
+    let curvature = |k: usize| {
+        let (a, b, c) = (points[k - 2], points[k], points[k + 2]);
+        let (d1, d2) = (((c.0 - a.0) / 4.0, (c.1 - a.1) / 4.0), ((a.0 - 2.0 * b.0 + c.0) / 4.0, (a.1 - 2.0 * b.1 + c.1) / 4.0));
+        (d1.0 * d2.1 - d1.1 * d2.0) / (d1.0 * d1.0 + d1.1 * d1.1).powf(1.5).max(1e-12)
+    };
+    let corner = (2..points.len() - 2).max_by(|&a, &b| curvature(a).abs().total_cmp(&curvature(b).abs()));
+    Ok(candidates[corner.unwrap_or(candidates.len() / 2)])
+}
+
+/// Bisection over log lambda: the noise figure falls as lambda grows.
+fn noise_figure_search(problem: &LinearProblem, target: f64, signal: &[f64]) -> Result<f64, InverseError> {
+    let candidates = problem.spectrum()?.candidates();
+    let (mut high, mut low) = (candidates[0], candidates[candidates.len() / 2]);
+    let (figure_high, figure_low) = (problem.noise_figure(high, signal)?, problem.noise_figure(low, signal)?);
+    if !(figure_high <= target && target <= figure_low) {
+        return Err(InverseError::NoiseFigure { target, low: figure_high, high: figure_low });
+    }
+    for _ in 0..40 {
+        let middle = (high * low).sqrt();
+        if problem.noise_figure(middle, signal)? > target {
+            low = middle;
+        } else {
+            high = middle;
+        }
+        if high / low < 1.001 {
+            break;
+        }
+    }
+    Ok((high * low).sqrt())
+}
+
+impl LinearProblem {
+    /// `W^1/2 dv`, checked.
+    pub(super) fn whiten_frame(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
+        if frame.len() != self.channels() {
+            return Err(InverseError::Size { what: "channels of the frame", expected: self.channels(), got: frame.len() });
+        }
+        super::check_finite("channel", frame)?;
+        let mut column = Mat::from_fn(frame.len(), 1, |row, _| frame[row]);
+        self.weighting.whiten(column.as_mut());
+        Ok((0..frame.len()).map(|row| column[(row, 0)]).collect())
+    }
+
+    fn whiten_all(&self, data: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, InverseError> {
+        if data.is_empty() {
+            return Err(InverseError::Size { what: "frames for the choice of the hyperparameter", expected: 1, got: 0 });
+        }
+        data.iter().map(|frame| self.whiten_frame(frame)).collect()
+    }
+
+    fn gram_trace(&self) -> Result<f64, InverseError> {
+        match &self.gram {
+            Some(gram) => Ok((0..gram.nrows()).map(|k| gram[(k, k)]).sum()),
+            None => {
+                let spread = self.prior.solve(self.whitened.transpose())?;
+                Ok((0..self.channels())
+                    .map(|k| (0..self.unknowns()).map(|p| self.whitened[(k, p)] * spread[(p, k)]).sum::<f64>())
+                    .sum())
+            }
+        }
+    }
+
+    /// Noise figure at lambda for a target's data: `(mean|z| / mean std z) / (mean|x| / mean std x)` with z whitened
+    /// data and x the image (Adler and Guardo 1996, eq. 14; here with unit noise on every whitened channel).
+    ///
+    /// # Errors
+    /// As [`LinearProblem::operator`].
+    pub fn noise_figure(&self, hyperparameter: f64, signal: &[f64]) -> Result<f64, InverseError> {
+        let operator = self.operator(hyperparameter)?;
+        let image = operator.apply(signal)?;
+        let whitened = self.whiten_frame(signal)?;
+        let mean_abs = |values: &[f64]| values.iter().map(|v| v.abs()).sum::<f64>() / values.len() as f64;
+        let image_noise = operator.noise_deviation.iter().sum::<f64>() / operator.noise_deviation.len() as f64;
+        Ok(mean_abs(&whitened) / (mean_abs(&image) / image_noise))
+    }
+}

@@ -1,0 +1,310 @@
+//! Priors: what an image is expected to look like before any measurement, as `R` (inverse covariance) or its inverse.
+
+use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
+
+use super::InverseError;
+use crate::mesh::Mesh;
+use crate::sparse::{Ordering, SpdStructure};
+
+/// Where the unknowns lie and which of them touch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageBasis {
+    /// Centres, metres.
+    pub positions: Vec<[f64; 3]>,
+    /// Pairs of unknowns that share a face (elements) or a side (pixels).
+    pub neighbours: Vec<[u32; 2]>,
+}
+
+impl ImageBasis {
+    /// One unknown per element.
+    pub fn of_elements(mesh: &Mesh) -> Self {
+        let positions = (0..mesh.element_count()).map(|element| mesh.centroid(element)).collect();
+        Self { positions, neighbours: mesh.neighbours() }
+    }
+
+    /// Number of unknowns.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// True where there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+}
+
+/// The regularisation matrices that the field uses.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Prior {
+    /// `R = I` (zeroth-order Tikhonov).
+    Identity,
+    /// Twice the graph Laplacian over shared faces: `R[a,a] += 2, R[b,b] += 2, R[a,b] -= 2` (EIDORS `prior_laplace`).
+    Laplace,
+    /// `R = diag(J'J)^exponent` (Cheney et al., Int. J. Imaging Syst. Technol. 2, 1990; EIDORS uses exponent 0.5).
+    Noser {
+        /// 0.5 is customary; 0 is identity, 1 evens out sensitivity fully.
+        exponent: f64,
+    },
+    /// Gaussian smoothness: covariance `exp(-d^2 / (2 l^2))` between unknowns at distance d, `R` its inverse.
+    Gaussian {
+        /// Correlation length l, metres.
+        correlation_length_m: f64,
+    },
+    /// Gaussian smoothness of an image scaled as by NOSER: covariance `D^-1/2 K D^-1/2` with `D = diag(J'J)^exponent`
+    /// scaled to mean 1 and K as in [`Prior::Gaussian`].
+    GaussianNoser {
+        /// Correlation length, metres.
+        correlation_length_m: f64,
+        /// NOSER exponent.
+        exponent: f64,
+    },
+    /// Weighted sum of the matrices of other priors.
+    Mixture(Vec<(f64, Prior)>),
+}
+
+/// A prior made concrete for a Jacobian and a basis.
+#[derive(Debug, Clone)]
+pub enum PriorMatrix {
+    /// Diagonal of R.
+    Diagonal(Vec<f64>),
+    /// Lower-triangle entries of a sparse R: (row, column, value), repetitions add.
+    Sparse {
+        /// Number of unknowns.
+        size: usize,
+        /// The entries.
+        entries: Vec<(u32, u32, f64)>,
+        /// Centres, used to order the elimination.
+        positions: Vec<[f64; 3]>,
+    },
+    /// The covariance, `R^-1`, dense.
+    Covariance(Mat<f64>),
+    /// R itself, dense.
+    Dense(Mat<f64>),
+}
+
+impl Prior {
+    /// Builds R (or its inverse) for a Jacobian (channels x unknowns).
+    ///
+    /// # Errors
+    /// A basis of another size than the Jacobian, lengths or weights that are not positive and finite, or a mixture
+    /// whose Gaussian part cannot be inverted.
+    pub fn matrix(&self, jacobian: MatRef<'_, f64>, basis: &ImageBasis) -> Result<PriorMatrix, InverseError> {
+        let size = jacobian.ncols();
+        if basis.len() != size {
+            return Err(InverseError::Size { what: "unknowns of the image basis", expected: size, got: basis.len() });
+        }
+        match self {
+            Prior::Identity => Ok(PriorMatrix::Diagonal(vec![1.0; size])),
+            Prior::Noser { exponent } => Ok(PriorMatrix::Diagonal(noser(jacobian, *exponent)?)),
+            Prior::Laplace => Ok(laplace(basis)),
+            Prior::Gaussian { correlation_length_m } => {
+                Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, None)?))
+            }
+            Prior::GaussianNoser { correlation_length_m, exponent } => {
+                let diagonal = noser(jacobian, *exponent)?;
+                let mean = diagonal.iter().sum::<f64>() / size as f64;
+                let scale: Vec<f64> = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
+                Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, Some(&scale))?))
+            }
+            Prior::Mixture(parts) => mixture(parts, jacobian, basis),
+        }
+    }
+}
+
+fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
+    if !(0.0..=2.0).contains(&exponent) {
+        return Err(InverseError::Value { what: "NOSER exponent", index: None, value: exponent, expected: "0 to 2" });
+    }
+    let diagonal: Vec<f64> = (0..jacobian.ncols()).map(|k| jacobian.col(k).squared_norm_l2().powf(exponent)).collect();
+    let largest = diagonal.iter().copied().fold(0.0, f64::max);
+    // An unknown that no channel sees would have no prior at all; hold it as firmly as the least visible others.
+    Ok(diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect())
+}
+
+fn laplace(basis: &ImageBasis) -> PriorMatrix {
+    let entries = basis
+        .neighbours
+        .iter()
+        .flat_map(|&[a, b]| [(a, a, 2.0), (b, b, 2.0), (a.max(b), a.min(b), -2.0)])
+        .collect();
+    PriorMatrix::Sparse { size: basis.len(), entries, positions: basis.positions.clone() }
+}
+
+fn gaussian(basis: &ImageBasis, length: f64, scale: Option<&[f64]>) -> Result<Mat<f64>, InverseError> {
+    if !(length > 0.0 && length.is_finite()) {
+        return Err(InverseError::Value {
+            what: "correlation length (m)",
+            index: None,
+            value: length,
+            expected: "positive and finite",
+        });
+    }
+    let scale_of = |k: usize| scale.map_or(1.0, |scale| scale[k]);
+    let factor = -0.5 / (length * length);
+    let mut matrix = Mat::zeros(basis.len(), basis.len());
+    for column in 0..basis.len() {
+        let centre = basis.positions[column];
+        for row in column..basis.len() {
+            let offset = crate::mesh::subtract(basis.positions[row], centre);
+            let exponent = factor * crate::mesh::dot(offset, offset);
+            // Beyond 6 lengths the correlation is below 2e-8.
+            let value = if exponent > -18.0 { exponent.exp() * scale_of(row) * scale_of(column) } else { 0.0 };
+            matrix[(row, column)] = value;
+            matrix[(column, row)] = value;
+        }
+    }
+    Ok(matrix)
+}
+
+fn mixture(
+    parts: &[(f64, Prior)],
+    jacobian: MatRef<'_, f64>,
+    basis: &ImageBasis,
+) -> Result<PriorMatrix, InverseError> {
+    let size = basis.len();
+    let mut diagonal = vec![0.0; size];
+    let mut sparse = Vec::new();
+    let mut dense: Option<Mat<f64>> = None;
+    if parts.is_empty() {
+        return Err(InverseError::Size { what: "parts of the prior mixture", expected: 1, got: 0 });
+    }
+    for (index, (weight, prior)) in parts.iter().enumerate() {
+        if !(*weight > 0.0 && weight.is_finite()) {
+            return Err(InverseError::Value {
+                what: "weight of mixture part",
+                index: Some(index),
+                value: *weight,
+                expected: "positive and finite",
+            });
+        }
+        match prior.matrix(jacobian, basis)? {
+            PriorMatrix::Diagonal(values) => {
+                diagonal.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value)
+            }
+            PriorMatrix::Sparse { entries, .. } => {
+                sparse.extend(entries.into_iter().map(|(row, column, value)| (row, column, weight * value)))
+            }
+            matrix @ (PriorMatrix::Covariance(_) | PriorMatrix::Dense(_)) => {
+                let part = matrix.dense()?;
+                let sum = dense.get_or_insert_with(|| Mat::zeros(size, size));
+                *sum += faer::Scale(*weight) * &part;
+            }
+        }
+    }
+    if let Some(mut sum) = dense {
+        for (k, value) in diagonal.iter().enumerate() {
+            sum[(k, k)] += value;
+        }
+        for (row, column, value) in sparse {
+            sum[(row as usize, column as usize)] += value;
+            if row != column {
+                sum[(column as usize, row as usize)] += value;
+            }
+        }
+        return Ok(PriorMatrix::Dense(sum));
+    }
+    if sparse.is_empty() {
+        return Ok(PriorMatrix::Diagonal(diagonal));
+    }
+    sparse.extend(diagonal.iter().enumerate().filter(|(_, v)| **v != 0.0).map(|(k, v)| (k as u32, k as u32, *v)));
+    Ok(PriorMatrix::Sparse { size, entries: sparse, positions: basis.positions.clone() })
+}
+
+/// Relative size of what is added to the diagonal of a sparse R before it is inverted: the Laplacian alone does not
+/// see constants. Small enough to change images below 1e-5, large enough for the factorisation.
+const SPARSE_RIDGE: f64 = 1e-6;
+/// The same for a Gaussian covariance whose inverse is asked for: its smallest eigenvalues underflow.
+const COVARIANCE_JITTER: f64 = 1e-6;
+
+impl PriorMatrix {
+    /// Number of unknowns.
+    pub fn size(&self) -> usize {
+        match self {
+            PriorMatrix::Diagonal(values) => values.len(),
+            PriorMatrix::Sparse { size, .. } => *size,
+            PriorMatrix::Covariance(matrix) | PriorMatrix::Dense(matrix) => matrix.nrows(),
+        }
+    }
+
+    /// True where R has a null space, so that only the model form is exact.
+    pub fn is_singular(&self) -> bool {
+        match self {
+            PriorMatrix::Sparse { size, entries, .. } => {
+                let mut sums = vec![0.0; *size];
+                let mut largest: f64 = 0.0;
+                for &(row, column, value) in entries {
+                    sums[row as usize] += value;
+                    if row != column {
+                        sums[column as usize] += value;
+                    }
+                    largest = largest.max(value.abs());
+                }
+                sums.iter().all(|sum| sum.abs() < 1e-9 * largest)
+            }
+            _ => false,
+        }
+    }
+
+    /// R as a dense matrix.
+    ///
+    /// # Errors
+    /// A covariance that cannot be inverted.
+    pub fn dense(&self) -> Result<Mat<f64>, InverseError> {
+        Ok(match self {
+            PriorMatrix::Diagonal(values) => Mat::from_fn(values.len(), values.len(), |r, c| if r == c { values[r] } else { 0.0 }),
+            PriorMatrix::Sparse { size, entries, .. } => {
+                let mut matrix = Mat::zeros(*size, *size);
+                for &(row, column, value) in entries {
+                    matrix[(row as usize, column as usize)] += value;
+                    if row != column {
+                        matrix[(column as usize, row as usize)] += value;
+                    }
+                }
+                matrix
+            }
+            PriorMatrix::Dense(matrix) => matrix.clone(),
+            PriorMatrix::Covariance(covariance) => {
+                let mut jittered = covariance.clone();
+                for k in 0..jittered.nrows() {
+                    jittered[(k, k)] *= 1.0 + COVARIANCE_JITTER;
+                }
+                let factor = jittered.llt(Side::Lower).map_err(|_| InverseError::Singular {
+                    what: "the Gaussian prior's covariance",
+                    hint: "shorten the correlation length or use the data-space form",
+                })?;
+                factor.solve(Mat::<f64>::identity(jittered.nrows(), jittered.nrows()))
+            }
+        })
+    }
+
+    /// `R^-1 B` for B (unknowns x anything). A singular sparse R is given a ridge of 1e-6 of its mean diagonal.
+    ///
+    /// # Errors
+    /// R not positive definite.
+    pub fn solve(&self, b: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
+        let singular = |_| InverseError::Singular { what: "the prior", hint: "add some identity or NOSER to the mixture" };
+        Ok(match self {
+            PriorMatrix::Diagonal(values) => Mat::from_fn(b.nrows(), b.ncols(), |row, column| b[(row, column)] / values[row]),
+            PriorMatrix::Covariance(covariance) => covariance * b,
+            PriorMatrix::Dense(matrix) => {
+                let factor = matrix.llt(Side::Lower).map_err(|_| singular(()))?;
+                factor.solve(b)
+            }
+            PriorMatrix::Sparse { size, entries, positions } => {
+                let keys: Vec<(u32, u32)> = entries.iter().map(|&(row, column, _)| (row, column)).collect();
+                let (structure, slots) =
+                    SpdStructure::new(*size, &keys, Ordering::Dissection(positions)).map_err(|_| singular(()))?;
+                let mut values = vec![0.0; structure.value_count()];
+                for (slot, entry) in slots.iter().zip(entries) {
+                    values[*slot as usize] += entry.2;
+                }
+                let trace: f64 = entries.iter().filter(|e| e.0 == e.1).map(|e| e.2).sum();
+                structure.add_to_diagonal(&mut values, SPARSE_RIDGE * trace / *size as f64);
+                let factor = structure.factor(&values).map_err(|_| singular(()))?;
+                let mut x = b.to_owned();
+                structure.solve_in_place(&factor, x.as_mut());
+                x
+            }
+        })
+    }
+}

@@ -1,0 +1,264 @@
+//! What a flat sheet looks like before it is meshed: its outline, the electrodes on it, and generators for the usual
+//! electrode layouts. Lengths in metres, angles in radians counter-clockwise from +x.
+//!
+//! Positions along the rim run counter-clockwise: on a disc from +x (so that position = angle x radius), on a rectangle
+//! from its bottom-left corner, on a polygon from its first vertex (also where its vertices were listed clockwise).
+
+use std::f64::consts::TAU;
+
+use super::core::MeshError;
+use super::plane::{Point, signed_area, sides};
+
+/// The shape of a sheet.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outline {
+    /// Centred at the origin. Meshed as the polygon over its rim nodes, whose area is short of the circle's by a share
+    /// `(2 pi^2 / 3) / n^2` for `n` rim edges, O(h^2) in the element size like the error of linear elements.
+    Disc {
+        /// Radius.
+        radius_m: f64,
+    },
+    /// Centred at the origin; a square where both sides are equal.
+    Rectangle {
+        /// Along x.
+        width_m: f64,
+        /// Along y.
+        height_m: f64,
+    },
+    /// Any simple polygon, in either orientation, with holes strictly inside it.
+    Polygon {
+        /// Vertices of the rim, the first not repeated.
+        outer: Vec<[f64; 2]>,
+        /// Vertices of each hole.
+        holes: Vec<Vec<[f64; 2]>>,
+    },
+}
+
+/// An electrode of a sheet.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ElectrodeShape {
+    /// A stretch of a disc's rim.
+    RimArc {
+        /// Angle of its middle, radians counter-clockwise from +x.
+        centre_rad: f64,
+        /// Its length along the arc. The meshed length, that of the chords, is shorter by `(w/r)^2 / (24 n^2)` over
+        /// `n` edges.
+        width_m: f64,
+    },
+    /// A stretch of any rim; may run round corners.
+    RimSegment {
+        /// Position of its middle along the rim.
+        centre_m: f64,
+        /// Its length along the rim.
+        width_m: f64,
+    },
+    /// One node on the rim.
+    RimPoint {
+        /// Position along the rim.
+        position_m: f64,
+    },
+    /// A round pad under the sheet, meshed as a regular polygon of the circle's exact area.
+    PadCircle {
+        /// Centre.
+        centre_m: [f64; 2],
+        /// Radius.
+        radius_m: f64,
+    },
+    /// A rectangular pad under the sheet; may lie flush with the rim.
+    PadRectangle {
+        /// Centre.
+        centre_m: [f64; 2],
+        /// Along its own x axis.
+        width_m: f64,
+        /// Along its own y axis.
+        height_m: f64,
+        /// Turn of its axes, radians counter-clockwise.
+        angle_rad: f64,
+    },
+    /// One node inside the sheet.
+    Point {
+        /// Where.
+        position_m: [f64; 2],
+    },
+}
+
+/// Which way electrodes are numbered round the rim, seen from +z.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Direction {
+    /// As the hands of a clock.
+    Clockwise,
+    /// As angles grow.
+    CounterClockwise,
+}
+
+impl Direction {
+    fn sign(self) -> f64 {
+        match self {
+            Direction::Clockwise => -1.0,
+            Direction::CounterClockwise => 1.0,
+        }
+    }
+}
+
+impl Outline {
+    /// Length of the rim (of the true circle, for a disc).
+    pub fn perimeter_m(&self) -> f64 {
+        match self {
+            Outline::Disc { radius_m } => TAU * radius_m,
+            _ => sides(&self.rim_vertices()).map(|[a, b]| super::plane::distance(a, b)).sum(),
+        }
+    }
+
+    /// Area (of the true circle, for a disc; without the holes).
+    pub fn area_m2(&self) -> f64 {
+        match self {
+            Outline::Disc { radius_m } => TAU / 2.0 * radius_m * radius_m,
+            Outline::Rectangle { width_m, height_m } => width_m * height_m,
+            Outline::Polygon { outer, holes } => {
+                signed_area(outer).abs() - holes.iter().map(|hole| signed_area(hole).abs()).sum::<f64>()
+            }
+        }
+    }
+
+    /// Smallest and largest coordinates (of the true circle, for a disc).
+    pub fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
+        match self {
+            Outline::Disc { radius_m } => ([-radius_m, -radius_m], [*radius_m, *radius_m]),
+            _ => super::plane::bounds(&self.rim_vertices()),
+        }
+    }
+
+    /// Corners counter-clockwise, beginning where rim positions begin; empty for a disc.
+    pub(super) fn rim_vertices(&self) -> Vec<Point> {
+        match self {
+            Outline::Disc { .. } => Vec::new(),
+            Outline::Rectangle { width_m, height_m } => {
+                let (x, y) = (width_m / 2.0, height_m / 2.0);
+                vec![[-x, -y], [x, -y], [x, y], [-x, y]]
+            }
+            Outline::Polygon { outer, .. } => {
+                let mut vertices = outer.clone();
+                if signed_area(&vertices) < 0.0 {
+                    vertices[1..].reverse();
+                }
+                vertices
+            }
+        }
+    }
+
+    /// `count` electrodes of equal width (arc length) evenly round the rim of a disc, the first with its middle at
+    /// `start_rad`.
+    pub fn rim_arcs(count: usize, width_m: f64, start_rad: f64, direction: Direction) -> Vec<ElectrodeShape> {
+        let step = direction.sign() * TAU / count.max(1) as f64;
+        (0..count)
+            .map(|k| ElectrodeShape::RimArc { centre_rad: start_rad + step * k as f64, width_m })
+            .collect()
+    }
+
+    /// `count` electrodes of equal width evenly along any rim, the first with its middle at position `start_m`.
+    pub fn rim_segments(
+        &self,
+        count: usize,
+        width_m: f64,
+        start_m: f64,
+        direction: Direction,
+    ) -> Vec<ElectrodeShape> {
+        self.rim_positions(count, start_m, direction)
+            .map(|centre_m| ElectrodeShape::RimSegment { centre_m, width_m })
+            .collect()
+    }
+
+    /// `count` point electrodes evenly along any rim, the first at position `start_m`.
+    pub fn rim_points(&self, count: usize, start_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
+        self.rim_positions(count, start_m, direction)
+            .map(|position_m| ElectrodeShape::RimPoint { position_m })
+            .collect()
+    }
+
+    /// `per_side` electrodes on every side of a rectangle or polygon, each in the middle of an equal share of its side.
+    /// The first is the first of the first side (bottom, from the left, on a rectangle); clockwise keeps that one first
+    /// and walks the other way.
+    pub fn rim_per_side(&self, per_side: usize, width_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
+        let mut centres = Vec::new();
+        let mut begin = 0.0;
+        for [a, b] in sides(&self.rim_vertices()) {
+            let length = super::plane::distance(a, b);
+            centres.extend((0..per_side).map(|k| begin + (k as f64 + 0.5) * length / per_side as f64));
+            begin += length;
+        }
+        if direction == Direction::Clockwise && !centres.is_empty() {
+            centres[1..].reverse();
+        }
+        centres.into_iter().map(|centre_m| ElectrodeShape::RimSegment { centre_m, width_m }).collect()
+    }
+
+    fn rim_positions(&self, count: usize, start_m: f64, direction: Direction) -> impl Iterator<Item = f64> {
+        let perimeter = self.perimeter_m();
+        let step = direction.sign() * perimeter / count.max(1) as f64;
+        (0..count).map(move |k| (start_m + step * k as f64).rem_euclid(perimeter))
+    }
+}
+
+impl ElectrodeShape {
+    /// Pads like `self` at the places of a `columns` x `rows` grid of the given pitch centred at the origin, row by row
+    /// from the top left. Nothing for shapes that live on the rim.
+    pub fn grid(&self, columns: usize, rows: usize, pitch_m: [f64; 2]) -> Vec<ElectrodeShape> {
+        let place = |column: usize, row: usize| {
+            let x = (column as f64 - (columns as f64 - 1.0) / 2.0) * pitch_m[0];
+            let y = ((rows as f64 - 1.0) / 2.0 - row as f64) * pitch_m[1];
+            self.moved_to([x, y])
+        };
+        let places = (0..rows).flat_map(|row| (0..columns).map(move |column| (column, row)));
+        places.map_while(|(column, row)| place(column, row)).collect()
+    }
+
+    /// The outer ring of [`ElectrodeShape::grid`]: `2 (columns + rows) - 4` pads along the edge of a rectangle, from the
+    /// bottom-left corner in the given direction.
+    pub fn ring(&self, columns: usize, rows: usize, pitch_m: [f64; 2], direction: Direction) -> Vec<ElectrodeShape> {
+        if columns < 2 || rows < 2 {
+            return self.grid(columns, rows, pitch_m);
+        }
+        let (right, top) = (columns - 1, rows - 1);
+        let mut places: Vec<[usize; 2]> = (0..right).map(|x| [x, 0]).collect();
+        places.extend((0..top).map(|y| [right, y]));
+        places.extend((1..=right).rev().map(|x| [x, top]));
+        places.extend((1..=top).rev().map(|y| [0, y]));
+        if direction == Direction::Clockwise {
+            places[1..].reverse();
+        }
+        let at = |place: [usize; 2]| {
+            let x = (place[0] as f64 - right as f64 / 2.0) * pitch_m[0];
+            self.moved_to([x, (place[1] as f64 - top as f64 / 2.0) * pitch_m[1]])
+        };
+        places.into_iter().map_while(at).collect()
+    }
+
+    fn moved_to(&self, place: Point) -> Option<ElectrodeShape> {
+        let mut moved = self.clone();
+        match &mut moved {
+            ElectrodeShape::PadCircle { centre_m, .. } | ElectrodeShape::PadRectangle { centre_m, .. } => {
+                *centre_m = place;
+            }
+            ElectrodeShape::Point { position_m } => *position_m = place,
+            _ => return None,
+        }
+        Some(moved)
+    }
+}
+
+/// Refuses a length that is not a number between a nanometre and 1,000 km: beyond it neither the physics nor the
+/// arithmetic of refinement holds.
+pub(super) fn check_length(field: &'static str, value: f64) -> Result<(), MeshError> {
+    if (1e-9..=1e6).contains(&value) {
+        return Ok(());
+    }
+    Err(MeshError::Shape { field, value: value.to_string(), expected: "a length in metres, 1e-9 to 1e6".into() })
+}
+
+/// Refuses a coordinate or angle that is not finite or is absurdly large.
+pub(super) fn check_coordinate(field: &'static str, value: f64) -> Result<(), MeshError> {
+    if value.abs() <= 1e6 {
+        return Ok(());
+    }
+    Err(MeshError::Shape { field, value: value.to_string(), expected: "a finite number below 1e6".into() })
+}

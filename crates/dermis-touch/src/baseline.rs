@@ -1,0 +1,427 @@
+//! The baseline that difference data are taken against: compensated = raw - baseline, channel by channel.
+//!
+//! It is set at the start from the median of the first frames, later by an explicit tare or by the caller, and may follow
+//! slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches the skin: under
+//! contact it stands still, so that a held touch keeps its value however long it is held.
+
+use crate::error::{TouchError, require, require_length};
+use serde::{Deserialize, Serialize};
+
+/// Whether drift is followed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DriftCompensation {
+    /// The baseline changes only by tare.
+    Off,
+    /// The baseline follows the raw values while the skin is free.
+    Exponential {
+        /// Time constant tau, seconds, above 0: a step in the raw values has faded to 1/e after it. A touch too weak to be
+        /// reported as load fades with it too.
+        time_constant_s: f64,
+        /// The baseline stays frozen for so long after a load has gone, seconds, at least 0: the material relaxes.
+        settle_s: f64,
+    },
+}
+
+/// Rules of a [`Baseline`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BaselineParams {
+    /// Frames of the start-up baseline. At least 1; from 8 on it shrugs off outliers and a short touch.
+    pub startup_frames: usize,
+    /// Drift compensation.
+    pub drift: DriftCompensation,
+}
+
+impl Default for BaselineParams {
+    /// 32 frames; drift followed with 60 s, 2 s after release.
+    fn default() -> Self {
+        Self { startup_frames: 32, drift: DriftCompensation::Exponential { time_constant_s: 60.0, settle_s: 2.0 } }
+    }
+}
+
+/// Whether the skin is touched in a frame, as judged by the caller (from contacts of its image, say).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Load {
+    /// Nothing touches it.
+    Free,
+    /// Something does.
+    Touched,
+}
+
+/// What a tare does about load.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TareGuard {
+    /// Refused while touched, and called off when a touch begins during it.
+    RefuseUnderLoad,
+    /// Carried out whatever the load; recorded as forced.
+    Force,
+}
+
+/// How far the baseline is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BaselineState {
+    /// Gathering start-up frames; nothing is compensated yet.
+    Starting {
+        /// Frames gathered.
+        have: usize,
+        /// Frames needed.
+        want: usize,
+    },
+    /// In use.
+    Ready,
+    /// In use, while a tare gathers frames for the next one.
+    Taring {
+        /// Frames gathered.
+        have: usize,
+        /// Frames needed.
+        want: usize,
+    },
+}
+
+/// What [`Baseline::learn`] changed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BaselineChange {
+    /// Nothing, or only drift.
+    None,
+    /// The start-up baseline is there.
+    Started,
+    /// A tare is done.
+    Tared,
+    /// A tare was called off because a touch began.
+    TareCancelled,
+}
+
+/// Where a baseline came from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferenceOrigin {
+    /// The first frames.
+    Startup,
+    /// A tare.
+    Tare,
+    /// A tare that was forced.
+    ForcedTare,
+    /// Values given by the caller.
+    Given,
+}
+
+/// When and why the baseline was set.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReferenceRecord {
+    /// Time of the frame that completed it, nanoseconds.
+    pub time_ns: u64,
+    /// Frames that it is the mean of; 0 when given.
+    pub frames: usize,
+    /// Where it came from.
+    pub origin: ReferenceOrigin,
+    /// The caller's reason; empty at start-up.
+    pub reason: String,
+}
+
+/// A tare under way.
+#[derive(Debug, Clone)]
+struct Tare {
+    want: usize,
+    have: usize,
+    guard: TareGuard,
+    reason: String,
+}
+
+/// Raw values, baseline and compensated values of one stream of frames.
+///
+/// Each frame goes through [`Baseline::observe`], which compensates it by the baseline as it stood, and, once the caller
+/// has judged the load, through [`Baseline::learn`]. A NaN value belongs to its channel alone: it is compensated to NaN and
+/// moves no baseline. A channel without any value during start-up or tare has the baseline NaN until the next tare.
+#[derive(Debug, Clone)]
+pub struct Baseline {
+    params: BaselineParams,
+    raw: Vec<f64>,
+    baseline: Vec<f64>,
+    compensated: Vec<f64>,
+    noise_std: Vec<f64>,
+    /// Start-up frames, frame by frame.
+    startup: Vec<f64>,
+    started: bool,
+    sorted: Vec<f64>,
+    tare: Option<Tare>,
+    tare_sum: Vec<f64>,
+    tare_count: Vec<u32>,
+    records: Vec<ReferenceRecord>,
+    time_ns: Option<u64>,
+    learned_time_ns: Option<u64>,
+    load: Load,
+    frozen_until_ns: u64,
+}
+
+impl Baseline {
+    /// A baseline for frames of `channels` values, to be learnt from the first frames.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] when a parameter is out of range.
+    pub fn new(channels: usize, params: BaselineParams) -> Result<Self, TouchError> {
+        require(params.startup_frames > 0, "startup_frames", params.startup_frames as f64, "at least 1")?;
+        check_drift(params.drift)?;
+        Ok(Self {
+            params,
+            raw: vec![f64::NAN; channels],
+            baseline: vec![f64::NAN; channels],
+            compensated: vec![f64::NAN; channels],
+            noise_std: vec![f64::NAN; channels],
+            startup: Vec::with_capacity(channels * params.startup_frames),
+            started: false,
+            sorted: Vec::with_capacity(params.startup_frames),
+            tare: None,
+            tare_sum: vec![0.0; channels],
+            tare_count: vec![0; channels],
+            records: Vec::new(),
+            time_ns: None,
+            learned_time_ns: None,
+            load: Load::Free,
+            frozen_until_ns: 0,
+        })
+    }
+
+    /// Number of channels.
+    #[must_use]
+    pub fn channels(&self) -> usize {
+        self.raw.len()
+    }
+
+    /// The last frame as it came. NaN before the first.
+    #[must_use]
+    pub fn raw(&self) -> &[f64] {
+        &self.raw
+    }
+
+    /// The baseline. NaN before it is there.
+    #[must_use]
+    pub fn baseline(&self) -> &[f64] {
+        &self.baseline
+    }
+
+    /// Raw less baseline for the last frame, with the baseline as it stood when the frame came. NaN before it was there.
+    #[must_use]
+    pub fn compensated(&self) -> &[f64] {
+        &self.compensated
+    }
+
+    /// Standard deviation of each channel during start-up, from the median absolute deviation (times 1.4826, which makes
+    /// it that of a Gaussian). NaN before start-up is over and for channels without values; 0 for constant channels.
+    #[must_use]
+    pub fn noise_std(&self) -> &[f64] {
+        &self.noise_std
+    }
+
+    /// Every baseline set so far, oldest first.
+    #[must_use]
+    pub fn records(&self) -> &[ReferenceRecord] {
+        &self.records
+    }
+
+    /// How far the baseline is.
+    #[must_use]
+    pub fn state(&self) -> BaselineState {
+        match &self.tare {
+            _ if !self.started => {
+                let have = self.startup.len().checked_div(self.channels()).unwrap_or(0);
+                BaselineState::Starting { have, want: self.params.startup_frames }
+            }
+            Some(tare) => BaselineState::Taring { have: tare.have, want: tare.want },
+            None => BaselineState::Ready,
+        }
+    }
+
+    /// The drift compensation in force.
+    #[must_use]
+    pub fn drift(&self) -> DriftCompensation {
+        self.params.drift
+    }
+
+    /// Switches drift compensation on, off or to another time constant. The baseline itself stays.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] when a time is out of range.
+    pub fn set_drift(&mut self, drift: DriftCompensation) -> Result<(), TouchError> {
+        check_drift(drift)?;
+        self.params.drift = drift;
+        Ok(())
+    }
+
+    /// Takes in one frame and compensates it. `time_ns` must not run backwards.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; nothing has then changed.
+    pub fn observe(&mut self, time_ns: u64, raw: &[f64]) -> Result<BaselineState, TouchError> {
+        require_length("frame", self.channels(), raw.len())?;
+        if let Some(previous_ns) = self.time_ns.filter(|previous| time_ns < *previous) {
+            return Err(TouchError::TimeReversed { time_ns, previous_ns });
+        }
+        self.time_ns = Some(time_ns);
+        for (to, &from) in self.raw.iter_mut().zip(raw) {
+            *to = if from.is_finite() { from } else { f64::NAN };
+        }
+        for ((to, raw), baseline) in self.compensated.iter_mut().zip(&self.raw).zip(&self.baseline) {
+            *to = raw - baseline;
+        }
+        Ok(self.state())
+    }
+
+    /// Learns from the frame observed last, given whether the skin is touched in it: start-up, tare or drift.
+    ///
+    /// Before start-up is over the load is ignored, since there is no image to judge it from. Call it once a frame.
+    pub fn learn(&mut self, load: Load) -> BaselineChange {
+        let Some(time_ns) = self.time_ns else { return BaselineChange::None };
+        let elapsed_s = self.learned_time_ns.map_or(0.0, |before| time_ns.saturating_sub(before) as f64 * 1e-9);
+        self.learned_time_ns = Some(time_ns);
+        if !self.started {
+            return self.learn_startup(time_ns);
+        }
+        self.load = load;
+        let change = self.learn_tare(time_ns, load);
+        if change != BaselineChange::Tared {
+            self.follow_drift(time_ns, elapsed_s, load);
+        }
+        change
+    }
+
+    /// Begins a tare: the mean of the next `frames` frames becomes the baseline. One already under way is replaced.
+    ///
+    /// # Errors
+    /// [`TouchError::TareUnderLoad`] while touched, unless forced; [`TouchError::Parameter`] for 0 frames.
+    pub fn tare(&mut self, frames: usize, guard: TareGuard, reason: &str) -> Result<(), TouchError> {
+        require(frames > 0, "tare frames", frames as f64, "at least 1")?;
+        if self.load == Load::Touched && guard == TareGuard::RefuseUnderLoad {
+            return Err(TouchError::TareUnderLoad);
+        }
+        self.tare_sum.fill(0.0);
+        self.tare_count.fill(0);
+        self.tare = Some(Tare { want: frames, have: 0, guard, reason: reason.to_owned() });
+        Ok(())
+    }
+
+    /// Sets the baseline to given values (a recorded reference frame, say), and ends start-up. NaN leaves a channel out.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn set_baseline(&mut self, time_ns: u64, values: &[f64], reason: &str) -> Result<(), TouchError> {
+        require_length("baseline", self.channels(), values.len())?;
+        self.baseline.copy_from_slice(values);
+        self.started = true;
+        self.tare = None;
+        self.record(time_ns, 0, ReferenceOrigin::Given, reason.to_owned());
+        Ok(())
+    }
+
+    fn record(&mut self, time_ns: u64, frames: usize, origin: ReferenceOrigin, reason: String) {
+        self.records.push(ReferenceRecord { time_ns, frames, origin, reason });
+    }
+
+    fn learn_startup(&mut self, time_ns: u64) -> BaselineChange {
+        // A tare asked for before start-up is over is start-up.
+        self.tare = None;
+        self.startup.extend_from_slice(&self.raw);
+        if self.startup.len() < self.params.startup_frames * self.channels() {
+            return BaselineChange::None;
+        }
+        for channel in 0..self.channels() {
+            let values = self.startup.iter().skip(channel).step_by(self.raw.len().max(1)).copied();
+            (self.baseline[channel], self.noise_std[channel]) = robust_mean_and_std(values, &mut self.sorted);
+        }
+        self.startup.clear();
+        self.started = true;
+        self.record(time_ns, self.params.startup_frames, ReferenceOrigin::Startup, String::new());
+        BaselineChange::Started
+    }
+
+    fn learn_tare(&mut self, time_ns: u64, load: Load) -> BaselineChange {
+        let Some(tare) = self.tare.as_mut() else { return BaselineChange::None };
+        if load == Load::Touched && tare.guard == TareGuard::RefuseUnderLoad {
+            self.tare = None;
+            return BaselineChange::TareCancelled;
+        }
+        for ((sum, count), raw) in self.tare_sum.iter_mut().zip(&mut self.tare_count).zip(&self.raw) {
+            if raw.is_finite() {
+                *sum += raw;
+                *count += 1;
+            }
+        }
+        tare.have += 1;
+        if tare.have < tare.want {
+            return BaselineChange::None;
+        }
+        for ((to, sum), &count) in self.baseline.iter_mut().zip(&self.tare_sum).zip(&self.tare_count) {
+            *to = if count > 0 { sum / f64::from(count) } else { f64::NAN };
+        }
+        if let Some(Tare { have, guard, reason, .. }) = self.tare.take() {
+            let forced = guard == TareGuard::Force;
+            let origin = if forced { ReferenceOrigin::ForcedTare } else { ReferenceOrigin::Tare };
+            self.record(time_ns, have, origin, reason);
+        }
+        BaselineChange::Tared
+    }
+
+    fn follow_drift(&mut self, time_ns: u64, elapsed_s: f64, load: Load) {
+        let DriftCompensation::Exponential { time_constant_s, settle_s } = self.params.drift else { return };
+        if load == Load::Touched {
+            // Casting saturates.
+            self.frozen_until_ns = time_ns.saturating_add((settle_s * 1e9) as u64);
+            return;
+        }
+        if time_ns < self.frozen_until_ns {
+            return;
+        }
+        let gain = -(-elapsed_s / time_constant_s).exp_m1();
+        for (baseline, raw) in self.baseline.iter_mut().zip(&self.raw) {
+            if raw.is_finite() {
+                *baseline += gain * (raw - *baseline);
+            }
+        }
+    }
+}
+
+fn check_drift(drift: DriftCompensation) -> Result<(), TouchError> {
+    let DriftCompensation::Exponential { time_constant_s, settle_s } = drift else { return Ok(()) };
+    let tau = time_constant_s;
+    require(tau.is_finite() && tau > 0.0, "time_constant_s", tau, "finite and above 0")?;
+    require(settle_s.is_finite() && settle_s >= 0.0, "settle_s", settle_s, "finite and at least 0")
+}
+
+/// Gaussian standard deviation over median absolute deviation, 1 / Phi^-1(3/4).
+const MAD_TO_STD: f64 = 1.482_602_218_505_602;
+/// Gaussian standard deviation over mean absolute deviation, sqrt(pi/2).
+const MEAN_DEVIATION_TO_STD: f64 = 1.253_314_137_315_500_3;
+
+/// Mean of the values within three robust standard deviations of the median, and that standard deviation.
+///
+/// Where more than half of the values are equal (coarse quantisation) the deviation is taken from the mean absolute
+/// deviation instead (Iglewicz and Hoaglin, *How to Detect and Handle Outliers*, 1993). NaN without values.
+fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mut Vec<f64>) -> (f64, f64) {
+    sorted.clear();
+    sorted.extend(values.filter(|value| value.is_finite()));
+    if sorted.is_empty() {
+        return (f64::NAN, f64::NAN);
+    }
+    let centre = median(sorted);
+    // From here on the buffer holds deviations, by size.
+    for value in sorted.iter_mut() {
+        *value -= centre;
+    }
+    sorted.sort_unstable_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let middle = sorted.len() / 2;
+    let below = if sorted.len() % 2 == 1 { middle } else { middle - 1 };
+    let median_deviation = 0.5 * (sorted[below].abs() + sorted[middle].abs());
+    let mean_deviation = sorted.iter().map(|deviation| deviation.abs()).sum::<f64>() / sorted.len() as f64;
+    let robust = MAD_TO_STD * median_deviation;
+    let std = if robust > 0.0 { robust } else { MEAN_DEVIATION_TO_STD * mean_deviation };
+    let kept = sorted.iter().filter(|deviation| deviation.abs() <= 3.0 * std);
+    let (sum, count) = kept.fold((0.0, 0.0), |(sum, count), deviation| (sum + deviation, count + 1.0));
+    (centre + if count > 0.0 { sum / count } else { 0.0 }, std)
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let middle = values.len() / 2;
+    if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
+}

@@ -1,0 +1,181 @@
+//! The variance of a weighted position under noise that is correlated from pixel to pixel.
+//!
+//! With noise of standard deviation sigma_i and correlation rho_ij = exp(-d_ij^2 / (2 l^2)), a sum q = sum_i g_i n_i
+//! with vectors g_i has the covariance sum_ij g_i g_j' sigma_i sigma_j rho_ij. The Gaussian rho is separable, so the
+//! double sum is a convolution along rows, one along columns, and a dot product. Pixels are first gathered into blocks
+//! of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks.
+
+/// The pixels from `first` to `last`, both included, as (column, row).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PixelBox {
+    pub first: (usize, usize),
+    pub last: (usize, usize),
+}
+
+impl PixelBox {
+    pub(crate) fn around(column: usize, row: usize) -> Self {
+        Self { first: (column, row), last: (column, row) }
+    }
+
+    pub(crate) fn include(&mut self, column: usize, row: usize) {
+        self.first = (self.first.0.min(column), self.first.1.min(row));
+        self.last = (self.last.0.max(column), self.last.1.max(row));
+    }
+}
+
+/// Below this correlation length in pixels the noise counts as white: rho at one pixel is under 0.004.
+const WHITE_BELOW_PIXELS: f64 = 0.3;
+/// The kernel ends where rho falls below exp(-4.5) = 0.011.
+const KERNEL_REACH: f64 = 3.0;
+/// Largest block, in correlation lengths.
+const BLOCK: f64 = 0.5;
+
+/// Scratch for the double sum over one region.
+#[derive(Debug, Clone)]
+pub(crate) struct CorrelatedSum {
+    block: usize,
+    /// rho at 0, 1, 2 ... blocks.
+    kernel: Vec<f64>,
+    columns: usize,
+    rows: usize,
+    origin: (usize, usize),
+    field: [Vec<f64>; 2],
+    along_rows: Vec<f64>,
+    along_both: Vec<f64>,
+}
+
+impl CorrelatedSum {
+    /// For images of `columns` x `rows` pixels and a correlation length in pixels.
+    pub(crate) fn new(columns: usize, rows: usize, correlation_pixels: f64) -> Self {
+        let white = correlation_pixels < WHITE_BELOW_PIXELS;
+        let largest = columns.max(rows);
+        let block = if white { 1 } else { ((BLOCK * correlation_pixels) as usize).clamp(1, largest) };
+        let reach = if white { 0.0 } else { KERNEL_REACH * correlation_pixels / block as f64 };
+        let taps = (reach as usize).min(largest) + 1;
+        let rho = |blocks: usize| match blocks {
+            0 => 1.0,
+            _ => (-0.5 * (blocks as f64 * block as f64 / correlation_pixels).powi(2)).exp(),
+        };
+        let size = (columns / block + 1) * (rows / block + 1);
+        Self {
+            block,
+            kernel: (0..taps).map(rho).collect(),
+            columns: 0,
+            rows: 0,
+            origin: (0, 0),
+            field: [vec![0.0; size], vec![0.0; size]],
+            along_rows: vec![0.0; size],
+            along_both: vec![0.0; size],
+        }
+    }
+
+    /// Empties the sum and sets the region that pixels will be added in.
+    pub(crate) fn start(&mut self, region: PixelBox) {
+        self.origin = region.first;
+        self.columns = (region.last.0 - region.first.0) / self.block + 1;
+        self.rows = (region.last.1 - region.first.1) / self.block + 1;
+        let size = self.columns * self.rows;
+        for field in &mut self.field {
+            field[..size].fill(0.0);
+        }
+    }
+
+    /// Adds one pixel's vector g_i sigma_i.
+    pub(crate) fn add(&mut self, column: usize, row: usize, vector: [f64; 2]) {
+        let index = (row - self.origin.1) / self.block * self.columns + (column - self.origin.0) / self.block;
+        self.field[0][index] += vector[0];
+        self.field[1][index] += vector[1];
+    }
+
+    /// The double sum as (xx, xy, yy).
+    pub(crate) fn covariance(&mut self) -> (f64, f64, f64) {
+        self.convolve(0);
+        let (xx, xy) = (self.dot(0), self.dot(1));
+        self.convolve(1);
+        let yy = self.dot(1);
+        // Cutting the kernel can leave a tiny negative eigenvalue.
+        let (xx, yy) = (xx.max(0.0), yy.max(0.0));
+        let bound = (xx * yy).sqrt();
+        (xx, xy.clamp(-bound, bound), yy)
+    }
+
+    fn dot(&self, component: usize) -> f64 {
+        let size = self.columns * self.rows;
+        self.field[component][..size].iter().zip(&self.along_both[..size]).map(|(a, b)| a * b).sum()
+    }
+
+    fn convolve(&mut self, component: usize) {
+        let (columns, rows) = (self.columns, self.rows);
+        let size = columns * rows;
+        for row in 0..rows {
+            let from = &self.field[component][row * columns..(row + 1) * columns];
+            let to = &mut self.along_rows[row * columns..(row + 1) * columns];
+            to.copy_from_slice(from);
+            for (shift, &rho) in self.kernel.iter().enumerate().skip(1).take(columns.saturating_sub(1)) {
+                add_scaled(&mut to[shift..], &from[..columns - shift], rho);
+                add_scaled(&mut to[..columns - shift], &from[shift..], rho);
+            }
+        }
+        self.along_both[..size].copy_from_slice(&self.along_rows[..size]);
+        for (shift, &rho) in self.kernel.iter().enumerate().skip(1).take(rows.saturating_sub(1)) {
+            let offset = shift * columns;
+            add_scaled(&mut self.along_both[offset..size], &self.along_rows[..size - offset], rho);
+            add_scaled(&mut self.along_both[..size - offset], &self.along_rows[offset..size], rho);
+        }
+    }
+}
+
+fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += factor * from;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn direct(points: &[(usize, usize, [f64; 2])], length: f64) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for a in points {
+            for b in points {
+                let d2 = (a.0 as f64 - b.0 as f64).powi(2) + (a.1 as f64 - b.1 as f64).powi(2);
+                let rho = if d2 == 0.0 { 1.0 } else { (-d2 / (2.0 * length * length)).exp() };
+                sum[0] += a.2[0] * b.2[0] * rho;
+                sum[1] += a.2[0] * b.2[1] * rho;
+                sum[2] += a.2[1] * b.2[1] * rho;
+            }
+        }
+        sum
+    }
+
+    fn both(length: f64) -> ([f64; 3], [f64; 3]) {
+        let mut points = Vec::new();
+        let mut region = PixelBox::around(3, 4);
+        for row in 4..15 {
+            for column in 3..17 {
+                let slope = if column > 9 { 1.4 } else { 1.0 };
+                points.push((column, row, [(column as f64 - 9.7) * slope, row as f64 - 8.2 + 0.3 * column as f64]));
+                region.include(column, row);
+            }
+        }
+        let mut sum = CorrelatedSum::new(20, 20, length);
+        sum.start(region);
+        for &(column, row, vector) in &points {
+            sum.add(column, row, vector);
+        }
+        let (xx, xy, yy) = sum.covariance();
+        ([xx, xy, yy], direct(&points, length))
+    }
+
+    #[test]
+    fn agrees_with_the_double_sum() {
+        // White noise is exact; the kernel's cut at 1.1 % costs up to 3 %, blocks of 2 pixels up to 10 %.
+        for (length, tolerance) in [(0.0, 1e-12), (0.8, 0.03), (2.0, 0.03), (4.0, 0.1)] {
+            let (fast, slow) = both(length);
+            for (fast, slow) in fast.iter().zip(slow) {
+                assert!((fast - slow).abs() <= tolerance * slow.abs(), "length {length}: {fast} against {slow}");
+            }
+        }
+    }
+}

@@ -1,0 +1,632 @@
+//! From the contacts of successive images to touches with identities that stay.
+//!
+//! Every touch is followed by a Kalman filter with nearly constant velocity; contacts are given to touches by the
+//! assignment of least total Mahalanobis distance, within a gate. Touches whose contacts melt into one are kept as merged
+//! and take their identities up again when the contact parts. Identities count up from 1 and are never used twice.
+
+use crate::assignment::{Assignment, FORBIDDEN};
+use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settle_riders};
+use crate::contact::{Contact, ContactSign, ContactStrength};
+use crate::error::{TouchError, require};
+use crate::kalman::{Vec2, add, norm, scale, sub};
+use serde::{Deserialize, Serialize};
+
+/// Which position of a contact is followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum PositionSource {
+    /// [`Contact::centroid_m`].
+    #[default]
+    Centroid,
+    /// [`Contact::peak_m`].
+    Peak,
+}
+
+impl PositionSource {
+    /// The position of `contact` that this names, metres.
+    #[must_use]
+    pub fn of(self, contact: &Contact) -> [f64; 2] {
+        match self {
+            Self::Centroid => contact.centroid_m,
+            Self::Peak => contact.peak_m,
+        }
+    }
+}
+
+/// Rules of a [`Tracker`]. Frames are those given to [`Tracker::update`]; speeds and times are in seconds of its times.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackerParams {
+    /// A touch begins with its so-many-th strong contact in a row. At least 1.
+    pub min_age_frames: u32,
+    /// A touch ends when it was not seen for more than so many frames. 0 ends it with the first frame without it.
+    pub max_missed_frames: u32,
+    /// Touches stay merged for at most so many frames; then only the one that began first goes on.
+    pub max_merged_frames: u32,
+    /// Gate on the Mahalanobis distance of a contact from a touch's prediction. Above 0.
+    pub gate_sigma: f64,
+    /// Gate on their distance in metres. Above 0.
+    pub gate_max_m: f64,
+    /// A vanished touch is merged when a seen contact lies within so many of that contact's radii. At least 0; 0 never merges.
+    pub merge_radii: f64,
+    /// Standard deviation added to every measured position, metres: the error that noise does not explain. Above 0.
+    pub position_floor_m: f64,
+    /// Spectral density of a touch's acceleration, m^2/s^3: (change of speed)^2 over the time that it takes. At least 0.
+    pub acceleration_density_m2_per_s3: f64,
+    /// Standard deviation of a new touch's speed, m/s. At least 0.
+    pub initial_speed_m_per_s: f64,
+    /// For so long after merging, touches are expected to have gone on at their velocity; later, to come out where they
+    /// went in. Seconds, at least 0.
+    pub velocity_memory_s: f64,
+    /// Time constant of a first-order filter on the amplitude, seconds; none leaves it unfiltered. Above 0.
+    pub amplitude_time_constant_s: Option<f64>,
+    /// Which position is followed.
+    pub position: PositionSource,
+}
+
+impl Default for TrackerParams {
+    /// For a skin of the size of a hand at 10 to 1,000 frames a second.
+    fn default() -> Self {
+        Self {
+            min_age_frames: 2,
+            max_missed_frames: 3,
+            max_merged_frames: 50,
+            gate_sigma: 4.0,
+            gate_max_m: 0.04,
+            merge_radii: 1.5,
+            position_floor_m: 0.002,
+            acceleration_density_m2_per_s3: 0.1,
+            initial_speed_m_per_s: 0.3,
+            velocity_memory_s: 1.5,
+            amplitude_time_constant_s: None,
+            position: PositionSource::Centroid,
+        }
+    }
+}
+
+impl TrackerParams {
+    /// Checks every field against its range.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] naming the field.
+    pub fn validate(&self) -> Result<(), TouchError> {
+        let above = |name, x: f64| require(x.is_finite() && x > 0.0, name, x, "finite and above 0");
+        let at_least = |name, x: f64| require(x.is_finite() && x >= 0.0, name, x, "finite and at least 0");
+        require(self.min_age_frames > 0, "min_age_frames", f64::from(self.min_age_frames), "at least 1")?;
+        above("gate_sigma", self.gate_sigma)?;
+        above("gate_max_m", self.gate_max_m)?;
+        at_least("merge_radii", self.merge_radii)?;
+        above("position_floor_m", self.position_floor_m)?;
+        at_least("acceleration_density_m2_per_s3", self.acceleration_density_m2_per_s3)?;
+        at_least("initial_speed_m_per_s", self.initial_speed_m_per_s)?;
+        at_least("velocity_memory_s", self.velocity_memory_s)?;
+        self.amplitude_time_constant_s.map_or(Ok(()), |tau| above("amplitude_time_constant_s", tau))
+    }
+}
+
+/// Where a touch is in its life.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TouchPhase {
+    /// Its first frame.
+    Begin,
+    /// Any frame between.
+    Move,
+    /// Its last frame, in which it is no longer on the skin.
+    End,
+}
+
+/// What a touch's values in this frame rest on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Observation {
+    /// A contact of its own.
+    Measured,
+    /// A contact shared with other touches: position, amplitude and area are the contact's, not the touch's share of it.
+    Merged,
+    /// Nothing: position, amplitude and area are those last seen.
+    Missed,
+}
+
+/// One touch in one frame. Positions are in the skin's frame, metres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Touch {
+    /// Identity, from 1 up, in the order of beginning.
+    pub id: u64,
+    /// Begin, move or end.
+    pub phase: TouchPhase,
+    /// What the values rest on.
+    pub observation: Observation,
+    /// Above or below the background.
+    pub sign: ContactSign,
+    /// Position as measured in the contact.
+    pub position_m: [f64; 2],
+    /// Covariance of `position_m` from the image's noise (the contact's), m^2. Zero without noise.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Position after the Kalman filter; predicted where nothing was seen.
+    pub filtered_position_m: [f64; 2],
+    /// Velocity after the Kalman filter, m/s. Zero in the frame of the first contact.
+    pub velocity_m_per_s: [f64; 2],
+    /// The contact's amplitude (not negative), filtered if so configured; image units.
+    pub amplitude: f64,
+    /// The contact's area, m^2.
+    pub area_m2: f64,
+    /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
+    pub age_frames: u32,
+    /// Time of its first contact, nanoseconds.
+    pub begin_time_ns: u64,
+    /// Time of this frame, nanoseconds.
+    pub time_ns: u64,
+}
+
+/// What happened to a touch in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TouchEvent {
+    /// It is there for the first time.
+    Begin(Touch),
+    /// It is still there, whether it moved or not.
+    Move(Touch),
+    /// It has gone; its position is the last one seen.
+    End(Touch),
+}
+
+impl TouchEvent {
+    /// The touch that the event is about.
+    #[must_use]
+    pub fn touch(&self) -> &Touch {
+        match self {
+            Self::Begin(touch) | Self::Move(touch) | Self::End(touch) => touch,
+        }
+    }
+}
+
+/// Follows contacts over frames.
+#[derive(Debug, Clone)]
+pub struct Tracker {
+    params: TrackerParams,
+    riders: Vec<Rider>,
+    blobs: Vec<Blob>,
+    touches: Vec<Touch>,
+    last_time_ns: Option<u64>,
+    next_id: u64,
+    next_key: u64,
+    assignment: Assignment,
+    /// Contacts that no blob has yet.
+    free: Vec<usize>,
+    taken: Vec<bool>,
+    rows: Vec<usize>,
+    members: Vec<usize>,
+    candidates: Vec<Contact>,
+    columns: Vec<usize>,
+}
+
+impl Tracker {
+    /// A tracker without touches.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] when a parameter is out of range.
+    pub fn new(params: TrackerParams) -> Result<Self, TouchError> {
+        params.validate()?;
+        Ok(Self {
+            params,
+            riders: Vec::new(),
+            blobs: Vec::new(),
+            touches: Vec::new(),
+            last_time_ns: None,
+            next_id: 1,
+            next_key: 0,
+            assignment: Assignment::default(),
+            free: Vec::new(),
+            taken: Vec::new(),
+            rows: Vec::new(),
+            members: Vec::new(),
+            candidates: Vec::new(),
+            columns: Vec::new(),
+        })
+    }
+
+    /// The rules.
+    #[must_use]
+    pub fn params(&self) -> &TrackerParams {
+        &self.params
+    }
+
+    /// The touches on the skin after the last frame, by id.
+    #[must_use]
+    pub fn touches(&self) -> &[Touch] {
+        &self.touches
+    }
+
+    /// True when anything is followed, tentative contacts included: the time to freeze a baseline.
+    #[must_use]
+    pub fn is_following(&self) -> bool {
+        !self.blobs.is_empty()
+    }
+
+    /// Takes in one frame's contacts and replaces `events` by one event for every touch, by id.
+    ///
+    /// `time_ns` is on any axis that does not run backwards; a caller without times gives frame number times frame
+    /// period. Memory is allocated only when more contacts come than ever before.
+    ///
+    /// # Errors
+    /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose followed position, covariance or area
+    /// is not finite. The tracker is then unchanged and `events` empty.
+    pub fn update(
+        &mut self,
+        time_ns: u64,
+        contacts: &[Contact],
+        events: &mut Vec<TouchEvent>,
+    ) -> Result<(), TouchError> {
+        events.clear();
+        let dt = self.elapsed(time_ns)?;
+        self.check(contacts)?;
+        self.last_time_ns = Some(time_ns);
+        for blob in &mut self.blobs {
+            blob.predict(dt, &self.params);
+        }
+        self.free.clear();
+        self.free.extend(0..contacts.len());
+        self.match_stage(contacts, true);
+        self.part_merged(contacts, time_ns);
+        self.match_stage(contacts, false);
+        self.merge_vanished(time_ns);
+        self.begin_tentative(contacts, time_ns);
+        self.drop_unseen_tentative();
+        self.confirm(time_ns);
+        self.publish(time_ns, events);
+        Ok(())
+    }
+
+    /// Ends every touch now, as when a source stops, and replaces `events` by those endings. Identities go on counting.
+    pub fn end_all(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
+        events.clear();
+        for rider in &mut self.riders {
+            rider.touch.phase = TouchPhase::End;
+            rider.touch.observation = Observation::Missed;
+            rider.touch.time_ns = time_ns;
+            events.push(TouchEvent::End(rider.touch));
+        }
+        self.riders.clear();
+        self.blobs.clear();
+        self.touches.clear();
+        self.last_time_ns = None;
+    }
+
+    fn elapsed(&self, time_ns: u64) -> Result<f64, TouchError> {
+        match self.last_time_ns {
+            Some(previous_ns) if time_ns < previous_ns => Err(TouchError::TimeReversed { time_ns, previous_ns }),
+            Some(previous_ns) => Ok(seconds_between(previous_ns, time_ns)),
+            None => Ok(0.0),
+        }
+    }
+
+    fn check(&self, contacts: &[Contact]) -> Result<(), TouchError> {
+        for (index, contact) in contacts.iter().enumerate() {
+            let [[xx, xy], [yx, yy]] = contact.covariance_m2;
+            let [x, y] = self.params.position.of(contact);
+            for value in [x, y, xx, xy, yx, yy, contact.area_m2, contact.amplitude] {
+                if !value.is_finite() {
+                    return Err(TouchError::NonFinite { what: "contact", index, value });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Gives free contacts to the confirmed blobs, or to the tentative ones.
+    fn match_stage(&mut self, contacts: &[Contact], confirmed: bool) {
+        self.rows.clear();
+        let stage = |blob: &Blob| (blob.stage == Stage::Confirmed) == confirmed && blob.missed > 0;
+        self.rows.extend(self.blobs.iter().enumerate().filter(|(_, blob)| stage(blob)).map(|(index, _)| index));
+        if self.rows.is_empty() || self.free.is_empty() {
+            return;
+        }
+        let (rows, free, blobs, params) = (&self.rows, &self.free, &self.blobs, &self.params);
+        let alone = params.gate_sigma * params.gate_sigma;
+        let result = self.assignment.solve(rows.len(), free.len(), alone, |row, column| {
+            blobs[rows[row]].gate(&contacts[free[column]], params).unwrap_or(FORBIDDEN)
+        });
+        self.taken.clear();
+        self.taken.resize(contacts.len(), false);
+        for (row, column) in result.iter().enumerate() {
+            let Some(column) = *column else { continue };
+            let contact = &contacts[self.free[column]];
+            self.taken[self.free[column]] = true;
+            self.blobs[self.rows[row]].measure(contact, &self.params);
+        }
+        let taken = &self.taken;
+        self.free.retain(|&index| !taken[index]);
+    }
+
+    /// Gives the contacts into which a merged contact has parted back to the touches that rode on it.
+    fn part_merged(&mut self, contacts: &[Contact], time_ns: u64) {
+        for index in 0..self.blobs.len() {
+            let blob = self.blobs[index];
+            self.members.clear();
+            let riding = self.riders.iter().enumerate().filter(|(_, rider)| rider.blob == blob.key);
+            self.members.extend(riding.map(|(member, _)| member));
+            if self.members.len() < 2 || self.free.is_empty() {
+                continue;
+            }
+            self.collect_candidates(&blob, contacts, time_ns);
+            if self.candidates.len() < 2 {
+                // A blob that was itself not seen, and one contact: that is the blob, outside its gate.
+                if blob.missed > 0 && self.candidates.len() == 1 {
+                    self.blobs[index].measure(&self.candidates[0], &self.params);
+                    let column = self.columns[0];
+                    self.free.retain(|&contact| contact != column);
+                }
+                continue;
+            }
+            self.reassign_members(index, time_ns);
+        }
+    }
+
+    /// The blob's own contact, if seen, and the free ones within its members' reach.
+    fn collect_candidates(&mut self, blob: &Blob, contacts: &[Contact], time_ns: u64) {
+        self.candidates.clear();
+        self.columns.clear();
+        if blob.missed == 0 {
+            self.candidates.push(blob.contact);
+            self.columns.push(usize::MAX);
+        }
+        let spread = self
+            .members
+            .iter()
+            .filter_map(|&member| self.riders[member].merge)
+            .map(|merge| norm(merge.offset_at(time_ns, self.params.velocity_memory_s)).max(norm(merge.offset)));
+        let spread = spread.fold(0.0, f64::max);
+        for &column in &self.free {
+            let contact = &contacts[column];
+            let reach = 2.0 * spread + contact.radius_m() + self.params.gate_sigma * self.params.position_floor_m;
+            let distance = norm(sub(self.params.position.of(contact), blob.predicted.0));
+            if contact.sign == blob.sign && distance <= reach.min(self.params.gate_max_m) {
+                self.candidates.push(*contact);
+                self.columns.push(column);
+            }
+        }
+    }
+
+    /// Assigns the members of blob `index` to the candidates by their remembered offsets from the group's middle.
+    fn reassign_members(&mut self, index: usize, time_ns: u64) {
+        let (params, candidates, members, riders) = (&self.params, &self.candidates, &self.members, &self.riders);
+        let sum = candidates.iter().fold([0.0; 2], |sum, contact| add(sum, params.position.of(contact)));
+        let middle = scale(sum, 1.0 / candidates.len() as f64);
+        let offset = |member: usize| {
+            riders[member].merge.map_or([0.0; 2], |merge| merge.offset_at(time_ns, params.velocity_memory_s))
+        };
+        let distance = |row: usize, column: usize| {
+            let away = sub(sub(params.position.of(&candidates[column]), middle), offset(members[row]));
+            away[0] * away[0] + away[1] * away[1]
+        };
+        // Farther than any pair: everyone who can have a contact gets one.
+        let largest = (0..members.len())
+            .flat_map(|row| (0..candidates.len()).map(move |column| (row, column)))
+            .fold(0.0f64, |largest, (row, column)| largest.max(distance(row, column)));
+        let alone = (largest + 1e-12) * (members.len() + 1) as f64;
+        let result = self.assignment.solve(members.len(), candidates.len(), alone, distance);
+        self.rows.clear();
+        self.rows.extend(result.iter().map(|column| column.unwrap_or(usize::MAX)));
+        self.move_members(index, time_ns);
+    }
+
+    /// Gives every assigned member a blob of its own; the rest ride with the nearest.
+    fn move_members(&mut self, index: usize, time_ns: u64) {
+        let old = self.blobs[index];
+        // Copies: the loops below change what they are read from.
+        for row in 0..self.members.len() {
+            let column = self.rows[row];
+            if column == usize::MAX {
+                continue;
+            }
+            let rider = self.riders[self.members[row]];
+            let remembered =
+                rider.merge.filter(|m| seconds_between(m.since_ns, time_ns) <= self.params.velocity_memory_s);
+            let velocity = add(old.filter.velocity, remembered.map_or([0.0; 2], |m| m.velocity));
+            let contact = self.candidates[column];
+            let key = self.new_key();
+            let mut blob = Blob::new(key, &contact, old.first_time_ns, velocity, &self.params);
+            (blob.stage, blob.age) = (Stage::Confirmed, old.age);
+            self.blobs.push(blob);
+            let rider = &mut self.riders[self.members[row]];
+            (rider.blob, rider.merge) = (key, None);
+            let given = self.columns[column];
+            self.free.retain(|&contact| contact != given);
+        }
+        self.seat_leftover(&old, time_ns);
+        // The old blob has no riders now; `publish` removes it.
+    }
+
+    /// Members without a contact of their own go on merged, with the assigned contact nearest to where they should be.
+    fn seat_leftover(&mut self, old: &Blob, time_ns: u64) {
+        for row in 0..self.members.len() {
+            if self.rows[row] != usize::MAX {
+                continue;
+            }
+            let offset = self.riders[self.members[row]]
+                .merge
+                .map_or([0.0; 2], |merge| merge.offset_at(time_ns, self.params.velocity_memory_s));
+            let expected = add(old.predicted.0, offset);
+            let Some(host) = self.nearest_new_blob(expected) else { continue };
+            let host_offset = sub(self.blobs[host].filter.position, expected);
+            let key = self.blobs[host].key;
+            let merge = |offset: Vec2| Merge { since_ns: time_ns, frames: 0, offset, velocity: [0.0; 2] };
+            for rider in self.riders.iter_mut().filter(|rider| rider.blob == key && rider.merge.is_none()) {
+                rider.merge = Some(merge(scale(host_offset, 0.5)));
+            }
+            let rider = &mut self.riders[self.members[row]];
+            (rider.blob, rider.merge) = (key, Some(merge(scale(host_offset, -0.5))));
+        }
+    }
+
+    /// The blob nearest to `position` among those that members of the parted group have just been given.
+    fn nearest_new_blob(&self, position: Vec2) -> Option<usize> {
+        let given = |blob: &Blob| {
+            self.members
+                .iter()
+                .zip(&self.rows)
+                .any(|(&member, &column)| column != usize::MAX && self.riders[member].blob == blob.key)
+        };
+        let distance = |index: usize| norm(sub(self.blobs[index].filter.position, position));
+        (0..self.blobs.len()).filter(|&i| given(&self.blobs[i])).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
+    }
+
+    /// A touch that lost its contact where another has one is taken to have merged with that one.
+    fn merge_vanished(&mut self, time_ns: u64) {
+        for index in 0..self.blobs.len() {
+            let from = self.blobs[index];
+            if from.stage != Stage::Confirmed || from.missed == 0 || !self.has_riders(from.key) {
+                continue;
+            }
+            let (params, blobs) = (&self.params, &self.blobs);
+            let distance = |other: usize| norm(sub(params.position.of(&blobs[other].contact), from.predicted.0));
+            let host = (0..blobs.len())
+                .filter(|&other| {
+                    let blob = &blobs[other];
+                    other != index
+                        && blob.stage == Stage::Confirmed
+                        && blob.missed == 0
+                        && blob.sign == from.sign
+                        && distance(other) <= params.merge_radii * blob.contact.radius_m()
+                        && self.has_riders(blob.key)
+                })
+                .min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+            if let Some(host) = host {
+                merge_blobs(&mut self.riders, &from, &mut self.blobs[host], time_ns, &self.params);
+            }
+        }
+    }
+
+    fn has_riders(&self, key: u64) -> bool {
+        self.riders.iter().any(|rider| rider.blob == key)
+    }
+
+    fn begin_tentative(&mut self, contacts: &[Contact], time_ns: u64) {
+        for position in 0..self.free.len() {
+            let contact = &contacts[self.free[position]];
+            if contact.strength == ContactStrength::Strong {
+                let key = self.new_key();
+                let mut blob = Blob::new(key, contact, time_ns, [0.0; 2], &self.params);
+                blob.age = 1;
+                self.blobs.push(blob);
+            }
+        }
+    }
+
+    fn drop_unseen_tentative(&mut self) {
+        self.blobs.retain(|blob| blob.stage == Stage::Confirmed || blob.missed == 0);
+    }
+
+    /// Counts strong contacts of tentative blobs and gives an identity to those that have enough.
+    fn confirm(&mut self, time_ns: u64) {
+        for index in 0..self.blobs.len() {
+            let blob = &mut self.blobs[index];
+            let Stage::Tentative { strong_frames } = blob.stage else { continue };
+            let strong_frames = strong_frames + u32::from(blob.contact.strength == ContactStrength::Strong);
+            if strong_frames < self.params.min_age_frames {
+                blob.stage = Stage::Tentative { strong_frames };
+                continue;
+            }
+            blob.stage = Stage::Confirmed;
+            let blob = *blob;
+            let mut touch = first_touch(self.next_id, &blob);
+            touch.time_ns = time_ns;
+            self.riders.push(Rider { touch, blob: blob.key, merge: None, filtered_time_ns: None });
+            self.next_id += 1;
+        }
+    }
+
+    /// Writes the touches and events of this frame and forgets those that ended.
+    fn publish(&mut self, time_ns: u64, events: &mut Vec<TouchEvent>) {
+        self.expire_merges();
+        for rider in &mut self.riders {
+            let blob = self.blobs.iter().find(|blob| blob.key == rider.blob);
+            refresh(rider, blob, time_ns, &self.params);
+            events.push(match rider.touch.phase {
+                TouchPhase::Begin => TouchEvent::Begin(rider.touch),
+                TouchPhase::Move => TouchEvent::Move(rider.touch),
+                TouchPhase::End => TouchEvent::End(rider.touch),
+            });
+        }
+        self.riders.retain(|rider| rider.touch.phase != TouchPhase::End);
+        let riders = &self.riders;
+        self.blobs.retain(|blob| blob.stage != Stage::Confirmed || riders.iter().any(|rider| rider.blob == blob.key));
+        self.touches.clear();
+        self.touches.extend(self.riders.iter().map(|rider| rider.touch));
+    }
+
+    /// Ends merged touches whose time is up, but the one of them that began first.
+    fn expire_merges(&mut self) {
+        for index in 0..self.riders.len() {
+            let key = self.riders[index].blob;
+            let Some(merge) = self.riders[index].merge.as_mut() else { continue };
+            merge.frames += 1;
+            let expired = merge.frames > self.params.max_merged_frames;
+            // Riders stand by id: an earlier one of the same blob began earlier.
+            if expired && self.riders[..index].iter().any(|rider| rider.blob == key) {
+                self.riders[index].touch.phase = TouchPhase::End;
+                // No blob has this key.
+                self.riders[index].blob = u64::MAX;
+                settle_riders(&mut self.riders, key);
+            }
+        }
+    }
+
+    fn new_key(&mut self) -> u64 {
+        self.next_key += 1;
+        self.next_key
+    }
+}
+
+fn first_touch(id: u64, blob: &Blob) -> Touch {
+    Touch {
+        id,
+        phase: TouchPhase::Begin,
+        observation: Observation::Measured,
+        sign: blob.sign,
+        position_m: blob.filter.position,
+        covariance_m2: blob.contact.covariance_m2,
+        filtered_position_m: blob.filter.position,
+        velocity_m_per_s: blob.filter.velocity,
+        amplitude: blob.contact.amplitude,
+        area_m2: blob.contact.area_m2,
+        age_frames: blob.age.saturating_sub(1),
+        begin_time_ns: blob.first_time_ns,
+        time_ns: blob.first_time_ns,
+    }
+}
+
+/// Brings a rider's touch up to this frame.
+fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &TrackerParams) {
+    let touch = &mut rider.touch;
+    touch.age_frames = touch.age_frames.saturating_add(1);
+    touch.time_ns = time_ns;
+    let Some(blob) = blob.filter(|blob| blob.missed <= params.max_missed_frames) else {
+        touch.phase = TouchPhase::End;
+        touch.observation = Observation::Missed;
+        return;
+    };
+    if rider.filtered_time_ns.is_some() {
+        touch.phase = TouchPhase::Move;
+    }
+    touch.filtered_position_m = blob.filter.position;
+    touch.velocity_m_per_s = blob.filter.velocity;
+    touch.observation = match (blob.missed, rider.merge) {
+        (0, None) => Observation::Measured,
+        (0, Some(_)) => Observation::Merged,
+        _ => Observation::Missed,
+    };
+    if blob.missed > 0 {
+        return;
+    }
+    touch.position_m = params.position.of(&blob.contact);
+    touch.covariance_m2 = blob.contact.covariance_m2;
+    touch.area_m2 = blob.contact.area_m2;
+    let keep = match (params.amplitude_time_constant_s, rider.filtered_time_ns) {
+        (Some(tau), Some(before_ns)) => (-seconds_between(before_ns, time_ns) / tau).exp(),
+        _ => 0.0,
+    };
+    touch.amplitude = keep * touch.amplitude + (1.0 - keep) * blob.contact.amplitude;
+    rider.filtered_time_ns = Some(time_ns);
+}
