@@ -61,7 +61,8 @@ fn thresholds_follow_the_noise() {
 
 #[test]
 fn side_lobes_are_ignored_and_real_neighbours_are_not() {
-    let peaks = |height: f64| find(&paint(&square(), &[bell(-30.0, 0.0, 8.0, 1.0), bell(30.0, 0.0, 8.0, height)]), 0.001);
+    let peaks =
+        |height: f64| find(&paint(&square(), &[bell(-30.0, 0.0, 8.0, 1.0), bell(30.0, 0.0, 8.0, height)]), 0.001);
     assert_eq!(peaks(0.1).len(), 1);
     let weak: Vec<_> = peaks(0.2).iter().map(|contact| contact.strength).collect();
     assert_eq!(weak, [ContactStrength::Strong, ContactStrength::Weak]);
@@ -84,7 +85,8 @@ fn two_touches_part_at_their_saddle() {
 
 #[test]
 fn four_touches_are_found_where_they_are() {
-    let touches = [bell(30.0, 30.0, 6.0, 1.0), bell(-30.0, 30.0, 6.0, 0.8), bell(0.0, -30.0, 6.0, 0.6), bell(0.0, 5.0, 6.0, 0.5)];
+    let touches =
+        [bell(30.0, 30.0, 6.0, 1.0), bell(-30.0, 30.0, 6.0, 0.8), bell(0.0, -30.0, 6.0, 0.6), bell(0.0, 5.0, 6.0, 0.5)];
     let contacts = find(&paint(&square(), &touches), 0.01);
     assert_eq!(contacts.len(), 4);
     for (contact, touch) in contacts.iter().zip(&touches) {
@@ -145,7 +147,8 @@ fn scatter_over_predicted(correlation_pixels: f64, centroid: CentroidWeight) -> 
         let field = correlated_field(&mut noise, 64, correlation_pixels);
         let image: Vec<f32> = clean.iter().zip(&field).map(|(a, b)| a + 0.02 * *b as f32).collect();
         finder.find(&image, PixelNoise::Uniform(0.02), &mut contacts).unwrap();
-        squares += (contacts[0].centroid_m[0] - reference[0]).powi(2) + (contacts[0].centroid_m[1] - reference[1]).powi(2);
+        squares +=
+            (contacts[0].centroid_m[0] - reference[0]).powi(2) + (contacts[0].centroid_m[1] - reference[1]).powi(2);
         predicted += contacts[0].covariance_m2[0][0] + contacts[0].covariance_m2[1][1];
     }
     (squares / predicted).sqrt()

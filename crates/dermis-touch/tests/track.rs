@@ -106,11 +106,7 @@ fn through_images(paths: &[fn(f64) -> (f64, f64)], frames: u64, noise_sigma: f64
     let (mut tracker, mut noise, mut contacts) = (tracker(), Noise::new(11), Vec::new());
     let (mut begins, mut merged) = (0, false);
     for frame in 0..frames {
-        let bells: Vec<_> = paths
-            .iter()
-            .map(|path| path(frame as f64))
-            .map(|(x, y)| bell(x, y, 7.0, 1.0))
-            .collect();
+        let bells: Vec<_> = paths.iter().map(|path| path(frame as f64)).map(|(x, y)| bell(x, y, 7.0, 1.0)).collect();
         let mut image = paint(&geometry, &bells);
         image.iter_mut().for_each(|value| *value += (noise_sigma * noise.normal()) as f32);
         finder.find(&image, PixelNoise::Uniform(noise_sigma as f32), &mut contacts).unwrap();
@@ -137,7 +133,13 @@ fn touches_that_cross_while_merged_go_on_their_way() {
 fn touches_that_meet_and_rest_come_out_where_they_went_in() {
     // They approach, rest as one contact for 2 s (longer than the velocity is remembered), and go back.
     fn ramp(t: f64) -> f64 {
-        let way = if t < 32.0 { t } else if t < 132.0 { 32.0 } else { 164.0 - t };
+        let way = if t < 32.0 {
+            t
+        } else if t < 132.0 {
+            32.0
+        } else {
+            164.0 - t
+        };
         40.0 - way
     }
     let paths: [fn(f64) -> (f64, f64); 2] = [|t| (-ramp(t), 0.0), |t| (ramp(t), 0.0)];
@@ -275,7 +277,10 @@ fn bad_input_changes_nothing() {
     let error = tracker.update(0, &[], &mut events).unwrap_err();
     assert_eq!(error, TouchError::TimeReversed { time_ns: 0, previous_ns: 5 * FRAME_NS });
     let broken = contact(f64::NAN, 0.0, ContactStrength::Strong);
-    assert!(matches!(tracker.update(6 * FRAME_NS, &[broken], &mut events), Err(TouchError::NonFinite { index: 0, .. })));
+    assert!(matches!(
+        tracker.update(6 * FRAME_NS, &[broken], &mut events),
+        Err(TouchError::NonFinite { index: 0, .. })
+    ));
     assert_eq!(count(&step(&mut tracker, 6, &[(0.0, 0.0)])), (1, 0, 0));
     assert!(Tracker::new(TrackerParams { gate_sigma: 0.0, ..Default::default() }).is_err());
 }

@@ -25,9 +25,8 @@ pub fn paint(geometry: &ImageGeometry, bells: &[Bell]) -> Vec<f32> {
     (0..geometry.len())
         .map(|index| {
             let [x, y] = geometry.pixel_centre_m(index);
-            let value = |b: &Bell| {
-                b.height * (-((x - b.x_m).powi(2) + (y - b.y_m).powi(2)) / (2.0 * b.sigma_m.powi(2))).exp()
-            };
+            let value =
+                |b: &Bell| b.height * (-((x - b.x_m).powi(2) + (y - b.y_m).powi(2)) / (2.0 * b.sigma_m.powi(2))).exp();
             bells.iter().map(value).sum::<f64>() as f32
         })
         .collect()
