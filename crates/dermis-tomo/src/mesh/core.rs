@@ -456,6 +456,32 @@ impl ElectrodedMesh {
         Ok(Self { mesh, electrodes })
     }
 
+    /// A flat sheet bent round a cylinder whose axis runs along y, `radius_m` below the sheet: x becomes arc length, the
+    /// line x = 0 stays where it is, and elements and electrodes keep their numbers. Nodes keep their distances along
+    /// the surface; elements are the chords between them, narrower by a share `(h / radius)^2 / 24`.
+    ///
+    /// # Errors
+    /// A mesh of tetrahedra, or a radius that is not positive and finite or that the sheet would reach round entirely.
+    pub fn bent_onto_cylinder(&self, radius_m: f64) -> Result<Self, MeshError> {
+        let (low, high) = self.mesh.bounds();
+        let shape =
+            |field: &'static str, value: String, expected: String| Err(MeshError::Shape { field, value, expected });
+        if self.mesh.kind() != CellKind::Triangle {
+            return shape("mesh", "a mesh of tetrahedra".into(), "a sheet that can be bent".into());
+        }
+        let least = (high[0] - low[0]) / std::f64::consts::TAU;
+        if !radius_m.is_finite() || radius_m <= least {
+            return shape("radius_m", radius_m.to_string(), format!("a finite radius above {least} m"));
+        }
+        let bend = |p: &[f64; 3]| {
+            let (sine, cosine) = (p[0] / radius_m).sin_cos();
+            [(radius_m + p[2]) * sine, p[1], (radius_m + p[2]) * cosine - radius_m]
+        };
+        let nodes = self.mesh.nodes.iter().map(bend).collect();
+        let mesh = Mesh::new(CellKind::Triangle, nodes, self.mesh.elements.clone())?;
+        Ok(Self { mesh, electrodes: self.electrodes.clone() })
+    }
+
     /// Length (m) or area (m^2) of every electrode as meshed; 0 for points.
     pub fn electrode_measures(&self) -> Vec<f64> {
         let measure = |electrode: &Electrode| match &electrode.contact {

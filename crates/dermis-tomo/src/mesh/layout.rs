@@ -328,7 +328,8 @@ impl Layout {
             let to = if k + 1 < breaks.len() { breaks[k + 1] } else { breaks[0] + perimeter };
             let middle = (from + to) / 2.0;
             let inside = features.spans.iter().filter(|span| span.holds(middle, perimeter));
-            let share = |span: &Span| (sizes.least_segments as f64 * (to - from) / (span.end - span.start) - 1e-6).ceil();
+            let share =
+                |span: &Span| (sizes.least_segments as f64 * (to - from) / (span.end - span.start) - 1e-6).ceil();
             let least = inside.map(share).fold(1.0, f64::max);
             let least = match self.border {
                 Border::Circle { .. } => least.max((LEAST_RIM_EDGES * (to - from) / perimeter).ceil()),
@@ -339,7 +340,8 @@ impl Layout {
         }
         self.rim = positions.iter().map(|&s| self.border.at(s)).collect();
         let first = self.add_loop(self.rim.clone());
-        self.rim_point_nodes = features.rim_points.iter().map(|&s| first + self.nearest_rim(self.border.at(s))).collect();
+        self.rim_point_nodes =
+            features.rim_points.iter().map(|&s| first + self.nearest_rim(self.border.at(s))).collect();
     }
 
     fn nearest_rim(&self, p: Point) -> usize {
@@ -451,7 +453,8 @@ impl Layout {
         for (index, &p) in features.points.iter().enumerate() {
             let owner = features.point_owner[index];
             let near_rim = plane::to_polygon(p, &self.rim) <= self.tolerance;
-            let near_hole = self.holes.iter().any(|hole| contains(hole, p) || plane::to_polygon(p, hole) <= self.tolerance);
+            let near_hole =
+                self.holes.iter().any(|hole| contains(hole, p) || plane::to_polygon(p, hole) <= self.tolerance);
             if near_rim || near_hole || !contains(&self.rim, p) {
                 return Err(off(owner, format!("point ({}, {}) m is not strictly inside the sheet", p[0], p[1])));
             }

@@ -2,7 +2,9 @@
 //! them, and the pixel grid that images live on.
 
 mod core;
+mod import;
 mod layout;
+mod pixels;
 mod plane;
 mod shapes;
 mod sheet;
@@ -11,6 +13,8 @@ mod triangulate;
 
 pub(crate) use self::core::{dot, subtract};
 pub use self::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
+pub use self::import::{ElectrodeGroups, read_msh};
+pub use self::pixels::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 pub use self::shapes::{Direction, ElectrodeShape, Outline};
 pub use self::sheet::{MeshQuality, SheetSpec};
 pub use self::solid::{PatchShape, PrismElectrode, PrismSpec, SlabElectrode, SlabFace, SlabSpec};

@@ -7,7 +7,7 @@
 use std::f64::consts::TAU;
 
 use super::core::MeshError;
-use super::plane::{Point, signed_area, sides};
+use super::plane::{Point, sides, signed_area};
 
 /// The shape of a sheet.
 #[derive(Clone, Debug, PartialEq)]
@@ -150,19 +150,11 @@ impl Outline {
     /// `start_rad`.
     pub fn rim_arcs(count: usize, width_m: f64, start_rad: f64, direction: Direction) -> Vec<ElectrodeShape> {
         let step = direction.sign() * TAU / count.max(1) as f64;
-        (0..count)
-            .map(|k| ElectrodeShape::RimArc { centre_rad: start_rad + step * k as f64, width_m })
-            .collect()
+        (0..count).map(|k| ElectrodeShape::RimArc { centre_rad: start_rad + step * k as f64, width_m }).collect()
     }
 
     /// `count` electrodes of equal width evenly along any rim, the first with its middle at position `start_m`.
-    pub fn rim_segments(
-        &self,
-        count: usize,
-        width_m: f64,
-        start_m: f64,
-        direction: Direction,
-    ) -> Vec<ElectrodeShape> {
+    pub fn rim_segments(&self, count: usize, width_m: f64, start_m: f64, direction: Direction) -> Vec<ElectrodeShape> {
         self.rim_positions(count, start_m, direction)
             .map(|centre_m| ElectrodeShape::RimSegment { centre_m, width_m })
             .collect()

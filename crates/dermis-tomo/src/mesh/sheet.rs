@@ -169,7 +169,9 @@ impl SheetSpec {
             }
             ElectrodeShape::PadCircle { .. } | ElectrodeShape::PadRectangle { .. } => {
                 let pad = next(&mut pads) as u32;
-                Contact::Area((0..).zip(&planar.pad).filter(|(_, in_pad)| **in_pad == Some(pad)).map(|(k, _)| k).collect())
+                Contact::Area(
+                    (0..).zip(&planar.pad).filter(|(_, in_pad)| **in_pad == Some(pad)).map(|(k, _)| k).collect(),
+                )
             }
             ElectrodeShape::Point { .. } => Contact::Point(planar.point_nodes[next(&mut points)]),
             ElectrodeShape::RimPoint { .. } => Contact::Point(planar.rim_point_nodes[next(&mut rim_points)]),
@@ -211,7 +213,9 @@ fn rim_faces(planar: &Planar, span: Option<Span>, perimeter: f64) -> Vec<Vec<u32
 /// The stretch of rim under a rim electrode.
 pub(super) fn span_of(outline: &Outline, shape: &ElectrodeShape) -> Option<Span> {
     let (centre, width) = match (shape, outline) {
-        (ElectrodeShape::RimArc { centre_rad, width_m }, Outline::Disc { radius_m }) => (centre_rad * radius_m, width_m),
+        (ElectrodeShape::RimArc { centre_rad, width_m }, Outline::Disc { radius_m }) => {
+            (centre_rad * radius_m, width_m)
+        }
         (ElectrodeShape::RimSegment { centre_m, width_m }, _) => (*centre_m, width_m),
         _ => return None,
     };
@@ -314,7 +318,8 @@ fn check_shape(outline: &Outline, shape: &ElectrodeShape, perimeter: f64) -> Res
 
 fn refuse_overlapping_spans(features: &Features, perimeter: f64) -> Result<(), MeshError> {
     let slack = 1e-9 * perimeter;
-    let mut pieces: Vec<(Span, usize)> = features.spans.iter().copied().zip(features.span_owner.iter().copied()).collect();
+    let mut pieces: Vec<(Span, usize)> =
+        features.spans.iter().copied().zip(features.span_owner.iter().copied()).collect();
     let points = features.rim_points.iter().zip(&features.rim_point_owner);
     pieces.extend(points.map(|(&s, &owner)| (Span { start: s, end: s + 2.0 * slack }, owner)));
     pieces.sort_by(|a, b| a.0.start.total_cmp(&b.0.start));

@@ -67,7 +67,8 @@ fn frame(layout: &Layout) -> Vec<Point> {
 }
 
 fn triangulate(points: &[Point], layout: &Layout) -> Result<Cdt, MeshError> {
-    let shape = |value: String| MeshError::Shape { field: "sheet", value, expected: "a sheet that can be meshed".into() };
+    let shape =
+        |value: String| MeshError::Shape { field: "sheet", value, expected: "a sheet that can be meshed".into() };
     let vertices = points.iter().map(|p| Point2::new(clean(p[0]), clean(p[1]))).collect();
     let mut conflicts = 0;
     let cdt = Cdt::try_bulk_load_cdt(vertices, layout.segments.clone(), |_| conflicts += 1)
@@ -98,7 +99,10 @@ fn seeds(layout: &Layout) -> Vec<Point> {
             for p in lattice(pitch, box_low, box_high) {
                 let size = field.at(p);
                 let belongs = size >= pitch * (1.0 - 1e-9) && (size < coarser * (1.0 - 1e-9) || level == 0);
-                if (belongs || level == levels && size < pitch) && crowd.is_clear(p, APART * size) && is_inside(layout, p) {
+                if (belongs || level == levels && size < pitch)
+                    && crowd.is_clear(p, APART * size)
+                    && is_inside(layout, p)
+                {
                     crowd.add(p);
                 }
             }
@@ -106,9 +110,8 @@ fn seeds(layout: &Layout) -> Vec<Point> {
         if level == 0 {
             visit(low, high);
         } else {
-            let clip = |(a, b): (Point, Point)| {
-                ([a[0].max(low[0]), a[1].max(low[1])], [b[0].min(high[0]), b[1].min(high[1])])
-            };
+            let clip =
+                |(a, b): (Point, Point)| ([a[0].max(low[0]), a[1].max(low[1])], [b[0].min(high[0]), b[1].min(high[1])]);
             field.finer_than(coarser).map(clip).for_each(|(a, b)| visit(a, b));
         }
     }

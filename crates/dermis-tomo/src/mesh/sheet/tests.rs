@@ -45,10 +45,15 @@ fn disc_area_is_that_of_its_rim_polygon() {
     angles.sort_by(f64::total_cmp);
     angles.dedup_by(|a, b| (*a - *b).abs() < 1e-12);
     // Nodes that refinement put on a chord do not change the polygon: the circle's nodes alone span it.
-    let polygon: f64 = mesh.mesh.boundary_faces().iter().map(|(face, _)| {
-        let [a, b] = [face[0], face[1]].map(|node| mesh.mesh.nodes()[node as usize]);
-        (a[0] * b[1] - a[1] * b[0]).abs() / 2.0
-    }).sum();
+    let polygon: f64 = mesh
+        .mesh
+        .boundary_faces()
+        .iter()
+        .map(|(face, _)| {
+            let [a, b] = [face[0], face[1]].map(|node| mesh.mesh.nodes()[node as usize]);
+            (a[0] * b[1] - a[1] * b[0]).abs() / 2.0
+        })
+        .sum();
     // Sums of a few thousand terms: rounding of about 1e-13.
     assert_relative(area(&mesh), polygon, 1e-12);
     // n equal edges miss 2 pi^2 / (3 n^2); graded ones a little more.
@@ -246,8 +251,11 @@ fn mistakes_are_named() {
         SheetSpec::new(outline.clone(), electrodes, 0.01).build(&[0.01]).unwrap_err().to_string()
     };
     let arc = |centre_rad: f64, width_m: f64| ElectrodeShape::RimArc { centre_rad, width_m };
-    let pad = |x: f64, width_m: f64| {
-        ElectrodeShape::PadRectangle { centre_m: [x, 0.0], width_m, height_m: 0.01, angle_rad: 0.0 }
+    let pad = |x: f64, width_m: f64| ElectrodeShape::PadRectangle {
+        centre_m: [x, 0.0],
+        width_m,
+        height_m: 0.01,
+        angle_rad: 0.0,
     };
     let cases = [
         (&DISC, vec![arc(0.0, 0.02), arc(0.1, 0.02)], "electrode 1: overlaps electrode 0"),

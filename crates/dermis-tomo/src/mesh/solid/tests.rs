@@ -65,10 +65,15 @@ fn cylinder_has_the_volume_of_its_polygon_and_exact_wall_electrodes() {
     // The upper ring is turned by a quarter of the electrodes' pitch: arcs of the two overlap seen from above.
     let electrodes: Vec<_> = ring(0.01, 0.02, 0.0).chain(ring(0.04, 0.05, 0.1)).collect();
     let mesh = PrismSpec::cylinder(0.05, 0.06, 0.008, 6, electrodes).build(&[1e-3]).unwrap();
-    let rim: f64 = mesh.mesh.boundary_faces().iter().map(|(face, _)| {
-        let corners = [face[0], face[1], face[2]].map(|node| mesh.mesh.nodes()[node as usize]);
-        if corners.iter().all(|c| c[2] == 0.0) { mesh.mesh.face_measure(face) } else { 0.0 }
-    }).sum();
+    let rim: f64 = mesh
+        .mesh
+        .boundary_faces()
+        .iter()
+        .map(|(face, _)| {
+            let corners = [face[0], face[1], face[2]].map(|node| mesh.mesh.nodes()[node as usize]);
+            if corners.iter().all(|c| c[2] == 0.0) { mesh.mesh.face_measure(face) } else { 0.0 }
+        })
+        .sum();
     assert_relative(volume(&mesh), rim * 0.06, 1e-12);
     // The polygon of at least 40 edges misses 2 pi^2 / 3 / 40^2 = 0.4 % of the circle.
     assert_relative(rim, PI * 0.05 * 0.05, 0.005);
@@ -83,8 +88,7 @@ fn cylinder_has_the_volume_of_its_polygon_and_exact_wall_electrodes() {
 #[test]
 fn cylinder_with_pads_beneath_and_points() {
     let pad = ElectrodeShape::PadCircle { centre_m: [0.01, 0.0], radius_m: 0.005 };
-    let plate =
-        ElectrodeShape::PadRectangle { centre_m: [-0.02, 0.0], width_m: 0.01, height_m: 0.02, angle_rad: 0.3 };
+    let plate = ElectrodeShape::PadRectangle { centre_m: [-0.02, 0.0], width_m: 0.01, height_m: 0.02, angle_rad: 0.3 };
     let electrodes = vec![
         PrismElectrode::Top(pad.clone()),
         PrismElectrode::Bottom(plate),
