@@ -8,7 +8,7 @@
 use crate::error::{TouchError, require, require_length};
 use crate::geometry::ImageGeometry;
 use crate::moments::{CorrelatedSum, PixelBox};
-use crate::watershed::{MergeRule, Watershed};
+use crate::watershed::{MergeRule, Watershed, largest_of};
 use serde::{Deserialize, Serialize};
 
 /// Whether a contact rises above the background or sinks below it.
@@ -317,21 +317,13 @@ impl ContactFinder {
         Ok(())
     }
 
-    /// The largest |value| of the signs looked for.
+    /// The largest |value| of the signs looked for, of usable pixels.
     fn strongest(&self, image: &[f32], noise: PixelNoise<'_>) -> f32 {
-        let signs = self.params.signs;
-        let mut strongest = 0.0f32;
-        for (index, &value) in image.iter().enumerate() {
-            let size = match signs {
-                ContactSigns::Positive => value,
-                ContactSigns::Negative => -value,
-                ContactSigns::Both => value.abs(),
-            };
-            if size > strongest && size.is_finite() && usable(noise.at(index)) {
-                strongest = size;
-            }
+        match self.params.signs {
+            ContactSigns::Positive => largest_size(image, noise, |value| value),
+            ContactSigns::Negative => largest_size(image, noise, |value| -value),
+            ContactSigns::Both => largest_size(image, noise, f32::abs),
         }
-        strongest
     }
 
     fn find_sign(
@@ -343,9 +335,14 @@ impl ContactFinder {
         contacts: &mut Vec<Contact>,
     ) {
         let factor = sign.factor() as f32;
-        let largest = self.watershed.load(image, |index, value| {
-            if value.is_finite() && usable(noise.at(index)) { factor * value } else { f32::NAN }
-        });
+        let oriented = |value: f32| if value.is_finite() { factor * value } else { f32::NAN };
+        // One loop for each kind of noise, so that the common one is free of branches.
+        let largest = match noise {
+            PixelNoise::Uniform(_) => self.watershed.load(image, |_, value| oriented(value)),
+            PixelNoise::PerPixel(sigma) => {
+                self.watershed.load(image, |index, value| if usable(sigma[index]) { oriented(value) } else { f32::NAN })
+            }
+        };
         // Nothing below half of the smallest peak that can count is ever looked at.
         let lowest_peak = (self.params.relative_off as f32 * strongest)
             .max(self.params.k_off as f32 * noise.smallest())
@@ -523,6 +520,16 @@ impl Contact {
     #[must_use]
     pub fn radius_m(&self) -> f64 {
         (self.area_m2 / std::f64::consts::PI).sqrt()
+    }
+}
+
+fn largest_size(image: &[f32], noise: PixelNoise<'_>, size: impl Fn(f32) -> f32) -> f32 {
+    let finite = |value: f32| if value.is_finite() { size(value) } else { 0.0 };
+    match noise {
+        PixelNoise::Uniform(_) => largest_of(image.iter().map(|&value| finite(value))),
+        PixelNoise::PerPixel(sigma) => {
+            largest_of(image.iter().zip(sigma).map(|(&value, &sigma)| if usable(sigma) { finite(value) } else { 0.0 }))
+        }
     }
 }
 

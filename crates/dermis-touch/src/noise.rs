@@ -256,8 +256,11 @@ fn centre_and_scale(values: &mut Mat<f64>, mean: &[f64], target: ShrinkageTarget
             values[(channel, frame)] -= mean;
             squares += values[(channel, frame)].powi(2);
         }
-        if target == ShrinkageTarget::Diagonal && squares > 0.0 {
+        if target == ShrinkageTarget::Diagonal {
+            // Constant channels stay constant: their target is a variance of 0.
             scale[channel] = (squares / frames).sqrt();
+        }
+        if target == ShrinkageTarget::Diagonal && squares > 0.0 {
             for frame in 0..values.ncols() {
                 values[(channel, frame)] /= scale[channel];
             }

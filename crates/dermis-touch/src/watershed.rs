@@ -62,20 +62,15 @@ impl Watershed {
     /// Copies an image in, row by row, through `orient` (index in the image, value) -> value or NaN, and returns the
     /// largest value (0 when none is positive).
     pub(crate) fn load(&mut self, image: &[f32], orient: impl Fn(usize, f32) -> f32) -> f32 {
-        let mut largest = 0.0f32;
         for row in 0..self.rows {
             let source = &image[row * self.columns..(row + 1) * self.columns];
             let start = (row + 1) * self.stride + 1;
             let target = &mut self.values[start..start + self.columns];
             for (column, (to, &from)) in target.iter_mut().zip(source).enumerate() {
-                let value = orient(row * self.columns + column, from);
-                *to = value;
-                // NaN compares false.
-                if value > largest {
-                    largest = value;
-                }
+                *to = orient(row * self.columns + column, from);
             }
         }
+        let largest = largest_of(self.values.iter().copied());
         largest
     }
 
@@ -110,18 +105,22 @@ impl Watershed {
         let mut roots = [0u32; 8];
         let mut count = 0;
         let mut highest = (f32::NEG_INFINITY, 0u32);
+        let mut last = (0u32, 0u32);
         for neighbour in self.neighbours(pixel) {
             let label = self.labels[neighbour];
             if label == 0 {
                 continue;
             }
-            let root = self.root(label - 1);
-            if self.values[neighbour] > highest.0 {
-                highest = (self.values[neighbour], root);
+            // Most neighbours carry one label: look its basin up once.
+            if label != last.0 {
+                last = (label, self.root(label - 1));
+                if !roots[..count].contains(&last.1) {
+                    roots[count] = last.1;
+                    count += 1;
+                }
             }
-            if !roots[..count].contains(&root) {
-                roots[count] = root;
-                count += 1;
+            if self.values[neighbour] > highest.0 {
+                highest = (self.values[neighbour], last.1);
             }
         }
         if count == 0 {
@@ -222,6 +221,13 @@ impl Watershed {
         let (column, row) = self.column_row(pixel);
         row * self.columns + column
     }
+}
+
+/// The largest of `values`, NaN left out, or 0 when none is positive.
+pub(crate) fn largest_of(values: impl Iterator<Item = f32>) -> f32 {
+    // Positive floats sort as their bit patterns do, and whole numbers have a maximum that vectorises.
+    let bits = |value: f32| if value > 0.0 { value.to_bits() } else { 0 };
+    f32::from_bits(values.map(bits).fold(0, u32::max))
 }
 
 fn unpack_pixel(key: u64) -> usize {
