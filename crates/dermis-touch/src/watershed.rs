@@ -70,8 +70,7 @@ impl Watershed {
                 *to = orient(row * self.columns + column, from);
             }
         }
-        let largest = largest_of(self.values.iter().copied());
-        largest
+        largest_of(self.values.iter().copied())
     }
 
     /// Floods every pixel at or above `floor` (which must be positive); `sigma` gives the noise at an image index.

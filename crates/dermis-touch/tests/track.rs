@@ -99,8 +99,11 @@ fn crossing_paths_keep_their_identities() {
     assert_eq!((near(tracker.touches(), 40.0, 0.0), near(tracker.touches(), 0.0, 28.0)), (1, 2));
 }
 
+/// A touch's (x, y) in mm at a frame.
+type Path = fn(f64) -> (f64, f64);
+
 /// Runs touches through images and the finder; returns the ids nearest to the paths at the end and the number of begins.
-fn through_images(paths: &[fn(f64) -> (f64, f64)], frames: u64, noise_sigma: f64) -> (Vec<u64>, usize, bool) {
+fn through_images(paths: &[Path], frames: u64, noise_sigma: f64) -> (Vec<u64>, usize, bool) {
     let geometry = square();
     let mut finder = ContactFinder::new(geometry, ContactParams::default()).unwrap();
     let (mut tracker, mut noise, mut contacts) = (tracker(), Noise::new(11), Vec::new());
@@ -113,14 +116,14 @@ fn through_images(paths: &[fn(f64) -> (f64, f64)], frames: u64, noise_sigma: f64
         begins += count(&feed(&mut tracker, frame, &contacts)).0;
         merged |= tracker.touches().iter().any(|touch| touch.observation == Observation::Merged);
     }
-    let end = |path: &fn(f64) -> (f64, f64)| path((frames - 1) as f64);
+    let end = |path: &Path| path((frames - 1) as f64);
     (paths.iter().map(end).map(|(x, y)| near(tracker.touches(), x, y)).collect(), begins, merged)
 }
 
 #[test]
 fn touches_that_cross_while_merged_go_on_their_way() {
     // Head on, with 4 mm between their lines: one contact while they pass.
-    let paths: [fn(f64) -> (f64, f64); 2] = [|t| (-40.0 + t, 2.0), |t| (40.0 - t, -2.0)];
+    let paths: [Path; 2] = [|t| (-40.0 + t, 2.0), |t| (40.0 - t, -2.0)];
     let (ids, begins, merged) = through_images(&paths, 80, 0.02);
     assert!(merged, "the touches never merged: the test shows nothing");
     assert_eq!(begins, 2);
@@ -142,7 +145,7 @@ fn touches_that_meet_and_rest_come_out_where_they_went_in() {
         };
         40.0 - way
     }
-    let paths: [fn(f64) -> (f64, f64); 2] = [|t| (-ramp(t), 0.0), |t| (ramp(t), 0.0)];
+    let paths: [Path; 2] = [|t| (-ramp(t), 0.0), |t| (ramp(t), 0.0)];
     let (mut geometry_ids, mut begins) = (Vec::new(), 0);
     let params = TrackerParams { max_merged_frames: 200, ..Default::default() };
     let geometry = square();

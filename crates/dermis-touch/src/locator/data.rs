@@ -1,0 +1,274 @@
+//! What a locator is made from and what it gives back: pokes with known positions, predicted signatures over the skin,
+//! options, and located touches. Plain arrays in SI units; nothing here knows how they were obtained.
+
+use super::error::{LocatorError, check_finite, check_length, check_positions};
+
+/// Fewest examples a locator can be fitted to: leave-one-out says nothing about fewer.
+pub const MIN_EXAMPLES: usize = 5;
+/// Fewest usable channels a frame must have.
+pub const MIN_CHANNELS: usize = 3;
+
+/// Pokes at known positions: what the skin measured, and where it was touched.
+///
+/// A frame holds difference data, v - v0 or v/v0 - 1 (either, but the same here, in the [`SignatureMap`] and at
+/// prediction). A channel that was not measured is NaN.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Examples {
+    pub(super) channels: usize,
+    pub(super) frames: Vec<f64>,
+    pub(super) positions_m: Vec<[f64; 2]>,
+    pub(super) loads: Option<Vec<f64>>,
+    pub(super) channel_noise: Option<Vec<f64>>,
+}
+
+impl Examples {
+    /// Takes `frames`, row-major, one row of `channels` values for each of `positions_m` (x, y in metres).
+    ///
+    /// # Errors
+    /// Fewer than [`MIN_EXAMPLES`] examples or [`MIN_CHANNELS`] channels, lengths that do not fit, an infinite value, or
+    /// a position that is not finite.
+    pub fn new(channels: usize, frames: Vec<f64>, positions_m: Vec<[f64; 2]>) -> Result<Self, LocatorError> {
+        check_channels(channels)?;
+        let count = positions_m.len();
+        if count < MIN_EXAMPLES {
+            return Err(LocatorError::Count { field: "examples", got: count, expected: "at least 5" });
+        }
+        check_length("frames", count * channels, frames.len())?;
+        check_positions("positions_m", &positions_m)?;
+        if let Some(index) = frames.iter().position(|v| v.is_infinite()) {
+            let expected = "a finite number, or NaN where the channel is missing";
+            return Err(LocatorError::Value { field: "frames", index, value: frames[index], expected });
+        }
+        Ok(Self { channels, frames, positions_m, loads: None, channel_noise: None })
+    }
+
+    /// Adds how hard each poke was: a force in newtons or a depth in metres, any positive quantity that grows with the
+    /// amplitude of the frame. The locator then estimates the same quantity.
+    ///
+    /// # Errors
+    /// Another number of loads than examples, or a load that is not finite and positive.
+    pub fn with_loads(mut self, loads: Vec<f64>) -> Result<Self, LocatorError> {
+        check_length("loads", self.len(), loads.len())?;
+        if let Some(index) = loads.iter().position(|v| !(v.is_finite() && *v > 0.0)) {
+            let expected = "a finite number above zero";
+            return Err(LocatorError::Value { field: "loads", index, value: loads[index], expected });
+        }
+        self.loads = Some(loads);
+        Ok(self)
+    }
+
+    /// Adds the standard deviation of each channel's noise, in the unit of the frames. Channels are weighted by its
+    /// inverse; one with an infinite or NaN deviation is never used. Without it all channels count alike.
+    ///
+    /// # Errors
+    /// Another number of deviations than channels, a negative one, or none that is finite and above zero.
+    pub fn with_channel_noise(mut self, noise: Vec<f64>) -> Result<Self, LocatorError> {
+        check_length("channel_noise", self.channels, noise.len())?;
+        if let Some(index) = noise.iter().position(|v| *v < 0.0) {
+            let expected = "a standard deviation, zero or above";
+            return Err(LocatorError::Value { field: "channel_noise", index, value: noise[index], expected });
+        }
+        let usable = noise.iter().filter(|v| v.is_finite() && **v > 0.0).count();
+        if usable < MIN_CHANNELS {
+            return Err(LocatorError::TooFewChannels { frame: 0, got: usable, expected: MIN_CHANNELS });
+        }
+        self.channel_noise = Some(noise);
+        Ok(self)
+    }
+
+    /// Number of examples.
+    pub fn len(&self) -> usize {
+        self.positions_m.len()
+    }
+
+    /// Whether there are no examples; never true of a value made by [`Examples::new`].
+    pub fn is_empty(&self) -> bool {
+        self.positions_m.is_empty()
+    }
+
+    /// Number of channels of a frame.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+}
+
+/// What physics predicts: for each candidate position, the frame that a small touch there would give.
+///
+/// The positions are where touches are looked for, so they cover the skin about evenly, at a spacing of no more than
+/// about twice the accuracy wanted (pixel centres of the image do well). Signatures need no scale of their own: only
+/// their direction counts, and a sign common to all is found from the examples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SignatureMap {
+    pub(super) channels: usize,
+    pub(super) positions_m: Vec<[f64; 2]>,
+    pub(super) signatures: Vec<f64>,
+}
+
+impl SignatureMap {
+    /// Takes `signatures`, row-major, one row of `channels` values for each of `positions_m` (x, y in metres).
+    ///
+    /// # Errors
+    /// Fewer than four positions, lengths that do not fit, or a value that is not finite.
+    pub fn new(channels: usize, positions_m: Vec<[f64; 2]>, signatures: Vec<f64>) -> Result<Self, LocatorError> {
+        check_channels(channels)?;
+        let count = positions_m.len();
+        if count < 4 {
+            return Err(LocatorError::Count { field: "map positions", got: count, expected: "at least 4" });
+        }
+        check_length("signatures", count * channels, signatures.len())?;
+        check_positions("map positions", &positions_m)?;
+        check_finite("signatures", &signatures)?;
+        Ok(Self { channels, positions_m, signatures })
+    }
+
+    /// A map that predicts nothing: the locator then learns from the examples alone, which takes more of them.
+    ///
+    /// # Errors
+    /// As [`SignatureMap::new`].
+    pub fn without_physics(channels: usize, positions_m: Vec<[f64; 2]>) -> Result<Self, LocatorError> {
+        let signatures = vec![0.0; channels * positions_m.len()];
+        Self::new(channels, positions_m, signatures)
+    }
+
+    /// Number of candidate positions.
+    pub fn len(&self) -> usize {
+        self.positions_m.len()
+    }
+
+    /// Whether there are no candidate positions; never true of a value made by [`SignatureMap::new`].
+    pub fn is_empty(&self) -> bool {
+        self.positions_m.is_empty()
+    }
+}
+
+fn check_channels(channels: usize) -> Result<(), LocatorError> {
+    if channels < MIN_CHANNELS {
+        return Err(LocatorError::Count { field: "channels", got: channels, expected: "at least 3" });
+    }
+    Ok(())
+}
+
+/// The quantities that shape the map from position to frame.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hyperparameters {
+    /// Length over which the deviation of the measured from the physical signature varies, in metres.
+    pub length_m: f64,
+    /// Variance of a frame of median amplitude about the smooth map, relative to the variance of that deviation.
+    pub noise: f64,
+    /// Weight, from 0 to 1, of the diagonal in the covariance between channels; the rest is the sample covariance.
+    pub shrinkage: f64,
+}
+
+/// How the hyperparameters are found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Selection {
+    /// By the leave-one-out predictive score of the examples, coordinate by coordinate from a default.
+    #[default]
+    LeaveOneOut,
+    /// As given.
+    Fixed(Hyperparameters),
+}
+
+/// Options of [`Locator::fit`](super::Locator::fit).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LocatorOptions {
+    /// How the hyperparameters are found.
+    pub selection: Selection,
+    /// At most so many examples, evenly drawn, take part in finding the hyperparameters. All take part in the final fit.
+    pub selection_examples: usize,
+    /// Frames with more channels than this are projected on so many principal directions of examples and physics.
+    pub max_rank: usize,
+}
+
+impl Default for LocatorOptions {
+    fn default() -> Self {
+        Self { selection: Selection::LeaveOneOut, selection_examples: 250, max_rank: 256 }
+    }
+}
+
+/// A located touch, in the skin's frame (x right, y up), metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Located {
+    /// Posterior mean, x in metres.
+    pub x_m: f64,
+    /// Posterior mean, y in metres.
+    pub y_m: f64,
+    /// Calibrated standard deviation of `x_m`: 68 % of left-out examples lay within it.
+    pub sigma_x_m: f64,
+    /// Calibrated standard deviation of `y_m`.
+    pub sigma_y_m: f64,
+    /// Covariance of x and y, in square metres.
+    pub covariance_xy_m2: f64,
+    /// Most probable of the map's positions, x in metres; far from `x_m` when the posterior has several peaks.
+    pub peak_x_m: f64,
+    /// Most probable of the map's positions, y in metres.
+    pub peak_y_m: f64,
+    /// Root mean square of the weighted frame: in units of the channel noise where that was given.
+    pub amplitude: f64,
+    /// How hard the touch is, where the examples told their loads and amplitude was found to follow them.
+    pub load: Option<LoadEstimate>,
+    /// Logarithm of the mean likelihood of the frame's direction over the map, untempered; comparable between frames
+    /// with the same channels missing.
+    pub log_evidence: f64,
+    /// Misfit of the frame at its peak over the 95 % quantile of left-out examples: well above 1 the frame resembles no
+    /// single touch that was learnt (two touches, damage, a loose electrode) and the position is not to be trusted.
+    pub novelty: f64,
+}
+
+/// An estimate of the load, in the unit of the examples' loads.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoadEstimate {
+    /// The load.
+    pub value: f64,
+    /// Its standard deviation, from the left-out examples.
+    pub sigma: f64,
+}
+
+/// One example as it was located by the locator fitted to all the others.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeftOut {
+    /// Where the poke was, metres.
+    pub position_m: [f64; 2],
+    /// Where the others put it, metres.
+    pub located_m: [f64; 2],
+    /// Predicted standard deviations of x and y, metres.
+    pub sigma_m: [f64; 2],
+    /// Distance between the two positions, metres.
+    pub error_m: f64,
+    /// Misfit at the peak over the 95 % quantile of all examples.
+    pub novelty: f64,
+}
+
+/// How good a locator is, judged on each example by the others.
+///
+/// Position, signature map and covariance between channels are all found without the example; the hyperparameters and
+/// the channel gains of the physics are not, which the sigma makes up for (see the module's text).
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeaveOneOut {
+    /// Every example, in the order given.
+    pub examples: Vec<LeftOut>,
+    /// Median distance in metres.
+    pub median_error_m: f64,
+    /// Distance that nine in ten examples stay below, in metres.
+    pub p90_error_m: f64,
+    /// Fraction of examples whose error in x, in y is within one sigma.
+    pub coverage: [f64; 2],
+    /// Mean cosine between measured and physical signatures at the examples: what physics alone explains; 0 without.
+    pub physics_cosine: f64,
+    /// Root mean square relative error of the load, where loads were given and could be fitted.
+    pub load_error: Option<f64>,
+}
+
+/// A place where one more poke would help.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SuggestedPoke {
+    /// Where to poke, metres.
+    pub position_m: [f64; 2],
+    /// Position uncertainty expected there now: root mean square over x and y, metres.
+    pub sigma_m: f64,
+    /// Part of the map's prior variance that the examples have left there: 1 where nothing is known yet.
+    pub unexplained: f64,
+}

@@ -1,0 +1,92 @@
+//! What can be wrong with the examples, the physics, a frame or a stored locator, with the offending value.
+
+/// The errors of [`Locator`](super::Locator).
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LocatorError {
+    /// A buffer has another length than the counts beside it ask for.
+    #[error("{field}: expected {expected} values, got {got}")]
+    Length {
+        /// Which buffer.
+        field: &'static str,
+        /// Its right length.
+        expected: usize,
+        /// Its length as given.
+        got: usize,
+    },
+    /// Fewer of something than the method needs, or more than it can hold.
+    #[error("{field}: expected {expected}, got {got}")]
+    Count {
+        /// What was counted.
+        field: &'static str,
+        /// The count found.
+        got: usize,
+        /// The range in words.
+        expected: &'static str,
+    },
+    /// A number that must be finite, or within a range, is not.
+    #[error("{field}, index {index}: expected {expected}, got {value}")]
+    Value {
+        /// Which buffer or parameter.
+        field: &'static str,
+        /// Index into it; 0 for a single parameter.
+        index: usize,
+        /// The value found.
+        value: f64,
+        /// The range in words.
+        expected: &'static str,
+    },
+    /// A frame has too few channels that are finite and known to the locator.
+    #[error("frame {frame}: expected at least {expected} usable channels, got {got}")]
+    TooFewChannels {
+        /// Index of the frame among the examples; 0 at prediction.
+        frame: usize,
+        /// Usable channels found.
+        got: usize,
+        /// Usable channels needed.
+        expected: usize,
+    },
+    /// All usable channels of a frame are exactly zero: it has no direction to compare.
+    #[error("frame {frame}: every usable channel is zero, so it holds no touch to locate")]
+    EmptyFrame {
+        /// Index of the frame among the examples; 0 at prediction.
+        frame: usize,
+    },
+    /// A covariance could not be factorised or diagonalised; the examples are degenerate.
+    #[error("{what} is not positive definite: are the examples all alike?")]
+    Singular {
+        /// Which matrix.
+        what: &'static str,
+    },
+    /// A stored locator was written by another version of this module.
+    #[error("stored locator has version {got}, expected {expected}: calibrate again")]
+    Version {
+        /// The version this module reads.
+        expected: u32,
+        /// The version found.
+        got: u32,
+    },
+}
+
+/// Refuses a slice whose length is not `expected`.
+pub(super) fn check_length(field: &'static str, expected: usize, got: usize) -> Result<(), LocatorError> {
+    if expected == got { Ok(()) } else { Err(LocatorError::Length { field, expected, got }) }
+}
+
+/// Refuses a slice with a value that is NaN or infinite.
+pub(super) fn check_finite(field: &'static str, values: &[f64]) -> Result<(), LocatorError> {
+    match values.iter().position(|v| !v.is_finite()) {
+        Some(index) => Err(LocatorError::Value { field, index, value: values[index], expected: "a finite number" }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses positions with a coordinate that is NaN or infinite; `index` in the error counts positions.
+pub(super) fn check_positions(field: &'static str, positions: &[[f64; 2]]) -> Result<(), LocatorError> {
+    match positions.iter().position(|p| !(p[0].is_finite() && p[1].is_finite())) {
+        Some(index) => {
+            let value = if positions[index][0].is_finite() { positions[index][1] } else { positions[index][0] };
+            Err(LocatorError::Value { field, index, value, expected: "finite coordinates in metres" })
+        }
+        None => Ok(()),
+    }
+}
