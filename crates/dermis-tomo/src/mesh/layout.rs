@@ -272,6 +272,10 @@ impl Layout {
         check_outline(outline)?;
         let border = Border::new(outline);
         let tolerance = tolerance_of(outline);
+        let mut sizes = sizes;
+        if let Border::Circle { .. } = border {
+            sizes.base = sizes.base.min(border.perimeter() / LEAST_RIM_EDGES);
+        }
         let field = size_field(&border, features, sizes);
         let expected = field.expected_elements(outline.area_m2());
         if expected.is_nan() || expected > MOST_ELEMENTS {

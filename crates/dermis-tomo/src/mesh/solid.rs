@@ -288,7 +288,7 @@ impl PrismSpec {
         refuse_too_many(count, "layers", self.layers.to_string())?;
         let mesh = extrude(&planar, &heights)?;
         let place = Place { outline: &self.outline, planar: &planar, heights: &heights };
-        let pads = |index: usize| shapes[..shape_of[index]].iter().filter(|shape| is_pad(shape)).count() as u32;
+        let pads = |index: usize| shapes[..shape_of[index]].iter().filter(is_pad).count() as u32;
         let points = |index: usize| {
             let alike = |shape: &&ElectrodeShape| matches!(shape, ElectrodeShape::Point { .. });
             planar.point_nodes[shapes[..shape_of[index]].iter().filter(alike).count()]

@@ -181,18 +181,3 @@ fn a_bent_sheet_casts_its_shadow() {
     assert!((measures / 0.005 - 1.0).abs() < 1e-3, "{measures}");
     assert!(flat.bent_onto_cylinder(0.01).is_err(), "0.1 m does not fit round a radius of 0.01 m");
 }
-
-#[test]
-#[ignore = "prints figures"]
-fn figures() {
-    for (size, pixels) in [(0.0026, 64), (0.0013, 64)] {
-        let mesh = SheetSpec::new(DISC, vec![], size).build(&[1.0]).unwrap().0.mesh;
-        let start = std::time::Instant::now();
-        let map = PixelMap::new(PixelGrid::covering([-0.1; 2], [0.1; 2], pixels).unwrap(), &mesh).unwrap();
-        println!("{} elements, {} pixels: {:?}", mesh.element_count(), map.inside_count(), start.elapsed());
-    }
-    let mesh = PrismSpec::cylinder(0.05, 0.06, 0.00161, 10, vec![]).build(&[1.0]).unwrap().mesh;
-    let start = std::time::Instant::now();
-    let map = PixelMap::new(PixelGrid::covering([-0.05; 2], [0.05; 2], 64).unwrap(), &mesh).unwrap();
-    println!("{} tetrahedra, {} pixels: {:?}", mesh.element_count(), map.inside_count(), start.elapsed());
-}

@@ -325,17 +325,66 @@ proptest! {
     }
 }
 
-#[test]
-#[ignore = "prints figures"]
-fn figures() {
-    for count in [5000, 20_000] {
-        let arcs = Outline::rim_arcs(16, 0.006, 0.0, Direction::CounterClockwise);
-        let spec = SheetSpec::new(DISC, arcs, 0.005);
-        let start = std::time::Instant::now();
-        let spec = spec.with_target_elements(count).unwrap();
-        let searched = start.elapsed();
-        let start = std::time::Instant::now();
-        let (_, quality) = spec.build(&[0.01]).unwrap();
-        println!("{count}: search {searched:?}, build {:?}, h {} {quality:?}", start.elapsed(), spec.element_size_m);
+fn any_outline() -> impl Strategy<Value = Outline> {
+    prop_oneof![
+        (0.02f64..0.2).prop_map(|radius_m| Outline::Disc { radius_m }),
+        (0.02f64..0.2, 0.02f64..0.2).prop_map(|(width_m, height_m)| Outline::Rectangle { width_m, height_m }),
+        (0.0f64..6.0, 0.2f64..0.9).prop_map(|(turn, waist)| {
+            let corner = |k: usize| {
+                let (angle, r) = (turn + TAU * k as f64 / 10.0, if k.is_multiple_of(2) { 0.1 } else { 0.1 * waist });
+                [r * angle.cos(), r * angle.sin()]
+            };
+            let hole = |k: usize| [0.015 * (1.1 * k as f64).cos(), 0.015 * (1.1 * k as f64).sin()];
+            Outline::Polygon { outer: (0..10).map(corner).collect(), holes: vec![(0..5).map(hole).collect()] }
+        }),
+    ]
+}
+
+fn any_electrode() -> impl Strategy<Value = ElectrodeShape> {
+    let place = || prop::array::uniform2(-0.1f64..0.1);
+    let size = || 1e-4f64..0.04;
+    prop_oneof![
+        (-7.0f64..7.0, size()).prop_map(|(centre_rad, width_m)| ElectrodeShape::RimArc { centre_rad, width_m }),
+        (-1.0f64..1.0, size()).prop_map(|(centre_m, width_m)| ElectrodeShape::RimSegment { centre_m, width_m }),
+        (-1.0f64..1.0).prop_map(|position_m| ElectrodeShape::RimPoint { position_m }),
+        (place(), size()).prop_map(|(centre_m, radius_m)| ElectrodeShape::PadCircle { centre_m, radius_m }),
+        (place(), size(), size(), 0.0f64..3.0).prop_map(|(centre_m, width_m, height_m, angle_rad)| {
+            ElectrodeShape::PadRectangle { centre_m, width_m, height_m, angle_rad }
+        }),
+        place().prop_map(|position_m| ElectrodeShape::Point { position_m }),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+
+    /// Whatever is asked for is either refused or meshed so that the sheet is covered, and every pad, exactly.
+    #[test]
+    fn any_specification_is_meshed_or_refused(
+        outline in any_outline(),
+        electrodes in prop::collection::vec(any_electrode(), 0..5),
+        size in 0.004f64..0.03,
+        ratio in 0.05f64..2.0,
+    ) {
+        let mut spec = SheetSpec::new(outline.clone(), electrodes.clone(), size);
+        spec.electrode_element_size_m = ratio * size;
+        if let Ok((mesh, quality)) = spec.build(&[0.1]) {
+            prop_assert!(quality.refinement_complete, "{quality:?}");
+            let covered = area(&mesh) / outline.area_m2();
+            if let Outline::Disc { .. } = outline {
+                prop_assert!(covered > 0.98 && covered < 1.0, "{covered}");
+            } else {
+                prop_assert!((covered - 1.0).abs() < 1e-9, "{covered}");
+            }
+            for (shape, measure) in electrodes.iter().zip(mesh.electrode_measures()) {
+                let (wanted, tolerance) = match shape {
+                    ElectrodeShape::RimArc { width_m, .. } | ElectrodeShape::RimSegment { width_m, .. } => (*width_m, 0.05),
+                    ElectrodeShape::PadCircle { radius_m, .. } => (PI * radius_m * radius_m, 1e-8),
+                    ElectrodeShape::PadRectangle { width_m, height_m, .. } => (width_m * height_m, 1e-8),
+                    _ => continue,
+                };
+                prop_assert!((measure / wanted - 1.0).abs() < tolerance, "{shape:?}: {measure}");
+            }
+        }
     }
 }

@@ -143,14 +143,3 @@ fn mistakes_are_named() {
     let misplaced = PrismElectrode::Bottom(ElectrodeShape::RimArc { centre_rad: 0.0, width_m: 0.01 });
     assert!(refused(vec![misplaced]).contains("belong on the side"));
 }
-
-#[test]
-#[ignore = "prints figures"]
-fn figures() {
-    let start = std::time::Instant::now();
-    let mesh = SlabSpec { size_m: [0.1, 0.1, 0.05], cells: [40, 40, 21], electrodes: vec![] }.build(&[1.0]).unwrap();
-    println!("slab of {} tetrahedra: {:?}", mesh.mesh.element_count(), start.elapsed());
-    let start = std::time::Instant::now();
-    let mesh = PrismSpec::cylinder(0.05, 0.06, 0.00161, 10, vec![]).build(&[1.0]).unwrap();
-    println!("cylinder of {} tetrahedra: {:?}", mesh.mesh.element_count(), start.elapsed());
-}
