@@ -9,6 +9,9 @@ const here = dirname(fileURLToPath(import.meta.url));
 const assets = join(here, "../crates/dermis-cli/assets");
 const isCheck = process.argv.includes("--check");
 
+// Its licence asks that this text goes wherever the code goes.
+const licence = `/*! uPlot, https://github.com/leeoniya/uPlot\n${await readFile(join(here, "node_modules/uplot/LICENSE"), "utf8")}*/`;
+
 const { outputFiles } = await build({
   absWorkingDir: here,
   entryPoints: { page: "src/main.ts" },
@@ -19,7 +22,8 @@ const { outputFiles } = await build({
   format: "iife",
   target: ["es2022"],
   charset: "utf8",
-  legalComments: "inline",
+  legalComments: "none",
+  banner: { js: licence, css: licence },
 });
 const files = new Map(outputFiles.map((file) => [file.path.split(/[\\/]/).pop(), Buffer.from(file.contents)]));
 for (const name of ["index.html", "icon.svg"]) files.set(name, await readFile(join(here, "public", name)));

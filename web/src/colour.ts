@@ -2,7 +2,8 @@
 // does not follow each frame unless asked to, so that a colour means the same value from one frame to the next.
 
 /** viridis and cividis: ten equally spaced points of the maps by van der Walt, Smith and Firing (CC0) and by Nuñez,
- * Anderton and Renslow (2018). signed: ColorBrewer's RdBu, reversed, whose middle is zero. */
+ * Anderton and Renslow (2018). signed: RdBu of ColorBrewer
+ * (Cynthia Brewer, Apache-2.0), reversed, whose middle is zero. */
 const CONTROL_POINTS = {
   viridis: "440154 482878 3e4989 31688e 26828e 1f9e89 35b779 6ece58 b5de2b fde725",
   cividis: "00224e 123570 3b496c 575d6d 707173 8a8678 a59c74 c3b369 e1cc55 fee838",

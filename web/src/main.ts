@@ -36,6 +36,7 @@ let scene: Scene | null = null;
 let image: Image | null = null;
 let channels: Channels | null = null;
 let state: State | null = null;
+let chosen: number[] = [];
 let isFresh = false;
 let isStateFresh = false;
 let isPaused = false;
@@ -59,8 +60,12 @@ connection = new Connection({
 function begin(next: Scene): void {
   const isNew = JSON.stringify(next) !== JSON.stringify(scene);
   scene = next;
-  // A connection that came back shows the same skin: what people set stays as it was.
-  if (!isNew) return;
+  presser.forget();
+  if (!isNew) {
+    // A connection that came back shows the same skin: what people set stays as it was. The server may be a new one.
+    if (chosen.length) connection.ask({ choose_channels: chosen });
+    return;
+  }
   document.title = `${next.skin} – dermis`;
   find("skin-name").textContent = next.skin;
   showBadges(next);
@@ -72,6 +77,7 @@ function begin(next: Scene): void {
   for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
   find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
   find("press-controls").hidden = !next.is_twin;
+  slider.disabled = !(next.hyperparameter_range[0] > 0 && next.hyperparameter_range[1] > next.hyperparameter_range[0]);
   view.stage.classList.toggle("twin", next.is_twin);
   find("stage-help").textContent = next.is_twin
     ? "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius."
@@ -130,9 +136,10 @@ function setText(id: string, text: string): void {
 /** The slider shows what the pipeline uses, but not while somebody moves it. */
 function followHyperparameter(value: number): void {
   if (!scene || performance.now() - sliderTouchedAt < 1000 || !(value > 0)) return;
+  setText("hyperparameter-value", value.toExponential(2));
+  if (slider.disabled) return;
   const [low, high] = scene.hyperparameter_range.map(Math.log);
   slider.value = String(Math.round((SLIDER_STEPS * (Math.log(value) - low)) / (high - low)));
-  setText("hyperparameter-value", value.toExponential(2));
 }
 
 function sendHyperparameter(): void {
@@ -147,11 +154,12 @@ function sendHyperparameter(): void {
 function chooseChannels(): void {
   const input = find<HTMLInputElement>("channels");
   const count = scene?.channel_labels.length ?? 0;
-  const chosen = parseChannels(input.value, count);
-  const isFit = chosen !== null && chosen.length <= MOST_TRACES;
+  const wanted = parseChannels(input.value, count);
+  const isFit = wanted !== null && wanted.length <= MOST_TRACES;
   input.setCustomValidity(isFit ? "" : `expected at most ${MOST_TRACES} numbers from 1 to ${count}`);
-  input.title = isFit ? chosen.map((channel) => `${channel + 1}: ${scene?.channel_labels[channel]}`).join("\n") : input.validationMessage;
+  input.title = isFit ? wanted.map((channel) => `${channel + 1}: ${scene?.channel_labels[channel]}`).join("\n") : input.validationMessage;
   if (!isFit || !scene) return;
+  chosen = wanted;
   traces.choose(chosen, scene.channel_labels);
   connection.ask({ choose_channels: chosen });
 }
@@ -177,7 +185,7 @@ function bindControls(): void {
   find("channels").addEventListener("input", chooseChannels);
   for (const [id, unit] of [["radius", "mm"], ["pressure", "kPa"]]) {
     const input = find<HTMLInputElement>(id);
-    const show = () => (find(`${id}-value`).textContent = `${Number(input.value)} ${unit}`);
+    const show = () => (find(`${id}-value`).textContent = `${Number(Number(input.value).toPrecision(3))} ${unit}`);
     input.addEventListener("input", show);
     show();
   }

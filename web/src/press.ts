@@ -7,6 +7,15 @@ import type { View } from "./view";
 /** The keyboard's press has a number that browsers give to no pointer. */
 const KEYS = 0xffffffff;
 
+/** Sets the range of a slider, with a round step of about a hundredth of it. */
+function limit(slider: HTMLInputElement, [low, high]: [number, number], initial: number): void {
+  slider.step = String(10 ** Math.floor(Math.log10(Math.max(high - low, 1e-6) / 100)));
+  slider.min = String(low);
+  slider.max = String(high);
+  slider.value = String(initial);
+  slider.dispatchEvent(new Event("input"));
+}
+
 interface Held extends Press {
   isDown: boolean;
   isMoved: boolean;
@@ -40,14 +49,16 @@ export class Presser {
 
   begin(scene: Scene): void {
     this.scene = scene;
+    this.forget();
+    const { press } = scene;
+    limit(this.radius, press.radius_mm, press.initial_radius_mm);
+    limit(this.pressure, press.pressure_kpa, press.initial_pressure_kpa);
+  }
+
+  /** The server has let go of everything: the connection is a new one. */
+  forget(): void {
     this.held.clear();
     this.cursor = null;
-    const { press } = scene;
-    [this.radius.min, this.radius.max] = press.radius_mm.map(String) as [string, string];
-    [this.pressure.min, this.pressure.max] = press.pressure_kpa.map(String) as [string, string];
-    this.radius.value = String(press.initial_radius_mm);
-    this.pressure.value = String(press.initial_pressure_kpa);
-    this.resize();
     this.show();
   }
 

@@ -10,16 +10,16 @@ import { chromium } from "playwright-core";
 const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 const START_LIMIT_MS = 120_000;
 
-function commandLine() {
+function commandLine(port) {
   const { DERMIS_BIN, DERMIS_ARGS, PAGE_DEMO_BIN } = process.env;
-  if (DERMIS_BIN) return [DERMIS_BIN, ["run", "--no-open", "--port", "0", ...(DERMIS_ARGS ?? "").split(" ").filter(Boolean)]];
-  if (PAGE_DEMO_BIN) return [PAGE_DEMO_BIN, ["--port", "0"]];
-  return ["cargo", ["run", "--quiet", "-p", "dermis-cli", "--example", "page_demo", "--", "--port", "0"]];
+  if (DERMIS_BIN) return [DERMIS_BIN, ["run", "--no-open", "--port", port, ...(DERMIS_ARGS ?? "").split(" ").filter(Boolean)]];
+  if (PAGE_DEMO_BIN) return [PAGE_DEMO_BIN, ["--port", port]];
+  return ["cargo", ["run", "--quiet", "-p", "dermis-cli", "--example", "page_demo", "--", "--port", port]];
 }
 
-/** Starts the server and waits until it prints `page: ADDRESS`. */
-export async function startServer() {
-  const [program, args] = commandLine();
+/** Starts the server, on any free port unless told otherwise, and waits until it prints `page: ADDRESS`. */
+export async function startServer(port = 0) {
+  const [program, args] = commandLine(String(port));
   const server = spawn(program, args, { cwd: root, stdio: ["ignore", "pipe", "pipe"] });
   const said = [];
   const address = await new Promise((resolve, reject) => {
@@ -38,7 +38,12 @@ export async function startServer() {
     server.kill();
     throw error;
   });
-  return { address, stop: () => server.kill("SIGTERM"), isDemo: !process.env.DERMIS_BIN };
+  const ended = new Promise((resolve) => server.once("exit", resolve));
+  const stop = () => {
+    server.kill("SIGTERM");
+    return ended;
+  };
+  return { address, stop };
 }
 
 export async function startBrowser() {
@@ -61,6 +66,8 @@ export async function openPage(browser, address, options = {}) {
   await page.goto(address);
   await page.waitForSelector("[data-connection='live']");
   await page.waitForSelector("#wait", { state: "hidden" });
+  // Before the baseline is there, a press would become part of it.
+  await page.waitForFunction(() => document.querySelector("#tare-state").textContent.startsWith("baseline"));
   return { page, requests, complaints };
 }
 

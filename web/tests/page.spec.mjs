@@ -18,7 +18,7 @@ before(async () => {
 
 after(async () => {
   await browser?.close();
-  server?.stop();
+  await server?.stop();
 });
 
 const near = (x_mm, y_mm) => (row) => Math.hypot(row.x_mm - x_mm, row.y_mm - y_mm) <= REACH_MM;
@@ -45,7 +45,11 @@ test("a press on the twin shows a touch where it pressed, which follows and ends
   assert.equal(await page.locator(`#overlay [data-touch="${touch.id}"] text`).count(), 1, "the touch is drawn with its number");
 
   const target = await windowFromSkin(page, 6, -5);
-  await page.mouse.move(target.x, target.y, { steps: 12 });
+  // As slowly as a hand: a leap would be another touch.
+  for (let step = 1; step <= 20; step += 1) {
+    await page.mouse.move(press.x + ((target.x - press.x) * step) / 20, press.y + ((target.y - press.y) * step) / 20);
+    await page.waitForTimeout(50);
+  }
   const moved = await waitForRows(page, (now) => now.some((row) => row.id === touch.id && near(6, -5)(row)));
   console.log(`moved to 6, -5 mm; touch ${touch.id} at ${moved.find((row) => row.id === touch.id).x_mm.toFixed(2)} mm right`);
   await page.mouse.up();
@@ -119,6 +123,18 @@ test("a press is let go when its page closes", async () => {
   await waitForRows(opened.page, (now) => now.some(near(4, 5)));
   await page.close();
   await waitForRows(opened.page, (now) => !now.some(near(4, 5)));
+});
+
+test("a page whose server comes back goes on by itself", async () => {
+  const first = await startServer();
+  const { page } = await openPage(browser, first.address);
+  await first.stop();
+  await page.waitForSelector("[data-connection='lost']");
+  const second = await startServer(new URL(first.address).port);
+  await page.waitForSelector("[data-connection='live']");
+  await page.waitForFunction(() => Number(document.querySelector("#shown").textContent) > 0);
+  await page.close();
+  await second.stop();
 });
 
 test("nothing is loaded from elsewhere and nothing complains", () => {

@@ -132,7 +132,10 @@ impl Demo {
         self.touched = update.touches.iter().map(|touch| touch.id).collect();
         for (channel, value) in update.channels.values.iter_mut().enumerate() {
             let phase = TAU * channel as f64 / 208.0;
-            *value = blobs.iter().map(|b| 1e-5 * b.pressure_kpa * (phase + b.x_mm / 20.0 - b.y_mm / 30.0).sin()).sum::<f64>() as f32;
+            *value = blobs
+                .iter()
+                .map(|b| 1e-5 * b.pressure_kpa * (phase + b.x_mm / 20.0 - b.y_mm / 30.0).sin())
+                .sum::<f64>() as f32;
         }
     }
 }

@@ -1,0 +1,513 @@
+//! The live page's server as strangers and slow pages meet it: who is let in, what is refused and how, what is lost when
+//! somebody does not keep up, and that a press never stays on the skin after its page is gone.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, bounded};
+use dermis_cli::page::{
+    self, Command, GridView, Hub, Level, PageError, PageOptions, Request, Scene, ServerHandle, Token, Update,
+};
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use tokio::time::timeout;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::{Error as SocketError, Message};
+use tokio_tungstenite::{WebSocketStream, client_async};
+
+/// Only reached when something hangs.
+const HANG: Duration = Duration::from_secs(30);
+const LOOPBACK: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(std::net::Ipv4Addr::LOCALHOST), 0);
+
+type Socket = WebSocketStream<tokio::net::TcpStream>;
+
+struct Served {
+    server: ServerHandle,
+    hub: Hub,
+    requests: Receiver<Request>,
+}
+
+fn scene(is_twin: bool) -> Scene {
+    Scene {
+        skin: "test".into(),
+        is_twin,
+        grid: GridView { rows: 2, cols: 2, x_min_mm: -50.0, x_max_mm: 50.0, y_min_mm: -50.0, y_max_mm: 50.0 },
+        channel_labels: (0..4).map(|channel| channel.to_string()).collect(),
+        ..Scene::default()
+    }
+}
+
+fn serve_with(options: PageOptions, is_twin: bool, queue: usize) -> Served {
+    let hub = Hub::new();
+    let (commands, requests) = bounded(queue);
+    let server = page::serve(LOOPBACK, options, hub.clone(), scene(is_twin), commands).expect("a free port");
+    Served { server, hub, requests }
+}
+
+fn serve() -> Served {
+    serve_with(PageOptions::default(), true, 64)
+}
+
+fn update(frame: u64, side: usize) -> Update {
+    let mut update = Update { frame, ..Update::default() };
+    update.image.rows = side;
+    update.image.cols = side;
+    update.image.values = vec![frame as f32; side * side];
+    update
+}
+
+/// Sends a request as it stands and returns the whole answer.
+fn raw(address: SocketAddr, request: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("it listens");
+    stream.set_read_timeout(Some(HANG)).expect("a time limit");
+    stream.write_all(request.as_bytes()).expect("it reads");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).expect("it answers");
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+fn get(address: SocketAddr, path: &str, headers: &[&str]) -> String {
+    let mut request = format!("GET {path} HTTP/1.1\r\nConnection: close\r\n");
+    if !headers.iter().any(|header| header.starts_with("Host:")) {
+        request += &format!("Host: {address}\r\n");
+    }
+    for header in headers {
+        request += &format!("{header}\r\n");
+    }
+    raw(address, &(request + "\r\n"))
+}
+
+fn status(answer: &str) -> u16 {
+    answer.split(' ').nth(1).and_then(|code| code.parse().ok()).unwrap_or_else(|| panic!("no status in {answer:?}"))
+}
+
+async fn open_with(address: SocketAddr, origin: Option<&str>, cookie: Option<&str>) -> Result<Socket, SocketError> {
+    let mut request = format!("ws://{address}/ws").into_client_request()?;
+    for (name, value) in [("Origin", origin), ("Cookie", cookie)] {
+        if let Some(value) = value {
+            request.headers_mut().insert(name, value.parse().expect("a header"));
+        }
+    }
+    let stream = tokio::net::TcpStream::connect(address).await.expect("it listens");
+    client_async(request, stream).await.map(|(socket, _)| socket)
+}
+
+async fn open(address: SocketAddr) -> Socket {
+    open_with(address, Some(&format!("http://{address}")), None).await.expect("the page's own socket")
+}
+
+fn refused_with(opened: Result<Socket, SocketError>) -> u16 {
+    match opened {
+        Err(SocketError::Http(answer)) => answer.status().as_u16(),
+        other => panic!("expected a refusal, got {other:?}"),
+    }
+}
+
+async fn next(socket: &mut Socket) -> Message {
+    let message = timeout(HANG, socket.next()).await.expect("a message before the time limit");
+    message.expect("an open connection").expect("a readable message")
+}
+
+/// The next JSON message of this type.
+async fn next_json(socket: &mut Socket, kind: &str) -> Value {
+    loop {
+        if let Message::Text(text) = next(socket).await {
+            let message: Value = serde_json::from_str(&text).expect("JSON");
+            assert_eq!(message["v"], 1, "every message states the version");
+            if message["type"] == kind {
+                return message;
+            }
+        }
+    }
+}
+
+/// Reads until the server closes, and returns why.
+async fn closed(socket: &mut Socket) -> CloseCode {
+    loop {
+        match timeout(HANG, socket.next()).await.expect("an end before the time limit") {
+            Some(Ok(Message::Close(Some(frame)))) => return frame.code,
+            Some(Ok(_)) => {}
+            other => panic!("expected a close frame, got {other:?}"),
+        }
+    }
+}
+
+async fn say(socket: &mut Socket, message: Value) {
+    socket.send(Message::text(message.to_string())).await.expect("an open connection");
+}
+
+async fn ask(socket: &mut Socket, id: u64, command: Value) {
+    say(socket, json!({"v": 1, "id": id, "command": command})).await;
+}
+
+fn press(pointer_id: u64, x_mm: f64) -> Value {
+    json!({"press": {"pointer_id": pointer_id, "x_mm": x_mm, "y_mm": 0, "radius_mm": 10, "pressure_kpa": 80}})
+}
+
+async fn request(requests: &Receiver<Request>) -> Request {
+    let requests = requests.clone();
+    let received = tokio::task::spawn_blocking(move || requests.recv_timeout(HANG)).await.expect("no panic");
+    received.expect("a request before the time limit")
+}
+
+#[test]
+fn the_page_comes_with_headers_that_keep_it_to_itself() {
+    let served = serve();
+    let address = served.server.local_addr();
+    assert!(address.ip().is_loopback() && address.port() != 0);
+    assert_eq!(served.server.url(), format!("http://{address}/"));
+    for (path, kind) in
+        [("/", "text/html"), ("/page.js", "text/javascript"), ("/page.css", "text/css"), ("/icon.svg", "image/svg")]
+    {
+        let answer = get(address, path, &[]);
+        assert_eq!(status(&answer), 200, "{path}");
+        let lower = answer.to_lowercase();
+        assert!(lower.contains(&format!("content-type: {kind}")), "{path}");
+        for header in [
+            "content-security-policy: default-src 'self'",
+            "x-content-type-options: nosniff",
+            "x-frame-options: deny",
+            "referrer-policy: no-referrer",
+        ] {
+            assert!(lower.contains(header), "{path} without {header}");
+        }
+    }
+}
+
+#[test]
+fn the_page_names_no_other_site() {
+    let served = serve();
+    for path in ["/", "/page.js", "/page.css"] {
+        let answer = get(served.server.local_addr(), path, &[]);
+        // Names of XML languages look like addresses and are never loaded.
+        let others = answer.replace("http://www.w3.org/2000/svg", "").replace("http://www.w3.org/1999/", "");
+        for scheme in ["src=\"http", "href=\"http", "url(http", "@import", "fetch(\"http", "import(\"http"] {
+            assert!(!others.contains(scheme), "{path} contains {scheme}");
+        }
+    }
+}
+
+#[test]
+fn other_paths_and_methods_are_not_answered() {
+    let served = serve();
+    let address = served.server.local_addr();
+    for path in [
+        "/../Cargo.toml",
+        "/..%2f..%2fetc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "//etc/passwd",
+        "/page.js/",
+        "/page.js%00",
+        "/page.js/../../Cargo.toml",
+        "/./page.js",
+        "/PAGE.JS",
+        "/assets/page.js",
+        "/\\..\\..\\etc\\passwd",
+    ] {
+        let code = status(&get(address, path, &[]));
+        assert!(code == 404 || code == 400, "{path} was answered with {code}");
+    }
+    let posted =
+        raw(address, &format!("POST / HTTP/1.1\r\nHost: {address}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"));
+    assert_eq!(status(&posted), 405);
+}
+
+#[test]
+fn a_name_that_is_not_the_servers_is_refused_with_a_hint() {
+    let served =
+        serve_with(PageOptions { allowed_hosts: vec!["lab-pc.local".into()], ..PageOptions::default() }, true, 1);
+    let address = served.server.local_addr();
+    for host in ["Host: evil.example", "Host: 127.0.0.1.evil.example", "Host: 192.168.1.7"] {
+        let answer = get(address, "/", &[host]);
+        assert_eq!(status(&answer), 403, "{host}");
+        assert!(answer.contains("--allow-host"), "{answer}");
+    }
+    assert_eq!(status(&get(address, "/", &[&format!("Host: localhost:{}", address.port())])), 200);
+    assert_eq!(status(&get(address, "/", &["Host: lab-pc.local"])), 200);
+    let without = raw(address, "GET / HTTP/1.1\r\nConnection: close\r\n\r\n");
+    assert!([400, 403].contains(&status(&without)), "{without}");
+}
+
+#[tokio::test]
+async fn a_socket_from_another_origin_is_refused() {
+    let served = serve();
+    let address = served.server.local_addr();
+    let other_port = format!("http://127.0.0.1:{}", address.port() ^ 1);
+    for origin in [Some("http://evil.example"), Some("null"), Some(other_port.as_str()), None] {
+        assert_eq!(refused_with(open_with(address, origin, None).await), 403, "{origin:?}");
+    }
+    assert_eq!(status(&get(address, "/page.js", &["Origin: http://evil.example"])), 403);
+}
+
+#[tokio::test]
+async fn with_a_token_nothing_is_answered_without_it() {
+    let token = Token::random().expect("random bytes");
+    let options = PageOptions { token: Some(token.clone()), ..PageOptions::default() };
+    let served = serve_with(options, true, 1);
+    let address = served.server.local_addr();
+    assert_eq!(served.server.url(), format!("http://{address}/?token={}", token.as_str()));
+    let wrong = "0".repeat(32);
+    for path in ["/", "/page.js", "/icon.svg", &format!("/?token={wrong}"), "/?token=", "/elsewhere"] {
+        assert_eq!(status(&get(address, path, &[])), 401, "{path}");
+    }
+    let own = format!("http://{address}");
+    assert_eq!(refused_with(open_with(address, Some(&own), None).await), 401);
+
+    let answer = get(address, &format!("/?token={}", token.as_str()), &[]);
+    assert_eq!(status(&answer), 200);
+    let cookie_line = answer.lines().find_map(|line| line.strip_prefix("set-cookie: ")).expect("a cookie");
+    assert!(cookie_line.contains("HttpOnly") && cookie_line.contains("SameSite=Strict"), "{cookie_line}");
+    let cookie = cookie_line.split(';').next().expect("a name and a value");
+    assert_eq!(status(&get(address, "/page.js", &[&format!("Cookie: {cookie}")])), 200);
+    let mut socket = open_with(address, Some(&own), Some(cookie)).await.expect("the page's own socket");
+    next_json(&mut socket, "scene").await;
+    assert_eq!(refused_with(open_with(address, Some("http://evil.example"), Some(cookie)).await), 403);
+}
+
+#[test]
+fn beyond_loopback_it_refuses_to_listen_without_a_token() {
+    let (commands, _requests) = bounded(1);
+    let everywhere = SocketAddr::from(([0, 0, 0, 0], 0));
+    let made = page::serve(everywhere, PageOptions::default(), Hub::new(), scene(true), commands);
+    let error = made.expect_err("no token was given");
+    assert!(matches!(error, PageError::TokenMissing { .. }));
+    assert!(error.to_string().contains("0.0.0.0"), "{error}");
+}
+
+#[test]
+fn a_port_in_use_is_named_with_what_to_do() {
+    let served = serve();
+    let address = served.server.local_addr();
+    let (commands, _requests) = bounded(1);
+    let error =
+        page::serve(address, PageOptions::default(), Hub::new(), scene(true), commands).expect_err("it is in use");
+    assert!(matches!(error, PageError::PortInUse { .. }));
+    let text = error.to_string();
+    assert!(text.contains(&format!("port {} on 127.0.0.1", address.port())) && text.contains("--port 0"), "{text}");
+}
+
+#[test]
+fn after_shutdown_the_port_is_free_again() {
+    let served = serve();
+    let address = served.server.local_addr();
+    served.server.shutdown();
+    let (commands, _requests) = bounded(1);
+    page::serve(address, PageOptions::default(), Hub::new(), scene(true), commands).expect("free again");
+}
+
+#[tokio::test]
+async fn pages_are_told_when_the_server_stops() {
+    let served = serve();
+    let mut socket = open(served.server.local_addr()).await;
+    next_json(&mut socket, "scene").await;
+    tokio::task::spawn_blocking(move || served.server.shutdown()).await.expect("no panic");
+    assert_eq!(closed(&mut socket).await, CloseCode::Away);
+}
+
+#[tokio::test]
+async fn a_page_gets_the_scene_first_and_then_what_is_newest() {
+    let served = serve();
+    served.hub.publish(&update(41, 2)).expect("well formed");
+    served.hub.publish(&update(42, 2)).expect("well formed");
+    served.hub.publish_noise(&[0.5, 0.25]);
+    let mut socket = open(served.server.local_addr()).await;
+    let Message::Text(first) = next(&mut socket).await else { panic!("expected the scene first") };
+    let first: Value = serde_json::from_str(&first).expect("JSON");
+    assert_eq!((&first["type"], &first["skin"], &first["grid"]["rows"]), (&json!("scene"), &json!("test"), &json!(2)));
+    let (mut image, mut noise, mut state) = (None, None, None);
+    while image.is_none() || noise.is_none() || state.is_none() {
+        match next(&mut socket).await {
+            Message::Binary(bytes) if bytes[6] == 1 => image = Some(bytes),
+            Message::Binary(bytes) if bytes[6] == 3 && bytes.len() > 32 => noise = Some(bytes),
+            Message::Text(text) if text.contains(r#""type":"state""#) => state = Some(text),
+            _ => {}
+        }
+    }
+    let image = image.expect("just checked");
+    assert_eq!((&image[8..16], &image[32..36]), (&42u64.to_le_bytes()[..], &42f32.to_le_bytes()[..]));
+    assert_eq!(noise.expect("just checked")[32..40], [0.5f32.to_le_bytes(), 0.25f32.to_le_bytes()].concat());
+    assert!(state.expect("just checked").contains(r#""frame":42"#));
+}
+
+#[tokio::test]
+async fn commands_arrive_and_their_answers_return() {
+    let served = serve();
+    let mut socket = open(served.server.local_addr()).await;
+    ask(&mut socket, 5, json!({"tare": {"force": false}})).await;
+    let asked = request(&served.requests).await;
+    assert_eq!(asked.command, Command::Tare { force: false });
+    asked.reply.refuse("tare refused: a touch is on the skin");
+    let answer = next_json(&mut socket, "answer").await;
+    assert_eq!((&answer["id"], &answer["ok"]), (&json!(5), &json!(false)));
+    assert_eq!(answer["text"], "tare refused: a touch is on the skin");
+
+    ask(&mut socket, 6, json!({"choose_channels": [0, 3]})).await;
+    assert_eq!(request(&served.requests).await.command, Command::ChooseChannels(vec![0, 3]));
+    served.hub.announce(Level::Error, "7 frames were lost");
+    let notice = next_json(&mut socket, "notice").await;
+    assert_eq!((&notice["level"], &notice["text"]), (&json!("error"), &json!("7 frames were lost")));
+}
+
+#[tokio::test]
+async fn what_no_pipeline_could_do_is_refused_with_the_value_and_the_expectation() {
+    let served = serve();
+    let mut socket = open(served.server.local_addr()).await;
+    for (command, hint) in [
+        (json!({"hyperparameter": -1.0}), "hyperparameter -1 refused: expected a positive"),
+        (json!({"choose_channels": [4]}), "channel 4 refused: expected an index below 4"),
+        (press(1, 1e6), "x_mm is 1000000, expected -100 to 100"),
+        (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it does not press"),
+        (json!("explode"), "unknown variant `explode`"),
+        (press(u64::from(u32::MAX) + 1, 0.0), "expected at most 4294967295"),
+    ] {
+        ask(&mut socket, 1, command).await;
+        let answer = next_json(&mut socket, "answer").await;
+        let text = answer["text"].as_str().expect("text");
+        assert!(answer["ok"] == false && text.contains(hint), "{text}");
+    }
+    assert!(served.requests.is_empty(), "nothing of this reached the pipeline");
+}
+
+#[tokio::test]
+async fn a_real_skin_cannot_be_pressed_from_the_page() {
+    let served = serve_with(PageOptions::default(), false, 8);
+    let mut socket = open(served.server.local_addr()).await;
+    ask(&mut socket, 1, press(1, 0.0)).await;
+    let answer = next_json(&mut socket, "answer").await;
+    assert!(answer["text"].as_str().is_some_and(|text| text.contains("this skin is real")), "{answer}");
+}
+
+#[tokio::test]
+async fn presses_of_two_pages_are_told_apart_and_end_with_their_page() {
+    let served = serve();
+    let address = served.server.local_addr();
+    let (mut one, mut two) = (open(address).await, open(address).await);
+    ask(&mut one, 1, press(7, 1.0)).await;
+    let Command::Press(first) = request(&served.requests).await.command else { panic!("expected a press") };
+    ask(&mut two, 1, press(7, 2.0)).await;
+    let Command::Press(second) = request(&served.requests).await.command else { panic!("expected a press") };
+    assert_ne!(first.pointer_id, second.pointer_id);
+    drop(one);
+    assert_eq!(request(&served.requests).await.command, Command::Release { pointer_id: first.pointer_id });
+    ask(&mut two, 2, json!({"release": {"pointer_id": 7}})).await;
+    assert_eq!(request(&served.requests).await.command, Command::Release { pointer_id: second.pointer_id });
+}
+
+#[tokio::test]
+async fn a_full_queue_refuses_presses_but_never_loses_a_release() {
+    let served = serve_with(PageOptions::default(), true, 1);
+    let mut socket = open(served.server.local_addr()).await;
+    ask(&mut socket, 1, press(1, 0.0)).await;
+    ask(&mut socket, 2, press(2, 0.0)).await;
+    let answer = next_json(&mut socket, "answer").await;
+    assert_eq!(answer["id"], 2);
+    assert!(answer["text"].as_str().is_some_and(|text| text.contains("behind")), "{answer}");
+    ask(&mut socket, 3, json!({"release": {"pointer_id": 1}})).await;
+    // Its refusal shows that the queue was full when the release came.
+    assert_eq!(next_json(&mut socket, "answer").await["id"], 3);
+    let Command::Press(pressed) = request(&served.requests).await.command else { panic!("expected a press") };
+    assert_eq!(request(&served.requests).await.command, Command::Release { pointer_id: pressed.pointer_id });
+}
+
+#[tokio::test]
+async fn a_message_beyond_the_limit_ends_the_connection() {
+    let served = serve();
+    let mut socket = open(served.server.local_addr()).await;
+    // One byte more than 16 KiB.
+    socket.send(Message::text(" ".repeat(16 * 1024 + 1))).await.expect("an open connection");
+    assert_eq!(closed(&mut socket).await, CloseCode::Size);
+    assert!(served.requests.is_empty());
+}
+
+#[tokio::test]
+async fn too_many_messages_end_the_connection() {
+    let served = serve_with(PageOptions { most_messages_per_s: 5, ..PageOptions::default() }, true, 64);
+    let mut socket = open(served.server.local_addr()).await;
+    for id in 0..50 {
+        // The server may close while this is still sending.
+        let message = json!({"v": 1, "id": id, "command": "record_stop"}).to_string();
+        if socket.send(Message::text(message)).await.is_err() {
+            break;
+        }
+    }
+    assert_eq!(closed(&mut socket).await, CloseCode::Policy);
+}
+
+#[tokio::test]
+async fn a_page_too_many_is_told_so_and_a_place_becomes_free() {
+    let served = serve_with(PageOptions { most_clients: 2, ..PageOptions::default() }, true, 64);
+    let address = served.server.local_addr();
+    let (mut one, mut two) = (open(address).await, open(address).await);
+    next_json(&mut one, "scene").await;
+    next_json(&mut two, "scene").await;
+    assert_eq!(closed(&mut open(address).await).await, CloseCode::Again);
+    assert_eq!(served.hub.stats().clients, 2);
+    drop(one);
+    // The server notices when it next writes to the lost connection, at the latest after a second.
+    timeout(HANG, async {
+        while served.hub.stats().clients == 2 {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    })
+    .await
+    .expect("a place becomes free");
+    next_json(&mut open(address).await, "scene").await;
+}
+
+#[tokio::test]
+async fn a_page_that_does_not_acknowledge_misses_updates_and_others_do_not() {
+    let served = serve_with(PageOptions { most_updates_per_s: 1000, ..PageOptions::default() }, true, 64);
+    let address = served.server.local_addr();
+    let (mut stuck, mut quick) = (open(address).await, open(address).await);
+    next_json(&mut stuck, "scene").await;
+    next_json(&mut quick, "scene").await;
+    for frame in 1..=60 {
+        served.hub.publish(&update(frame, 2)).expect("well formed");
+        let state = next_json(&mut quick, "state").await;
+        assert_eq!(state["frame"], frame);
+        say(&mut quick, json!({"v": 1, "ack": state["sequence"]})).await;
+    }
+    // Eight are under way without an acknowledgement, and no more.
+    let mut last = Value::Null;
+    for _ in 0..8 {
+        last = next_json(&mut stuck, "state").await;
+    }
+    assert!(last["frame"].as_u64().is_some_and(|frame| frame <= 60));
+    say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
+    // Once it is back, it gets the newest one, unless that was among the eight.
+    while last["frame"] != 60 {
+        last = next_json(&mut stuck, "state").await;
+        say(&mut stuck, json!({"v": 1, "ack": last["sequence"]})).await;
+    }
+    let dropped = served.hub.stats().dropped;
+    assert!((1..60).contains(&dropped), "{dropped} updates dropped for the stuck page");
+}
+
+#[tokio::test]
+async fn a_page_that_never_reads_holds_up_nobody() {
+    let served = serve_with(PageOptions { most_updates_per_s: 1000, ..PageOptions::default() }, true, 64);
+    let address = served.server.local_addr();
+    let _stuck = open(address).await;
+    let mut quick = open(address).await;
+    next_json(&mut quick, "scene").await;
+    // 1 MiB each: far more than the system buffers for a connection that nobody reads.
+    for frame in 1..=40 {
+        served.hub.publish(&update(frame, 512)).expect("well formed");
+        let state = next_json(&mut quick, "state").await;
+        assert_eq!(state["frame"], frame);
+        say(&mut quick, json!({"v": 1, "ack": state["sequence"]})).await;
+    }
+}
+
+#[test]
+fn publishing_needs_no_page_and_no_server() {
+    let hub = Hub::new();
+    for frame in 0..1000 {
+        hub.publish(&update(frame, 8)).expect("well formed");
+        hub.announce(Level::Info, "nobody listens");
+    }
+    assert_eq!(hub.stats().published, 1000);
+    assert_eq!(hub.stats().dropped, 0);
+}

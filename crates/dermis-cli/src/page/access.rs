@@ -157,9 +157,13 @@ impl Denial {
 
     pub(super) fn explanation(self) -> &'static str {
         match self {
-            Self::Host => "Refused: this server does not go by the name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n",
+            Self::Host => {
+                "Refused: this server does not go by the name in the address. Use the address that dermis printed, or start it with --allow-host NAME.\n"
+            }
             Self::Origin => "Refused: the request does not come from this server's own page.\n",
-            Self::Token => "Refused: the token is missing or wrong. Open the whole address that dermis printed, with ?token= and what follows.\n",
+            Self::Token => {
+                "Refused: the token is missing or wrong. Open the whole address that dermis printed, with ?token= and what follows.\n"
+            }
         }
     }
 }
@@ -203,7 +207,9 @@ mod tests {
         for host in ["127.0.0.1:8080", "localhost:8080", "LOCALHOST", "[::1]:8080", "lab-pc.local:9000"] {
             assert_eq!(check(&access, "/", &[(header::HOST, host)]), Ok(()), "{host}");
         }
-        for host in ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example:8080", "a@localhost", "10.0.0.1", ""] {
+        for host in
+            ["evil.example", "localhost.evil.example", "127.0.0.1.evil.example:8080", "a@localhost", "10.0.0.1", ""]
+        {
             assert_eq!(check(&access, "/", &[(header::HOST, host)]), Err(Denial::Host), "{host}");
         }
         assert_eq!(check(&access, "/", &[]), Err(Denial::Host));
@@ -216,8 +222,14 @@ mod tests {
         let host = (header::HOST, "localhost:8080");
         assert_eq!(check(&access, "/ws", &[host.clone(), (header::ORIGIN, "http://localhost:8080")]), Ok(()));
         assert_eq!(check(&access, "/ws", std::slice::from_ref(&host)), Err(Denial::Origin));
-        for origin in ["http://localhost:8081", "http://localhost", "null", "http://evil.example", "file://localhost:8080"] {
-            assert_eq!(check(&access, "/ws", &[host.clone(), (header::ORIGIN, origin)]), Err(Denial::Origin), "{origin}");
+        for origin in
+            ["http://localhost:8081", "http://localhost", "null", "http://evil.example", "file://localhost:8080"]
+        {
+            assert_eq!(
+                check(&access, "/ws", &[host.clone(), (header::ORIGIN, origin)]),
+                Err(Denial::Origin),
+                "{origin}"
+            );
         }
     }
 
@@ -230,7 +242,9 @@ mod tests {
         assert_eq!(check(&access, &format!("/?token={SECRET}"), std::slice::from_ref(&host)), Ok(()));
         let cookie = format!("other=1; dermis_token_80={SECRET}");
         assert_eq!(check(&access, "/", &[host.clone(), (header::COOKIE, &cookie)]), Ok(()));
-        for wrong in ["/", "/?token=", "/?token=0123456789abcdef0123456789abcdee", "/?token=0123456789abcdef", "/?xtoken=1"] {
+        for wrong in
+            ["/", "/?token=", "/?token=0123456789abcdef0123456789abcdee", "/?token=0123456789abcdef", "/?xtoken=1"]
+        {
             assert_eq!(check(&access, wrong, std::slice::from_ref(&host)), Err(Denial::Token), "{wrong}");
         }
         let longer = format!("/?token={SECRET}0");

@@ -156,7 +156,9 @@ impl Client<'_> {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sent);
                 return Ok(());
             }
-            _ if !self.allowance.spend() => return Err(End::Closed(close_code::POLICY, "too many messages per second")),
+            _ if !self.allowance.spend() => {
+                return Err(End::Closed(close_code::POLICY, "too many messages per second"));
+            }
             Ok(Said::Ask(id, command)) => self.pass_on(id, command),
             Err((id, text)) => self.answer(id, text),
         }
@@ -281,7 +283,9 @@ async fn release(commands: crossbeam_channel::Sender<Request>, client: u64, poin
             Err(TrySendError::Full(request)) => request,
         };
         if Instant::now() > deadline {
-            return tracing::error!("press {pointer_id} was not released: the pipeline took no command for {RELEASE_LIMIT:?}");
+            return tracing::error!(
+                "press {pointer_id} was not released: the pipeline took no command for {RELEASE_LIMIT:?}"
+            );
         }
         sleep(Duration::from_millis(5)).await;
     }

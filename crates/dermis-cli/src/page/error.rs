@@ -26,7 +26,9 @@ pub enum PageError {
         source: io::Error,
     },
     /// Beyond loopback the page needs a token.
-    #[error("address {address} can be reached from other machines and no token was given; expected a token, or a loopback address")]
+    #[error(
+        "address {address} can be reached from other machines and no token was given; expected a token, or a loopback address"
+    )]
     TokenMissing {
         /// The address asked for.
         address: SocketAddr,
@@ -70,7 +72,9 @@ pub enum PageError {
         values: usize,
     },
     /// Channel values that do not match their indices.
-    #[error("channels of frame {frame}: {indices} indices for {values} values; expected as many, or none for all channels in order")]
+    #[error(
+        "channels of frame {frame}: {indices} indices for {values} values; expected as many, or none for all channels in order"
+    )]
     ChannelShape {
         /// Frame number of the update.
         frame: u64,

@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde::Serialize;
 use tokio::sync::{Notify, broadcast, watch};
 
+use super::PageError;
 use super::protocol::Notice;
 use super::update::Update;
-use super::PageError;
 
 /// Notices that a page may leave unread before it loses the oldest.
 const NOTICE_BACKLOG: usize = 64;
@@ -179,6 +179,9 @@ mod tests {
         update.image.cols = 4;
         update.image.values = vec![0.0; 11];
         let refusal = Hub::new().publish(&update).expect_err("one value is missing").to_string();
-        assert!(refusal.contains("frame 12") && refusal.contains("11 values") && refusal.contains("3 x 4"), "{refusal}");
+        assert!(
+            refusal.contains("frame 12") && refusal.contains("11 values") && refusal.contains("3 x 4"),
+            "{refusal}"
+        );
     }
 }

@@ -140,7 +140,8 @@ pub(super) fn noise(values: &[f32]) -> Bytes {
 /// # Errors
 /// A sentence for the page: what was wrong and what was expected, with the request's number where it was readable.
 pub(super) fn parse(text: &str) -> Result<Said, (u64, String)> {
-    let incoming: Incoming = serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
+    let incoming: Incoming =
+        serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
     let id = incoming.id.unwrap_or(0);
     if incoming.v != PROTOCOL_VERSION {
         return Err((id, format!("message of version {}; expected {PROTOCOL_VERSION}: reload the page", incoming.v)));

@@ -77,11 +77,6 @@ pub struct PressLimits {
 impl Default for PressLimits {
     fn default() -> Self {
         // The indenter (20 mm across) and pressure with which self-healing skins were tested, in the middle of the sliders.
-        Self {
-            radius_mm: [2.0, 30.0],
-            pressure_kpa: [0.0, 200.0],
-            initial_radius_mm: 10.0,
-            initial_pressure_kpa: 80.0,
-        }
+        Self { radius_mm: [2.0, 30.0], pressure_kpa: [0.0, 200.0], initial_radius_mm: 10.0, initial_pressure_kpa: 80.0 }
     }
 }

@@ -162,6 +162,19 @@ pub struct PipelineState {
     pub hyperparameter: f64,
 }
 
+impl PipelineState {
+    fn copy_from(&mut self, other: &PipelineState) {
+        if self.source != other.source {
+            self.source = other.source.clone();
+        }
+        self.tare = other.tare;
+        self.baseline_age_s = other.baseline_age_s;
+        self.recording.clone_from(&other.recording);
+        self.recorded_frames = other.recorded_frames;
+        self.hyperparameter = other.hyperparameter;
+    }
+}
+
 impl Update {
     /// Copies `other` into `self`, reusing every allocation that is large enough.
     pub fn copy_from(&mut self, other: &Update) {
@@ -176,7 +189,7 @@ impl Update {
         self.fps = other.fps;
         self.latency.clone_from(&other.latency);
         self.counters.clone_from(&other.counters);
-        self.state.clone_from(&other.state);
+        self.state.copy_from(&other.state);
     }
 
     /// Checks that the image fills its grid and that channel indices match values.

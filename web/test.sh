@@ -1,0 +1,30 @@
+#!/bin/sh
+# Tests the live page in a real browser: against the demo, or with DERMIS_BIN=path/to/dermis against `dermis run`
+# (DERMIS_ARGS adds arguments). Installs what is missing: npm packages, and Chromium where apt can.
+set -eu
+cd "$(dirname "$0")"
+
+npm ci --no-audit --no-fund --loglevel=error
+
+find_chromium() {
+    for candidate in "${CHROMIUM:-}" chromium chromium-browser google-chrome; do
+        [ -n "$candidate" ] && command -v "$candidate" && return 0
+    done
+    return 1
+}
+if ! CHROMIUM=$(find_chromium); then
+    command -v apt-get >/dev/null || { echo "web/test.sh: no Chromium; install it or set CHROMIUM to its path" >&2; exit 1; }
+    as_root=""
+    [ "$(id -u)" -eq 0 ] || as_root="sudo"
+    $as_root apt-get update -qq
+    $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium
+    CHROMIUM=$(find_chromium)
+fi
+export CHROMIUM
+
+npm run --silent check
+node build.mjs --check
+if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
+    cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
+fi
+exec node --test tests/page.spec.mjs
