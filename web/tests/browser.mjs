@@ -10,16 +10,19 @@ import { chromium } from "playwright-core";
 const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 const START_LIMIT_MS = 120_000;
 
-function commandLine(port) {
+/** Against the demo there are no options of the real command to try. */
+export const isDemo = !process.env.DERMIS_BIN;
+
+function commandLine(port, extra) {
   const { DERMIS_BIN, DERMIS_ARGS, PAGE_DEMO_BIN } = process.env;
-  if (DERMIS_BIN) return [DERMIS_BIN, ["run", "--no-open", "--port", port, ...(DERMIS_ARGS ?? "").split(" ").filter(Boolean)]];
-  if (PAGE_DEMO_BIN) return [PAGE_DEMO_BIN, ["--port", port]];
-  return ["cargo", ["run", "--quiet", "-p", "dermis-cli", "--example", "page_demo", "--", "--port", port]];
+  if (DERMIS_BIN) return [DERMIS_BIN, ["run", "--no-open", "--port", port, ...(DERMIS_ARGS ?? "").split(" ").filter(Boolean), ...extra]];
+  if (PAGE_DEMO_BIN) return [PAGE_DEMO_BIN, ["--port", port, ...extra]];
+  return ["cargo", ["run", "--quiet", "-p", "dermis-cli", "--example", "page_demo", "--", "--port", port, ...extra]];
 }
 
 /** Starts the server, on any free port unless told otherwise, and waits until it prints `page: ADDRESS`. */
-export async function startServer(port = 0) {
-  const [program, args] = commandLine(String(port));
+export async function startServer(port = 0, extra = []) {
+  const [program, args] = commandLine(String(port), extra);
   const server = spawn(program, args, { cwd: root, stdio: ["ignore", "pipe", "pipe"] });
   const said = [];
   const address = await new Promise((resolve, reject) => {

@@ -3,7 +3,7 @@
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { openPage, startBrowser, startServer, touchRows, waitForRows, windowFromSkin } from "./browser.mjs";
+import { isDemo, openPage, startBrowser, startServer, touchRows, waitForRows, windowFromSkin } from "./browser.mjs";
 
 /** As far as a touch may appear from where the mouse pressed: the twin's pixels, physics and smoothing move it by a few mm. */
 const REACH_MM = 6;
@@ -135,6 +135,20 @@ test("a page whose server comes back goes on by itself", async () => {
   await page.waitForFunction(() => Number(document.querySelector("#shown").textContent) > 0);
   await page.close();
   await second.stop();
+});
+
+test("a token lets in who has it, and leaves the address bar", { skip: !isDemo }, async () => {
+  const guarded = await startServer(0, ["--token"]);
+  const { page } = await openPage(browser, guarded.address);
+  assert.equal(new URL(page.url()).search, "");
+  await page.reload();
+  await page.waitForSelector("[data-connection='live']");
+  await page.close();
+  const stranger = await browser.newPage();
+  const answer = await stranger.goto(new URL("/", guarded.address).href);
+  assert.equal(answer.status(), 401);
+  await stranger.close();
+  await guarded.stop();
 });
 
 test("nothing is loaded from elsewhere and nothing complains", () => {

@@ -1,5 +1,6 @@
 //! The live page without a skin: a blob circles on a 100 mm square, and another appears where the page is pressed.
-//! `cargo run -p dermis-cli --example page_demo -- [--port 8080] [--fps 50] [--grid 64]` prints the page's address.
+//! `cargo run -p dermis-cli --example page_demo -- [--port 8080] [--fps 50] [--grid 64] [--token]` prints the page's
+//! address.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -11,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use dermis_cli::page::{
     self, Command, Counter, ElectrodeView, GridView, Hub, Level, PageOptions, Press, Request, Scene, StageLatency,
-    TareState, TouchPhase, TouchView, Update,
+    TareState, Token, TouchPhase, TouchView, Update,
 };
 
 const HALF_SIDE_MM: f64 = 50.0;
@@ -38,7 +39,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let noise: Vec<f32> = (0..208).map(|channel| 1e-5 * (1.0 + 3.0 * ((channel * 7 % 13) as f32 / 13.0))).collect();
     hub.publish_noise(&noise);
     let address = SocketAddr::from(([127, 0, 0, 1], port));
-    let server = page::serve(address, PageOptions::default(), hub.clone(), scene, commands)?;
+    let token = env::args().any(|argument| argument == "--token").then(Token::random).transpose()?;
+    let options = PageOptions { token, ..PageOptions::default() };
+    let server = page::serve(address, options, hub.clone(), scene, commands)?;
     println!("page: {}", server.url());
     Demo::new(hub, grid).run(&requests, Duration::from_secs_f64(1.0 / fps))
 }
