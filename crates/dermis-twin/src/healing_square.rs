@@ -1,0 +1,270 @@
+//! `healing-square`, the self-healing sandwich of paper H (Chen, Wang et al.): a 100 mm square of conductive composite
+//! with 16 pads along its rim under an air gap and a copper layer. Pressing closes the gap, current takes the shortcut
+//! and the local equivalent conductivity rises; a cut lowers it. Both follow from the two-sheet fields alone.
+
+use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
+use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+use serde::{Deserialize, Serialize};
+
+use crate::error::{TwinError, check_positive};
+use crate::instrument::{Instrument, InstrumentOptions};
+use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
+use crate::physics::{Cut, Shortcut, TwoSheets};
+use crate::scene::{Scene, SceneOptions, Script};
+use crate::twin::{Frontend, Twin};
+
+/// Side of the square.
+const SIDE_M: f64 = 0.1;
+/// Side of a pad.
+const PAD_M: f64 = 6e-3;
+/// Pads a side, the two at its corners included: 4 x 23.5 mm between the middles of pads flush with the rim.
+const PADS_PER_SIDE: usize = 5;
+const PITCH_M: f64 = 23.5e-3;
+
+/// Parameters of the twin. The defaults are those of paper H where it gives any.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HealingSquareOptions {
+    /// Edge length of the twin's triangles, metres. Its mesh is finer than a reconstruction's and of other sizes.
+    pub element_size_m: f64,
+    /// Edge length at the pads, metres.
+    pub electrode_element_size_m: f64,
+    /// Conductivity of the composite, S/m. A bar of 100 x 10 x 1 mm has 2.01 kohm: 4.98 S/m.
+    pub conductivity_s_per_m: f64,
+    /// Its thickness, metres.
+    pub thickness_m: f64,
+    /// Sheet conductance of the copper, siemens: 35 um of foil (assumed) at 5.8e7 S/m.
+    pub copper_sheet_s: f64,
+    /// Specific contact impedance of the pads, ohm.m^2. Assumed: 14 ohm a pad, so that current enters over
+    /// `sqrt(5e-4 x 5 mS)` = 1.6 mm, which the mesh resolves. Four-electrode voltages hardly depend on it.
+    pub contact_impedance_ohm_m2: f64,
+    /// Amplitude of the current, amperes.
+    pub current_a: f64,
+    /// Frames a second for those who pace the twin. The paper gives none; at 954 Hz a scan of 208 channels one after
+    /// the other lasts at least 0.22 s, so a real device is slower than this default.
+    pub frame_rate_hz: f64,
+    /// How pressure spreads on its way to the contact.
+    pub cover: Cover,
+    /// Contact of composite and copper.
+    pub contact: ContactLaw,
+    /// Viscoelastic memory of the sheet, where wanted.
+    pub memory: Option<Memory>,
+    /// Noise, drift, converter.
+    pub instrument: InstrumentOptions,
+    /// Fading, and how script and people share the skin.
+    pub scene: SceneOptions,
+    /// What touches it by itself.
+    pub script: Option<Script>,
+    /// Seed of the instrument's noise.
+    pub seed: u64,
+}
+
+impl Default for HealingSquareOptions {
+    fn default() -> Self {
+        Self {
+            element_size_m: 1.7e-3,
+            electrode_element_size_m: 1.0e-3,
+            conductivity_s_per_m: 0.1 / (2010.0 * 0.01 * 0.001),
+            thickness_m: 1e-3,
+            copper_sheet_s: 35e-6 * 5.8e7,
+            contact_impedance_ohm_m2: 5e-4,
+            current_a: 0.35e-3,
+            frame_rate_hz: 25.0,
+            cover: Cover::default(),
+            contact: ContactLaw::default(),
+            memory: None,
+            instrument: InstrumentOptions::default(),
+            scene: SceneOptions::default(),
+            script: None,
+            seed: 1,
+        }
+    }
+}
+
+impl HealingSquareOptions {
+    /// Sheet conductance of the intact composite, siemens.
+    pub fn sheet_s(&self) -> f64 {
+        self.conductivity_s_per_m * self.thickness_m
+    }
+
+    fn check(&self) -> Result<(), TwinError> {
+        check_positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
+        check_positive("thickness_m", self.thickness_m)?;
+        let expected = "at least 100 times the composite's sheet conductance, finite";
+        crate::error::check("copper_sheet_s", self.copper_sheet_s, 100.0 * self.sheet_s(), f64::MAX, expected)?;
+        check_positive("contact_impedance_ohm_m2", self.contact_impedance_ohm_m2)?;
+        check_positive("frame_rate_hz", self.frame_rate_hz)?;
+        check_positive("cover smoothing_m", self.cover.smoothing_m)?;
+        self.contact.check()?;
+        self.memory.as_ref().map_or(Ok(()), Memory::check)
+    }
+}
+
+/// The sandwich itself; see the module.
+#[derive(Debug)]
+pub struct HealingSquare {
+    body: ElectrodedMesh,
+    protocol: Protocol,
+    sheets: TwoSheets,
+    sheet_s: f64,
+    cuts: Vec<Cut>,
+    cover: Cover,
+    contact: ContactLaw,
+    state: PressureState,
+    pressure_pa: Vec<f64>,
+    contact_s_per_m2: Vec<f64>,
+    /// The contact that `voltages_v` belongs to.
+    solved_s_per_m2: Vec<f64>,
+    solved: bool,
+    voltages_v: Vec<f64>,
+}
+
+impl HealingSquare {
+    /// Outline of the skin.
+    pub fn outline() -> Outline {
+        Outline::Rectangle { width_m: SIDE_M, height_m: SIDE_M }
+    }
+
+    /// Its 16 pads: squares of 6 mm flush with the rim, 23.5 mm from middle to middle, corners included; number 1 at
+    /// the bottom left, counter-clockwise.
+    pub fn electrodes() -> Vec<ElectrodeShape> {
+        let pad = ElectrodeShape::PadRectangle { centre_m: [0.0; 2], width_m: PAD_M, height_m: PAD_M, angle_rad: 0.0 };
+        pad.ring(PADS_PER_SIDE, PADS_PER_SIDE, [PITCH_M; 2], Direction::CounterClockwise)
+    }
+
+    /// Its protocol: pairs (k, k+7) drive and measure, channels on driven electrodes dropped, measurements from
+    /// electrode 1 on; 208 channels.
+    ///
+    /// # Errors
+    /// A current that is not positive and finite.
+    pub fn protocol(current_a: f64) -> Result<Protocol, TwinError> {
+        Ok(Protocol::generate(&ProtocolSpec {
+            electrode_count: Self::electrodes().len(),
+            drive: Drive::PseudoPolar,
+            measure: Measure::PseudoPolar,
+            order: Order::Absolute,
+            driven: Driven::Drop,
+            amplitude_a: current_a,
+        })?)
+    }
+
+    /// Meshes the skin and prepares its fields.
+    ///
+    /// # Errors
+    /// Parameters that make no sense, a mesh that cannot be made.
+    pub fn new(options: &HealingSquareOptions) -> Result<Self, TwinError> {
+        options.check()?;
+        let protocol = Self::protocol(options.current_a)?;
+        let mut spec = SheetSpec::new(Self::outline(), Self::electrodes(), options.element_size_m);
+        spec.electrode_element_size_m = options.electrode_element_size_m;
+        let (body, _) = spec.build(&[options.contact_impedance_ohm_m2])?;
+        let shortcut = Shortcut::Sheet { conductance_s: options.copper_sheet_s };
+        let sheets = TwoSheets::new(&body, options.sheet_s(), shortcut)?;
+        let nodes = sheets.positions_m().len();
+        Ok(Self {
+            voltages_v: vec![0.0; protocol.channel_count()],
+            sheet_s: options.sheet_s(),
+            cuts: Vec::new(),
+            cover: options.cover,
+            contact: options.contact,
+            state: PressureState::new(options.memory, nodes),
+            pressure_pa: vec![0.0; nodes],
+            contact_s_per_m2: vec![0.0; nodes],
+            solved_s_per_m2: vec![0.0; nodes],
+            solved: false,
+            body,
+            protocol,
+            sheets,
+        })
+    }
+
+    /// Its mesh with electrodes.
+    pub fn body(&self) -> &ElectrodedMesh {
+        &self.body
+    }
+
+    /// Stimulation and measurement.
+    pub fn stimulation(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// The two sheets.
+    pub fn sheets(&self) -> &TwoSheets {
+        &self.sheets
+    }
+
+    /// The cuts it has.
+    pub fn cuts(&self) -> &[Cut] {
+        &self.cuts
+    }
+
+    /// Replaces the cuts; none heals the skin without a scar.
+    ///
+    /// # Errors
+    /// As [`Cut::check`].
+    pub fn set_cuts(&mut self, cuts: Vec<Cut>) -> Result<(), TwinError> {
+        cuts.iter().try_for_each(Cut::check)?;
+        self.sheets.set_sensing(self.sheet_s, &cuts);
+        (self.cuts, self.solved) = (cuts, false);
+        Ok(())
+    }
+
+    /// Contact conductance at each node after the last frame, S/m^2.
+    pub fn contact_s_per_m2(&self) -> &[f64] {
+        &self.contact_s_per_m2
+    }
+
+    /// Voltages by superposition of the electrodes' unit currents.
+    fn solve(&mut self) -> Result<(), TwinError> {
+        let impedance = self.sheets.impedance(&self.contact_s_per_m2)?;
+        for (voltage, channel) in self.voltages_v.iter_mut().zip(self.protocol.measurements()) {
+            let stimulation = &self.protocol.stimulations()[channel.stimulation as usize];
+            let pattern = &self.protocol.patterns()[channel.pattern as usize];
+            *voltage = 0.0;
+            for &(electrode, weight) in pattern.entries() {
+                for &(driven, current) in stimulation.entries() {
+                    *voltage += weight * current * impedance[(electrode as usize, driven as usize)];
+                }
+            }
+        }
+        self.solved_s_per_m2.copy_from_slice(&self.contact_s_per_m2);
+        self.solved = true;
+        Ok(())
+    }
+}
+
+impl Frontend for HealingSquare {
+    fn channel_count(&self) -> usize {
+        self.protocol.channel_count()
+    }
+
+    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
+        self.pressure_pa.fill(0.0);
+        for indenter in indenters {
+            indenter.add_pressure(self.cover, self.sheets.positions_m(), &mut self.pressure_pa);
+        }
+        self.state.apply(dt_s, &mut self.pressure_pa);
+        for (g, pressure) in self.contact_s_per_m2.iter_mut().zip(&self.pressure_pa) {
+            *g = self.contact.conductance_s_per_m2(*pressure);
+        }
+        // A skin that is left alone, or held still, costs nothing.
+        if !self.solved || self.contact_s_per_m2 != self.solved_s_per_m2 {
+            self.solve()?;
+        }
+        voltages_v.copy_from_slice(&self.voltages_v);
+        Ok(())
+    }
+}
+
+impl Twin<HealingSquare> {
+    /// The twin of paper H's skin.
+    ///
+    /// # Errors
+    /// Parameters that make no sense, a mesh that cannot be made.
+    pub fn healing_square(options: &HealingSquareOptions) -> Result<Self, TwinError> {
+        let frontend = HealingSquare::new(options)?;
+        let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+        let scene = Scene::new(options.scene, options.script.clone())?;
+        Ok(Self::new(frontend, instrument, scene))
+    }
+}

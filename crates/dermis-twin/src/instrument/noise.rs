@@ -1,0 +1,66 @@
+//! Random errors of a reading: white noise `sd^2 = floor^2 + (proportional V)^2` (amplifier, and current source or
+//! demodulator), and a slow random walk of the gain, common and per channel.
+
+use serde::{Deserialize, Serialize};
+
+/// White noise of a reading, independent between channels and frames.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Noise {
+    /// Standard deviation at 0 V, volts at the skin.
+    pub floor_v: f64,
+    /// Standard deviation that grows with the voltage, per volt.
+    pub proportional: f64,
+}
+
+impl Default for Noise {
+    /// Solved from the two ends that paper H gives: 22.7 dB at 0.4 mV and 67.0 dB at 87.9 mV, less the rounding of the
+    /// default converter (see [`Noise::through`]).
+    fn default() -> Self {
+        Self { floor_v: 2.898e-5, proportional: 2.977e-4 }
+    }
+}
+
+impl Noise {
+    /// The noise with these signal-to-noise ratios (dB, [`super::snr_db`]) at these two voltages, where a converter of
+    /// this step adds its rounding, `step^2 / 12`. `None` where no noise has them (the floor would be imaginary).
+    pub fn through(low: (f64, f64), high: (f64, f64), converter_step_v: f64) -> Option<Self> {
+        let variance = |(voltage, db): (f64, f64)| voltage * voltage * 10_f64.powf(-db / 10.0);
+        let squares = (high.0 * high.0, low.0 * low.0);
+        let proportional = (variance(high) - variance(low)) / (squares.0 - squares.1);
+        let floor = variance(low) - proportional * squares.1 - converter_step_v * converter_step_v / 12.0;
+        (proportional >= 0.0 && floor >= 0.0).then(|| Self { floor_v: floor.sqrt(), proportional: proportional.sqrt() })
+    }
+
+    /// Standard deviation of a reading of this voltage.
+    pub fn deviation_v(&self, voltage_v: f64) -> f64 {
+        self.floor_v.hypot(self.proportional * voltage_v)
+    }
+}
+
+/// Slow random walk of the gain.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drift {
+    /// Common to all channels (temperature of sheet and source): relative deviation after one second.
+    pub common_per_sqrt_s: f64,
+    /// Of each channel alone (contacts, multiplexers): relative deviation after one second.
+    pub channel_per_sqrt_s: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::instrument::Converter;
+
+    #[test]
+    fn default_passes_through_both_ends_of_the_paper() {
+        let step = Converter::default().step_v();
+        let solved = Noise::through((0.4e-3, 22.7), (87.9e-3, 67.0), step).unwrap();
+        let default = Noise::default();
+        // The constants are rounded to four digits.
+        assert!((solved.floor_v / default.floor_v - 1.0).abs() < 2e-4, "{solved:?}");
+        assert!((solved.proportional / default.proportional - 1.0).abs() < 2e-4, "{solved:?}");
+        assert!(Noise::through((0.4e-3, 22.7), (87.9e-3, 90.0), step).is_none());
+    }
+}

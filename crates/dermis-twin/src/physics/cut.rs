@@ -1,0 +1,166 @@
+//! Cuts through a sheet: strips that conduct only a small share of what the sheet does. An element crossed by a cut is
+//! a laminate of intact and cut material: with f the exact share of its area inside the strip and d the residual share
+//! of conductance, it conducts `s ((1 - f) + f d)` along the cut and `s / ((1 - f) + f / d)` across it. Elements need
+//! not follow the cut; a cut's ends are sharp to one element.
+
+use serde::{Deserialize, Serialize};
+
+use super::element::SheetConductance;
+use crate::error::{TwinError, check, check_positive};
+
+/// One straight cut.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cut {
+    /// One end.
+    pub from_m: [f64; 2],
+    /// The other end.
+    pub to_m: [f64; 2],
+    /// Across it. A blade's cut in a soft sheet that lies flat is open by a few tenths of a millimetre (assumed).
+    pub width_m: f64,
+    /// d: conductance inside it as a share of the intact sheet's; small when open, near 1 when healed.
+    pub residual: f64,
+}
+
+impl Cut {
+    /// An open cut, 0.3 mm wide, whose faces hardly touch (one part in 100,000 conducts).
+    pub fn open(from_m: [f64; 2], to_m: [f64; 2]) -> Self {
+        Self { from_m, to_m, width_m: 3e-4, residual: 1e-5 }
+    }
+
+    /// Checks the numbers.
+    ///
+    /// # Errors
+    /// Ends that coincide or are not finite, a width that is not positive, a residual outside 1e-9 to 1.
+    pub fn check(&self) -> Result<(), TwinError> {
+        for value in self.from_m.into_iter().chain(self.to_m) {
+            check("cut end", value, -1e3, 1e3, "a position in metres")?;
+        }
+        check_positive("cut length, m", self.length_m())?;
+        check_positive("cut width_m", self.width_m)?;
+        check("cut residual", self.residual, 1e-9, 1.0, "a share between 1e-9 and 1")
+    }
+
+    /// Distance between its ends, metres.
+    pub fn length_m(&self) -> f64 {
+        (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
+    }
+
+    fn direction(&self) -> [f64; 2] {
+        let length = self.length_m();
+        [(self.to_m[0] - self.from_m[0]) / length, (self.to_m[1] - self.from_m[1]) / length]
+    }
+
+    /// Share of a triangle's area inside the strip.
+    fn share_of(&self, corners: [[f64; 2]; 3]) -> f64 {
+        let [x, y] = self.direction();
+        let local = corners.map(|p| {
+            let (dx, dy) = (p[0] - self.from_m[0], p[1] - self.from_m[1]);
+            [dx * x + dy * y, dy * x - dx * y]
+        });
+        let whole = area(&local);
+        let mut inside = local.to_vec();
+        for (axis, limit, keep_below) in [
+            (0, 0.0, false),
+            (0, self.length_m(), true),
+            (1, -self.width_m / 2.0, false),
+            (1, self.width_m / 2.0, true),
+        ] {
+            inside = clip(&inside, axis, limit, keep_below);
+        }
+        (area(&inside) / whole).clamp(0.0, 1.0)
+    }
+}
+
+/// Sheet conductance of a triangle of a sheet of conductance `intact_s` (siemens) with these cuts. Several cuts in one
+/// element act one after the other: each scales, in its own axes, what the earlier left.
+pub fn damaged_conductance(intact_s: f64, cuts: &[Cut], corners: [[f64; 2]; 3]) -> SheetConductance {
+    let mut tensor = SheetConductance::isotropic(intact_s);
+    for cut in cuts {
+        let share = cut.share_of(corners);
+        if share > 0.0 {
+            let along = (1.0 - share) + share * cut.residual;
+            let across = 1.0 / ((1.0 - share) + share / cut.residual);
+            tensor = scaled(tensor, cut.direction(), along.sqrt(), across.sqrt());
+        }
+    }
+    tensor
+}
+
+/// B S B' with B = along t t' + across n n': stays symmetric and positive.
+fn scaled(s: SheetConductance, t: [f64; 2], along: f64, across: f64) -> SheetConductance {
+    let b = SheetConductance {
+        xx: along * t[0] * t[0] + across * t[1] * t[1],
+        xy: (along - across) * t[0] * t[1],
+        yy: along * t[1] * t[1] + across * t[0] * t[0],
+    };
+    let bs = [
+        [b.xx * s.xx + b.xy * s.xy, b.xx * s.xy + b.xy * s.yy],
+        [b.xy * s.xx + b.yy * s.xy, b.xy * s.xy + b.yy * s.yy],
+    ];
+    SheetConductance {
+        xx: bs[0][0] * b.xx + bs[0][1] * b.xy,
+        xy: bs[0][0] * b.xy + bs[0][1] * b.yy,
+        yy: bs[1][0] * b.xy + bs[1][1] * b.yy,
+    }
+}
+
+/// The part of a convex polygon on one side of `axis = limit` (Sutherland and Hodgman).
+fn clip(polygon: &[[f64; 2]], axis: usize, limit: f64, keep_below: bool) -> Vec<[f64; 2]> {
+    let keeps = |p: [f64; 2]| if keep_below { p[axis] <= limit } else { p[axis] >= limit };
+    let mut kept = Vec::with_capacity(polygon.len() + 1);
+    for (k, &a) in polygon.iter().enumerate() {
+        let b = polygon[(k + 1) % polygon.len()];
+        if keeps(a) {
+            kept.push(a);
+        }
+        if keeps(a) != keeps(b) {
+            let t = (limit - a[axis]) / (b[axis] - a[axis]);
+            kept.push([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]);
+        }
+    }
+    kept
+}
+
+fn area(polygon: &[[f64; 2]]) -> f64 {
+    let cross = |k: usize| {
+        let (a, b) = (polygon[k], polygon[(k + 1) % polygon.len()]);
+        a[0] * b[1] - a[1] * b[0]
+    };
+    (0..polygon.len()).map(cross).sum::<f64>().abs() / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CORNERS: [[f64; 2]; 3] = [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]];
+
+    #[test]
+    fn share_is_the_exact_overlap() {
+        let strip = |from_m, to_m| Cut { from_m, to_m, width_m: 0.2, residual: 1e-3 };
+        // Along x at height 0.5, through the whole triangle: between 0.4 and 0.6 the triangle is 1.5 wide on average.
+        let whole = strip([-1.0, 0.5], [3.0, 0.5]);
+        assert!((whole.share_of(CORNERS) - 0.2 * 1.5 / 2.0).abs() < 1e-12);
+        let half = strip([-1.0, 0.5], [0.5, 0.5]);
+        assert!((half.share_of(CORNERS) - 0.2 * 0.5 / 2.0).abs() < 1e-12);
+        assert_eq!(strip([3.0, 3.0], [4.0, 3.0]).share_of(CORNERS), 0.0);
+    }
+
+    #[test]
+    fn cuts_block_across_and_hardly_along() {
+        let cut = Cut { from_m: [-1.0, 0.5], to_m: [3.0, 0.5], width_m: 0.2, residual: 1e-6 };
+        let s = damaged_conductance(5e-3, &[cut], CORNERS);
+        assert!((s.xx / 5e-3 - 0.85).abs() < 1e-6, "{s:?}");
+        assert!(s.yy / 5e-3 < 1e-5 && s.xy.abs() < 1e-15, "{s:?}");
+        let healed = damaged_conductance(5e-3, &[Cut { residual: 1.0, ..cut }], CORNERS);
+        assert!((healed.xx - 5e-3).abs() < 1e-15 && (healed.yy - 5e-3).abs() < 1e-15);
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        assert!(Cut::open([0.0; 2], [0.0; 2]).check().is_err());
+        assert!(Cut { residual: 0.0, ..Cut::open([0.0; 2], [0.01, 0.0]) }.check().is_err());
+        assert!(Cut::open([0.0; 2], [0.01, 0.0]).check().is_ok());
+    }
+}

@@ -1,0 +1,348 @@
+//! The coupled two-sheet problem, solved once a frame for the transfer impedances between electrodes.
+//!
+//! A floating metal sheet is nearly an equipotential: v = c + w with w of order `s_s / s_c` of u. Eliminating u and c
+//! leaves `(K_v + B) w = r`, where B is bounded by the sensing sheet's conductance, so that the expansion in
+//! `B / K_v ~ s_s / s_c` starts with the exact equipotential problem and converges at once:
+//! `Z = Z_equipotential + r' K_v^-1 r + O((s_s/s_c)^2)`. K_v is factored once, the single sheet plus contact once a
+//! frame. With 35 um of copper on paper H's composite, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
+//! all unknowns at once and is what the tests compare with.
+
+use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+use dermis_tomo::sparse::{Ordering, SpdFactor, SpdStructure, SparseError};
+use faer::{Mat, MatRef};
+
+use super::cut::{Cut, damaged_conductance};
+use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
+
+/// The sheet above.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shortcut {
+    /// Conducts without loss: one potential for the whole sheet.
+    Equipotential,
+    /// A continuous sheet of this conductance in siemens (thickness times conductivity), much above the sensing sheet's.
+    Sheet {
+        /// Sheet conductance.
+        conductance_s: f64,
+    },
+}
+
+/// Two sheets on one mesh, with electrodes on the sensing one. The last electrode is the reference.
+#[derive(Debug)]
+pub struct TwoSheets {
+    pub(super) triangles: Vec<[u32; 3]>,
+    pub(super) positions: Vec<[f64; 2]>,
+    pub(super) areas: Vec<f64>,
+    pub(super) electrode_count: usize,
+    pub(super) contacts: Vec<ContactEntry>,
+    pub(super) sensing: Vec<SheetConductance>,
+    shortcut: Shortcut,
+    structure: SpdStructure,
+    /// Slots of the element pairs, in the order of [`PAIRS`].
+    slots: Vec<[u32; 6]>,
+    contact_slots: Vec<u32>,
+    /// The system without contact between the sheets.
+    open_values: Vec<f64>,
+    values: Vec<f64>,
+    factor: SpdFactor,
+    /// Unit currents, then the contact's load; solved in place.
+    columns: Mat<f64>,
+    /// Net current of each node from u into v, per electrode; kept zero but at pressed nodes.
+    exchange: Mat<f64>,
+    spread: Mat<f64>,
+    copper: Option<Copper>,
+    impedance: Mat<f64>,
+    load: Vec<f64>,
+}
+
+/// One entry of the constant part: electrode contacts. Unknowns at or above the node count are electrodes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ContactEntry {
+    pub(super) row: u32,
+    pub(super) column: u32,
+    pub(super) value: f64,
+}
+
+#[derive(Debug)]
+struct Copper {
+    structure: SpdStructure,
+    factor: SpdFactor,
+}
+
+impl TwoSheets {
+    /// Prepares both sheets. `intact_s` is the sensing sheet's conductance in siemens. Electrodes must be pads
+    /// ([`Contact::Area`]) or rim faces on a flat mesh of triangles.
+    ///
+    /// # Errors
+    /// Point electrodes, fewer than two electrodes, or a singular system.
+    pub fn new(body: &ElectrodedMesh, intact_s: f64, shortcut: Shortcut) -> Result<Self, SparseError> {
+        let mesh = &body.mesh;
+        let positions: Vec<[f64; 2]> = mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
+        let triangles = triangles_of(body)?;
+        let contacts = contact_entries(body)?;
+        let (nodes, electrodes) = (positions.len(), body.electrodes.len());
+        let size = nodes + electrodes - 1;
+        let mut entries: Vec<(u32, u32)> = triangles.iter().flat_map(|t| PAIRS.map(|(a, b)| (t[a], t[b]))).collect();
+        entries.extend(contacts.iter().map(|entry| (entry.row, entry.column)));
+        let coordinates = coordinates(body, &positions);
+        let (structure, slots) = SpdStructure::new(size, &entries, Ordering::Dissection(&coordinates))?;
+        let (element_slots, contact_slots) = slots.split_at(6 * triangles.len());
+        let element_slots = element_slots.chunks_exact(6).map(|c| [c[0], c[1], c[2], c[3], c[4], c[5]]).collect();
+        let mut sheets = Self {
+            sensing: vec![SheetConductance::isotropic(intact_s); triangles.len()],
+            areas: mesh.measures().to_vec(),
+            electrode_count: electrodes,
+            contact_slots: contact_slots.to_vec(),
+            slots: element_slots,
+            open_values: vec![0.0; structure.value_count()],
+            values: vec![0.0; structure.value_count()],
+            factor: unit_factor(&structure)?,
+            columns: Mat::zeros(size, electrodes),
+            exchange: Mat::zeros(nodes, electrodes - 1),
+            spread: Mat::zeros(nodes, electrodes - 1),
+            impedance: Mat::zeros(electrodes, electrodes),
+            load: vec![0.0; nodes],
+            copper: None,
+            triangles,
+            positions,
+            contacts,
+            shortcut,
+            structure,
+        };
+        sheets.copper = sheets.make_copper()?;
+        sheets.assemble_open();
+        Ok(sheets)
+    }
+
+    /// Node positions, metres.
+    pub fn positions_m(&self) -> &[[f64; 2]] {
+        &self.positions
+    }
+
+    /// Number of triangles.
+    pub fn element_count(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// The sheet above.
+    pub fn shortcut(&self) -> Shortcut {
+        self.shortcut
+    }
+
+    /// Sets the sensing sheet: a conductance with cuts.
+    pub fn set_sensing(&mut self, intact_s: f64, cuts: &[Cut]) {
+        for (element, tensor) in self.sensing.iter_mut().enumerate() {
+            let corners = self.triangles[element].map(|node| self.positions[node as usize]);
+            *tensor = damaged_conductance(intact_s, cuts, corners);
+        }
+        self.assemble_open();
+    }
+
+    /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
+    /// column's and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut sheet floats:
+    /// no net current enters it; where nothing touches, its potential has no meaning and no influence.
+    ///
+    /// # Errors
+    /// A singular system, as after cutting an electrode off entirely.
+    pub fn impedance(&mut self, contact_s_per_m2: &[f64]) -> Result<MatRef<'_, f64>, SparseError> {
+        let electrodes = self.electrode_count - 1;
+        let touching = self.assemble_contact(contact_s_per_m2);
+        self.structure.refactor(&self.values, &mut self.factor)?;
+        self.columns.fill(0.0);
+        for electrode in 0..electrodes {
+            self.columns[(self.positions.len() + electrode, electrode)] = 1.0;
+        }
+        for (node, load) in self.load.iter().enumerate() {
+            self.columns[(node, electrodes)] = *load;
+        }
+        let solved = if touching { electrodes + 1 } else { electrodes };
+        self.structure.solve_in_place(&self.factor, self.columns.as_mut().subcols_mut(0, solved));
+        for row in 0..electrodes {
+            for column in 0..electrodes {
+                self.impedance[(row, column)] = self.columns[(self.positions.len() + row, column)];
+            }
+        }
+        if touching {
+            self.connect_copper(contact_s_per_m2);
+        }
+        Ok(self.impedance.as_ref())
+    }
+
+    /// Adds what the shortcut sheet carries, first as an equipotential, then its own resistance.
+    fn connect_copper(&mut self, contact_s_per_m2: &[f64]) {
+        let electrodes = self.electrode_count - 1;
+        // c of one electrode's field: net current integral g (u - c) = 0 with u = u_0 + c y.
+        let shortfall: f64 = self.load.iter().enumerate().map(|(k, m)| m * (1.0 - self.columns[(k, electrodes)])).sum();
+        let mut potentials = vec![0.0; electrodes];
+        for (electrode, potential) in potentials.iter_mut().enumerate() {
+            let inflow: f64 = self.load.iter().enumerate().map(|(k, m)| m * self.columns[(k, electrode)]).sum();
+            *potential = inflow / shortfall;
+        }
+        for row in 0..electrodes {
+            for column in 0..electrodes {
+                let lifted = self.columns[(self.positions.len() + row, electrodes)] * potentials[column];
+                self.impedance[(row, column)] += lifted;
+            }
+        }
+        if let Some(copper) = &self.copper {
+            let nodes = self.positions.len();
+            self.exchange.fill(0.0);
+            for (triangle, area) in self.triangles.iter().zip(&self.areas) {
+                let g = triangle.map(|node| contact_s_per_m2[node as usize]);
+                if g == [0.0; 3] {
+                    continue;
+                }
+                let local = weighted_mass(*area, g);
+                for (electrode, potential) in potentials.iter().enumerate() {
+                    let difference = triangle.map(|node| {
+                        let node = node as usize;
+                        self.columns[(node, electrode)] + potential * (self.columns[(node, electrodes)] - 1.0)
+                    });
+                    for (&(a, b), value) in PAIRS.iter().zip(&local) {
+                        self.exchange[(triangle[a] as usize, electrode)] += value * difference[b];
+                        if a != b {
+                            self.exchange[(triangle[b] as usize, electrode)] += value * difference[a];
+                        }
+                    }
+                }
+            }
+            self.spread.copy_from(&self.exchange);
+            // The first node is grounded; as no net current enters, this only sets the sheet's level.
+            (0..electrodes).for_each(|electrode| self.spread[(0, electrode)] = 0.0);
+            copper.structure.solve_in_place(&copper.factor, self.spread.as_mut());
+            for row in 0..electrodes {
+                for column in 0..electrodes {
+                    let rise: f64 = (0..nodes).map(|k| self.exchange[(k, row)] * self.spread[(k, column)]).sum();
+                    self.impedance[(row, column)] += rise;
+                }
+            }
+        }
+    }
+
+    /// Contacts and sensing sheet into `open_values`.
+    fn assemble_open(&mut self) {
+        self.open_values.fill(0.0);
+        for (slot, entry) in self.contact_slots.iter().zip(&self.contacts) {
+            self.open_values[*slot as usize] += entry.value;
+        }
+        for (element, slots) in self.slots.iter().enumerate() {
+            let corners = self.triangles[element].map(|node| self.positions[node as usize]);
+            for (slot, value) in slots.iter().zip(stiffness(corners, self.sensing[element])) {
+                self.open_values[*slot as usize] += value;
+            }
+        }
+    }
+
+    /// Open system plus contact into `values`, and the contact's load `integral g phi` into `load`; false where nothing
+    /// touches.
+    fn assemble_contact(&mut self, contact_s_per_m2: &[f64]) -> bool {
+        self.values.copy_from_slice(&self.open_values);
+        self.load.fill(0.0);
+        let mut touching = false;
+        for (element, triangle) in self.triangles.iter().enumerate() {
+            let g = triangle.map(|node| contact_s_per_m2[node as usize]);
+            if g == [0.0; 3] {
+                continue;
+            }
+            touching = true;
+            let area = self.areas[element];
+            for (slot, value) in self.slots[element].iter().zip(weighted_mass(area, g)) {
+                self.values[*slot as usize] += value;
+            }
+            let sum: f64 = g.iter().sum();
+            for (corner, &node) in triangle.iter().enumerate() {
+                self.load[node as usize] += area * (sum + g[corner]) / 12.0;
+            }
+        }
+        touching
+    }
+
+    fn make_copper(&self) -> Result<Option<Copper>, SparseError> {
+        let Shortcut::Sheet { conductance_s } = self.shortcut else { return Ok(None) };
+        let entries: Vec<(u32, u32)> = self.triangles.iter().flat_map(|t| PAIRS.map(|(a, b)| (t[a], t[b]))).collect();
+        let coordinates: Vec<[f64; 3]> = self.positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
+        let (structure, slots) =
+            SpdStructure::new(self.positions.len(), &entries, Ordering::Dissection(&coordinates))?;
+        let mut values = vec![0.0; structure.value_count()];
+        for (element, triangle) in self.triangles.iter().enumerate() {
+            let corners = triangle.map(|node| self.positions[node as usize]);
+            let local = stiffness(corners, SheetConductance::isotropic(conductance_s));
+            for (k, (&(a, b), value)) in PAIRS.iter().zip(local).enumerate() {
+                // Row and column of the grounded node are those of the identity.
+                if triangle[a] != 0 && triangle[b] != 0 {
+                    values[slots[6 * element + k] as usize] += value;
+                } else if triangle[a] == triangle[b] {
+                    values[slots[6 * element + k] as usize] = conductance_s;
+                }
+            }
+        }
+        let factor = structure.factor(&values)?;
+        Ok(Some(Copper { structure, factor }))
+    }
+}
+
+/// A factor to be overwritten: that of the identity.
+fn unit_factor(structure: &SpdStructure) -> Result<SpdFactor, SparseError> {
+    let mut values = vec![0.0; structure.value_count()];
+    structure.add_to_diagonal(&mut values, 1.0);
+    structure.factor(&values)
+}
+
+fn refuse(reason: String) -> SparseError {
+    SparseError::Structure { reason }
+}
+
+fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, SparseError> {
+    let triangle = |cell: &[u32]| match *cell {
+        [a, b, c] => Ok([a, b, c]),
+        _ => Err(refuse(format!("two sheets need triangles; an element has {} nodes", cell.len()))),
+    };
+    body.mesh.elements().map(triangle).collect()
+}
+
+/// The complete electrode model's terms, lower triangle by unknown; the reference electrode's own unknown is left out.
+fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseError> {
+    let (mesh, nodes) = (&body.mesh, body.mesh.nodes().len() as u32);
+    let reference = body.electrodes.len().saturating_sub(1);
+    if reference == 0 {
+        return Err(refuse(format!("expected at least 2 electrodes, got {}", body.electrodes.len())));
+    }
+    let mut entries = Vec::new();
+    for (index, electrode) in body.electrodes.iter().enumerate() {
+        let patches: Vec<(&[u32], f64)> = match &electrode.contact {
+            Contact::Area(elements) => elements
+                .iter()
+                .map(|&element| (mesh.element(element as usize), mesh.measures()[element as usize]))
+                .collect(),
+            Contact::Faces(faces) => faces.iter().map(|face| (face.as_slice(), mesh.face_measure(face))).collect(),
+            Contact::Point(node) => return Err(refuse(format!("electrode {index} is a point (node {node}), not a pad"))),
+        };
+        let unknown = (index < reference).then_some(nodes + index as u32);
+        for (corners, measure) in patches {
+            let (conductance, count) = (measure / electrode.contact_impedance, corners.len() as f64);
+            let mut push = |a: u32, b: u32, value: f64| {
+                entries.push(ContactEntry { row: a.max(b), column: a.min(b), value });
+            };
+            for (i, &a) in corners.iter().enumerate() {
+                for (j, &b) in corners[..=i].iter().enumerate() {
+                    let weight = if i == j { 2.0 } else { 1.0 };
+                    push(a, b, conductance * weight / (count * (count + 1.0)));
+                }
+                if let Some(unknown) = unknown {
+                    push(unknown, a, -conductance / count);
+                }
+            }
+            if let Some(unknown) = unknown {
+                push(unknown, unknown, conductance);
+            }
+        }
+    }
+    Ok(entries)
+}
+
+/// Places of the unknowns, for the elimination order.
+pub(super) fn coordinates(body: &ElectrodedMesh, positions: &[[f64; 2]]) -> Vec<[f64; 3]> {
+    let mut places: Vec<[f64; 3]> = positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
+    let electrodes = body.electrodes.len() - 1;
+    places.extend((0..electrodes).map(|electrode| body.electrode_centre(electrode)));
+    places
+}

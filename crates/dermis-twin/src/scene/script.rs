@@ -1,0 +1,265 @@
+//! Scripts: lists of press, move and release events in time, in TOML or made by code. Between two events of a pressing
+//! pointer its position, radius and pressure change linearly; from its last event to its release they stay.
+
+use std::f64::consts::TAU;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{TwinError, check_positive};
+use crate::mechanics::Indenter;
+
+/// Something that a pointer does at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "action", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Event {
+    /// Begins to press with a round indenter.
+    Press {
+        /// When, from the beginning of the script.
+        time_s: f64,
+        /// Which pointer.
+        pointer: u64,
+        /// Where.
+        x_mm: f64,
+        /// Where.
+        y_mm: f64,
+        /// Radius of the indenter.
+        radius_mm: f64,
+        /// Pressure under it.
+        pressure_kpa: f64,
+    },
+    /// Is somewhere, or presses otherwise, at this time.
+    Move {
+        /// When.
+        time_s: f64,
+        /// Which pointer.
+        pointer: u64,
+        /// Where.
+        x_mm: f64,
+        /// Where.
+        y_mm: f64,
+        /// New radius, if it changes.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        radius_mm: Option<f64>,
+        /// New pressure, if it changes.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pressure_kpa: Option<f64>,
+    },
+    /// Lets go.
+    Release {
+        /// When.
+        time_s: f64,
+        /// Which pointer.
+        pointer: u64,
+    },
+}
+
+/// Events over a duration.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Script {
+    /// Its length, seconds; all pointers let go at its end.
+    pub duration_s: f64,
+    /// Starts again at its end.
+    #[serde(default)]
+    pub repeat: bool,
+    /// In order of time.
+    pub events: Vec<Event>,
+}
+
+impl Event {
+    fn time_s(&self) -> f64 {
+        match *self {
+            Self::Press { time_s, .. } | Self::Move { time_s, .. } | Self::Release { time_s, .. } => time_s,
+        }
+    }
+
+    fn pointer(&self) -> u64 {
+        match *self {
+            Self::Press { pointer, .. } | Self::Move { pointer, .. } | Self::Release { pointer, .. } => pointer,
+        }
+    }
+
+    /// The indenter that it leaves, given the one before it.
+    fn indenter(&self, before: Option<Indenter>) -> Option<Indenter> {
+        match *self {
+            Self::Press { x_mm, y_mm, radius_mm, pressure_kpa, .. } => {
+                Some(Indenter::disc([x_mm * 1e-3, y_mm * 1e-3], radius_mm * 1e-3, pressure_kpa * 1e3))
+            }
+            Self::Move { x_mm, y_mm, radius_mm, pressure_kpa, .. } => before.map(|before| {
+                let radius = radius_mm.map_or(before.shape.equal_area_radius_m(), |mm| mm * 1e-3);
+                let pressure = pressure_kpa.map_or(before.pressure_pa(), |kpa| kpa * 1e3);
+                Indenter::disc([x_mm * 1e-3, y_mm * 1e-3], radius, pressure)
+            }),
+            Self::Release { .. } => None,
+        }
+    }
+}
+
+impl Script {
+    /// Reads TOML and checks it.
+    ///
+    /// ```
+    /// let script = dermis_twin::scene::Script::from_toml(
+    ///     r#"
+    ///     duration_s = 2.0
+    ///     events = [
+    ///         { action = "press", time_s = 0.5, pointer = 1, x_mm = 0, y_mm = 25, radius_mm = 10, pressure_kpa = 80 },
+    ///         { action = "release", time_s = 1.5, pointer = 1 },
+    ///     ]"#,
+    /// )?;
+    /// assert_eq!(script.at(1.0).count(), 1);
+    /// # Ok::<(), dermis_twin::TwinError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Text that is not such TOML (with its place), or a script that fails [`Script::check`].
+    pub fn from_toml(text: &str) -> Result<Self, TwinError> {
+        let script: Self = toml::from_str(text)?;
+        script.check()?;
+        Ok(script)
+    }
+
+    /// Checks times, order and numbers.
+    ///
+    /// # Errors
+    /// Events out of order or beyond the duration, moves and releases of pointers that press nothing, presses of
+    /// pointers that press already, numbers no indenter has.
+    pub fn check(&self) -> Result<(), TwinError> {
+        check_positive("script duration_s", self.duration_s)?;
+        let mut pressing: Vec<(u64, Indenter)> = Vec::new();
+        let mut last = 0.0;
+        for (index, event) in self.events.iter().enumerate() {
+            let refuse = |reason: String| Err(TwinError::Event { event: index, reason });
+            let (time, pointer) = (event.time_s(), event.pointer());
+            if !(last..=self.duration_s).contains(&time) {
+                return refuse(format!("time_s is {time}, expected {last} (the event before) to {}", self.duration_s));
+            }
+            last = time;
+            let place = pressing.iter().position(|entry| entry.0 == pointer);
+            let before = place.map(|place| pressing.swap_remove(place).1);
+            if matches!(event, Event::Press { .. }) != before.is_none() {
+                let state = if before.is_none() { "presses nothing" } else { "presses already" };
+                return refuse(format!("pointer {pointer} {state}"));
+            }
+            if let Some(indenter) = event.indenter(before) {
+                indenter.check().or_else(|error| refuse(error.to_string()))?;
+                if !indenter.is_pressing() {
+                    return refuse(format!("pointer {pointer} presses with 0 Pa; release it instead"));
+                }
+                pressing.push((pointer, indenter));
+            }
+        }
+        Ok(())
+    }
+
+    /// The pointers that press at a time since the script began, with what they press.
+    pub fn at(&self, time_s: f64) -> impl Iterator<Item = (u64, Indenter)> + '_ {
+        let time = if self.repeat { time_s.rem_euclid(self.duration_s) } else { time_s };
+        let running = time < self.duration_s;
+        let presses = self.events.iter().enumerate().filter(move |(_, event)| {
+            running && event.time_s() <= time && matches!(event, Event::Press { .. })
+        });
+        presses.filter_map(move |(index, press)| Some((press.pointer(), self.stroke_at(index, time)?)))
+    }
+
+    /// The indenter of the stroke that begins with the press at `index`, unless it was released by `time`.
+    fn stroke_at(&self, index: usize, time: f64) -> Option<Indenter> {
+        let pointer = self.events[index].pointer();
+        let mut now = self.events[index].indenter(None)?;
+        let mut since = self.events[index].time_s();
+        for event in self.events[index + 1..].iter().filter(|event| event.pointer() == pointer) {
+            if event.time_s() > time {
+                return match event.indenter(Some(now)) {
+                    Some(next) => Some(between(now, next, (time - since) / (event.time_s() - since))),
+                    None => Some(now),
+                };
+            }
+            now = event.indenter(Some(now))?;
+            since = event.time_s();
+        }
+        Some(now)
+    }
+
+    /// The demonstration: one touch wanders over the skin for 12 s, then two press and part, then a pause; 22 s, again
+    /// and again.
+    pub fn demo() -> Self {
+        let mut events = Vec::new();
+        // A Lissajous figure that stays within 28 mm of the middle.
+        let wander = |t: f64| [28.0 * (TAU * t / 12.0).sin(), 24.0 * (TAU * t / 8.0 + 0.6).sin()];
+        let start = wander(0.0);
+        events.push(press(1.0, 1, start, 10.0, 60.0));
+        for k in 1..=120 {
+            let t = 0.1 * f64::from(k);
+            events.push(moved(1.0 + t, 1, wander(t), Some(60.0 + 30.0 * (TAU * t / 5.0).sin())));
+        }
+        events.push(Event::Release { time_s: 13.0, pointer: 1 });
+        events.push(press(14.0, 2, [-12.0, 0.0], 8.0, 80.0));
+        events.push(press(15.0, 3, [14.0, 4.0], 10.0, 60.0));
+        events.push(moved(16.0, 2, [-12.0, 0.0], None));
+        events.push(moved(16.0, 3, [14.0, 4.0], None));
+        events.push(moved(19.0, 2, [-30.0, -20.0], None));
+        events.push(moved(19.0, 3, [30.0, 22.0], None));
+        events.push(Event::Release { time_s: 19.5, pointer: 2 });
+        events.push(Event::Release { time_s: 20.0, pointer: 3 });
+        Self { duration_s: 22.0, repeat: true, events }
+    }
+}
+
+fn press(time_s: f64, pointer: u64, [x_mm, y_mm]: [f64; 2], radius_mm: f64, pressure_kpa: f64) -> Event {
+    Event::Press { time_s, pointer, x_mm, y_mm, radius_mm, pressure_kpa }
+}
+
+fn moved(time_s: f64, pointer: u64, [x_mm, y_mm]: [f64; 2], pressure_kpa: Option<f64>) -> Event {
+    Event::Move { time_s, pointer, x_mm, y_mm, radius_mm: None, pressure_kpa }
+}
+
+fn between(from: Indenter, to: Indenter, share: f64) -> Indenter {
+    let mix = |a: f64, b: f64| a + share * (b - a);
+    let centre = [mix(from.centre_m[0], to.centre_m[0]), mix(from.centre_m[1], to.centre_m[1])];
+    let radius = mix(from.shape.equal_area_radius_m(), to.shape.equal_area_radius_m());
+    Indenter::disc(centre, radius, mix(from.pressure_pa(), to.pressure_pa()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn demo_is_sound_and_goes_from_one_touch_to_two_to_none() {
+        let demo = Script::demo();
+        demo.check().unwrap();
+        let count = |time: f64| demo.at(time).count();
+        assert_eq!([0.5, 5.0, 13.5, 14.5, 17.0, 19.7, 21.0].map(count), [0, 1, 0, 1, 2, 1, 0]);
+        assert_eq!(count(22.0 * 3.0 + 17.0), 2);
+        let text = toml::to_string(&demo).unwrap();
+        assert_eq!(Script::from_toml(&text).unwrap(), demo);
+    }
+
+    #[test]
+    fn positions_are_linear_between_events() {
+        let events = vec![press(1.0, 7, [0.0, 0.0], 10.0, 80.0), moved(3.0, 7, [20.0, -10.0], Some(40.0))];
+        let script = Script { duration_s: 5.0, repeat: false, events };
+        let (pointer, indenter) = script.at(1.5).next().unwrap();
+        assert_eq!(pointer, 7);
+        assert!((indenter.centre_m[0] - 0.005).abs() < 1e-12 && (indenter.centre_m[1] + 0.0025).abs() < 1e-12);
+        assert!((indenter.pressure_pa() - 70e3).abs() < 1e-6);
+        assert_eq!(script.at(4.0).next().unwrap().1.centre_m, [0.02, -0.01]);
+        assert_eq!(script.at(5.0).count(), 0);
+    }
+
+    #[test]
+    fn bad_scripts_are_refused_with_the_event() {
+        let bad = |events: Vec<Event>| {
+            let script = Script { duration_s: 5.0, repeat: false, events };
+            script.check().unwrap_err().to_string()
+        };
+        let down = press(1.0, 1, [0.0; 2], 10.0, 80.0);
+        assert_eq!(bad(vec![moved(1.0, 1, [0.0; 2], None)]), "script event 0: pointer 1 presses nothing");
+        assert_eq!(bad(vec![down, down]), "script event 1: pointer 1 presses already");
+        let late = Event::Release { time_s: 0.5, pointer: 1 };
+        assert_eq!(bad(vec![down, late]), "script event 1: time_s is 0.5, expected 1 (the event before) to 5");
+        assert!(bad(vec![press(1.0, 1, [0.0; 2], -1.0, 80.0)]).contains("disc radius_m"));
+        let error = Script::from_toml("duration_s = 1\nevents = []\nspeed = 3").unwrap_err().to_string();
+        assert!(error.contains("speed"), "{error}");
+    }
+}

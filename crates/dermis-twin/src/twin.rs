@@ -1,0 +1,131 @@
+//! A twin: scene, frontend and instrument stepped together, one frame a step.
+
+use serde::Serialize;
+
+use crate::error::{TwinError, check};
+use crate::instrument::Instrument;
+use crate::mechanics::Indenter;
+use crate::scene::{Pointer, Scene};
+
+/// The physical part of a skin: from what presses on it to true voltages.
+pub trait Frontend {
+    /// Channels of a frame.
+    fn channel_count(&self) -> usize;
+
+    /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
+    /// call.
+    ///
+    /// # Errors
+    /// Fields that cannot be solved.
+    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError>;
+}
+
+/// One touch as it really is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TouchTruth {
+    /// Who makes it.
+    pub pointer: Pointer,
+    /// Position to the right of the centroid.
+    pub x_m: f64,
+    /// Position above the centroid.
+    pub y_m: f64,
+    /// Radius of the indenter, or of the disc of its area.
+    pub radius_m: f64,
+    /// Mean pressure under it now, fading included.
+    pub pressure_pa: f64,
+}
+
+/// What was true when a frame was taken.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Truth {
+    /// Number of the frame, from 0.
+    pub sequence: u64,
+    /// Time of the frame on the twin's clock.
+    pub device_time_s: f64,
+    /// The touches, in order of pointer.
+    pub touches: Vec<TouchTruth>,
+}
+
+/// A skin, what happens to it, and what reads it.
+#[derive(Debug)]
+pub struct Twin<F> {
+    frontend: F,
+    instrument: Instrument,
+    scene: Scene,
+    indenters: Vec<Indenter>,
+    truth: Truth,
+    next_sequence: u64,
+    last_time_s: Option<f64>,
+}
+
+impl<F: Frontend> Twin<F> {
+    /// From its parts. The instrument must read as many channels as the frontend has.
+    pub fn new(frontend: F, instrument: Instrument, scene: Scene) -> Self {
+        Self {
+            frontend,
+            instrument,
+            scene,
+            indenters: Vec::new(),
+            truth: Truth::default(),
+            next_sequence: 0,
+            last_time_s: None,
+        }
+    }
+
+    /// Takes the frame at `time_s` (seconds on any clock; a time before the last counts as the same) and says what is
+    /// true then. `frame` is resized to the channels, volts; its memory is reused.
+    ///
+    /// # Errors
+    /// A time that is not finite; fields that cannot be solved. `frame` then holds nothing of use.
+    pub fn step(&mut self, time_s: f64, frame: &mut Vec<f64>) -> Result<&Truth, TwinError> {
+        check("time_s", time_s, f64::MIN, f64::MAX, "finite")?;
+        let now = self.last_time_s.map_or(time_s, |last| last.max(time_s));
+        let dt = now - self.last_time_s.unwrap_or(now);
+        self.last_time_s = Some(now);
+        self.scene.advance(dt);
+        self.indenters.clear();
+        self.truth.touches.clear();
+        for (pointer, indenter) in self.scene.indenters() {
+            self.indenters.push(indenter);
+            self.truth.touches.push(TouchTruth {
+                pointer,
+                x_m: indenter.centre_m[0],
+                y_m: indenter.centre_m[1],
+                radius_m: indenter.shape.equal_area_radius_m(),
+                pressure_pa: indenter.pressure_pa(),
+            });
+        }
+        frame.resize(self.frontend.channel_count(), 0.0);
+        self.frontend.voltages(&self.indenters, dt, frame)?;
+        self.instrument.read(dt, frame);
+        self.truth.sequence = self.next_sequence;
+        self.truth.device_time_s = now;
+        self.next_sequence += 1;
+        Ok(&self.truth)
+    }
+
+    /// What presses on it.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// What presses on it, to press.
+    pub fn scene_mut(&mut self) -> &mut Scene {
+        &mut self.scene
+    }
+
+    /// The skin.
+    pub fn frontend(&self) -> &F {
+        &self.frontend
+    }
+
+    /// The skin, to damage or heal.
+    pub fn frontend_mut(&mut self) -> &mut F {
+        &mut self.frontend
+    }
+
+    /// What reads it.
+    pub fn instrument(&self) -> &Instrument {
+        &self.instrument
+    }
+}
