@@ -16,6 +16,7 @@ mod contact;
 mod error;
 mod geometry;
 mod kalman;
+pub mod locator;
 mod moments;
 mod noise;
 mod track;
@@ -30,5 +31,6 @@ pub use contact::{
 };
 pub use error::TouchError;
 pub use geometry::ImageGeometry;
+pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
 pub use track::{Observation, PositionSource, Touch, TouchEvent, TouchPhase, Tracker, TrackerParams};

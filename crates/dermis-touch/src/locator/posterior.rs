@@ -1,0 +1,153 @@
+//! From log-likelihoods over the map's positions to a position and its uncertainty, and the two numbers that make that
+//! uncertainty honest: the temperature b of p(x) ~ exp(b L(x)) and a factor on sigma, both from left-out examples.
+
+use faer::Mat;
+
+use super::regression::median;
+
+/// Temperatures tried: from nearly flat to colder than the likelihood, evenly in the logarithm.
+const TEMPERATURES: usize = 20;
+const COLDEST: f64 = 2.0;
+const HOTTEST: f64 = 0.003;
+/// Fraction of errors within one standard deviation of a Gaussian.
+const ONE_SIGMA: f64 = 0.6827;
+/// Number of quantities that the left-out examples themselves chose: their errors are that much too small.
+const CHOSEN_QUANTITIES: f64 = 5.0;
+
+/// Mean and covariance of a posterior over positions.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moments {
+    /// Mean position, metres.
+    pub mean_m: [f64; 2],
+    /// Variances of x and y and their covariance, square metres, before calibration.
+    pub covariance_m2: [f64; 3],
+    /// Index of the most probable position.
+    pub peak: usize,
+    /// Logarithm of the mean of the untempered likelihood over the positions.
+    pub log_evidence: f64,
+}
+
+/// Turns log-likelihoods into a tempered posterior; `weights` receives the probabilities.
+pub(super) fn moments(
+    positions: &[[f64; 2]],
+    log_likelihood: &[f64],
+    temperature: f64,
+    spacing_m: f64,
+    weights: &mut [f64],
+) -> Moments {
+    let mut peak = 0;
+    for (p, value) in log_likelihood.iter().enumerate() {
+        if *value > log_likelihood[peak] {
+            peak = p;
+        }
+    }
+    let top = log_likelihood[peak];
+    let (mut total, mut evidence) = (0.0, 0.0);
+    let (mut sx, mut sy, mut sxx, mut syy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let origin = positions[peak];
+    for p in 0..positions.len() {
+        let below = log_likelihood[p] - top;
+        let w = if temperature * below > -40.0 { (temperature * below).exp() } else { 0.0 };
+        weights[p] = w;
+        if below > -40.0 {
+            evidence += below.exp();
+        }
+        let (x, y) = (positions[p][0] - origin[0], positions[p][1] - origin[1]);
+        total += w;
+        sx += w * x;
+        sy += w * y;
+        sxx += w * x * x;
+        syy += w * y * y;
+        sxy += w * x * y;
+    }
+    weights.iter_mut().for_each(|w| *w /= total);
+    let (mx, my) = (sx / total, sy / total);
+    let grain = spacing_m * spacing_m / 12.0;
+    Moments {
+        mean_m: [origin[0] + mx, origin[1] + my],
+        covariance_m2: [
+            (sxx / total - mx * mx).max(0.0) + grain,
+            (syy / total - my * my).max(0.0) + grain,
+            sxy / total - mx * my,
+        ],
+        peak,
+        log_evidence: top + (evidence / positions.len() as f64).ln(),
+    }
+}
+
+/// Temperature and sigma factor, with the predictive score they reach.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Calibration {
+    /// Exponent of the likelihood.
+    pub temperature: f64,
+    /// Factor on the posterior's standard deviations.
+    pub sigma_factor: f64,
+    /// Mean log predictive density of an example's position (Student t, 4 degrees of freedom, constants left out).
+    pub score: f64,
+}
+
+/// Chooses the temperature whose calibrated posterior predicts the left-out positions best. Column i of `left_out` is
+/// the log-likelihood of example i over the map.
+pub(super) fn calibrate(
+    positions: &[[f64; 2]],
+    left_out: &Mat<f64>,
+    truth: &[[f64; 2]],
+    spacing_m: f64,
+) -> Calibration {
+    let mut weights = vec![0.0; positions.len()];
+    let mut best = Calibration { temperature: 1.0, sigma_factor: 1.0, score: f64::NEG_INFINITY };
+    for step in 0..TEMPERATURES {
+        let share = step as f64 / (TEMPERATURES - 1) as f64;
+        let temperature = HOTTEST * (COLDEST / HOTTEST).powf(share);
+        let mut errors = Vec::with_capacity(2 * truth.len());
+        for (i, position) in truth.iter().enumerate() {
+            let log_likelihood = left_out.col_as_slice(i);
+            let found = moments(positions, log_likelihood, temperature, spacing_m, &mut weights);
+            for axis in 0..2 {
+                errors.push((found.mean_m[axis] - position[axis], found.covariance_m2[axis].sqrt()));
+            }
+        }
+        let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
+        let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
+        let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / truth.len() as f64;
+        if score > best.score {
+            best = Calibration { temperature, sigma_factor: factor, score };
+        }
+    }
+    best.sigma_factor *= 1.0 + CHOSEN_QUANTITIES / truth.len() as f64;
+    best
+}
+
+/// Log density of a Student t with 4 degrees of freedom, without its constants: outliers cost little more than misses.
+fn log_student(error: f64, sigma: f64) -> f64 {
+    -2.5 * (1.0 + (error / sigma).powi(2) / 4.0).ln() - sigma.ln()
+}
+
+/// The `fraction` quantile of values that are not empty, linear between order statistics.
+pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = fraction * (sorted.len() - 1) as f64;
+    let low = at.floor() as usize;
+    let high = (low + 1).min(sorted.len() - 1);
+    sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
+}
+
+/// Median distance from a position to its nearest neighbour.
+pub(super) fn spacing(positions: &[[f64; 2]]) -> f64 {
+    let sampled = positions.len().min(200);
+    let nearest = |s: usize| {
+        let here = positions[s * positions.len() / sampled];
+        let d2 = positions.iter().map(|q| super::design::squared_distance(*q, here)).filter(|d| *d > 0.0);
+        d2.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    median(&(0..sampled).map(nearest).collect::<Vec<_>>())
+}
+
+/// Root mean square distance of positions from their centroid, times sqrt 2: the radius of a disc evenly covered.
+pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
+    let n = positions.len() as f64;
+    let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
+    let mean = positions.iter().map(|p| super::design::squared_distance(*p, centre)).sum::<f64>() / n;
+    (2.0 * mean).sqrt()
+}

@@ -1,0 +1,219 @@
+//! The map from position to frame: matrix-normal Gaussian-process regression about the physical signatures,
+//! z(p) ~ N(g u(p), k(p, p') S), k Matern 5/2, with noise s (0.2 + (A/a)^2) on a frame of amplitude a (A: the median).
+//! S, the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
+//! Williams (2006), sections 2.2 and 5.4.2, for the regression and for leaving one example out without refitting.
+
+use faer::linalg::solvers::DenseSolveCore;
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::{Mat, Par, Side};
+
+use super::data::Hyperparameters;
+use super::design::{Design, Prior, squared_distance};
+use super::error::LocatorError;
+
+/// Noise of the strongest frames relative to that of the median one: what a position never explains.
+const AMPLITUDE_INDEPENDENT_NOISE: f64 = 0.2;
+
+/// Noise variance, relative to the map's prior variance, of a frame of `amplitude`.
+pub(super) fn noise_variance(noise: f64, amplitude: f64, median_amplitude: f64) -> f64 {
+    noise * (AMPLITUDE_INDEPENDENT_NOISE + (median_amplitude / amplitude).powi(2))
+}
+
+/// Matern 5/2 correlation of two positions `length` apart in units of nothing but metres.
+pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
+    let s = (5.0 * squared_distance(a, b)).sqrt() / length_m;
+    (1.0 + s + s * s / 3.0) * (-s).exp()
+}
+
+/// Correlations of all `a` (rows) with all `b` (columns).
+pub(super) fn correlations(a: &[[f64; 2]], b: &[[f64; 2]], length_m: f64) -> Mat<f64> {
+    Mat::from_fn(a.len(), b.len(), |i, j| matern52(a[i], b[j], length_m))
+}
+
+/// Inverse of the examples' covariance, noise included.
+pub(super) fn inverse_covariance(
+    positions: &[[f64; 2]],
+    noise: &[f64],
+    length_m: f64,
+) -> Result<Mat<f64>, LocatorError> {
+    let mut k = correlations(positions, positions, length_m);
+    for i in 0..positions.len() {
+        k[(i, i)] += noise[i];
+    }
+    let factor = k.llt(Side::Lower).map_err(|_| LocatorError::Singular { what: "covariance of the examples" })?;
+    Ok(factor.inverse())
+}
+
+/// The regression's smoothed value at each example, to stand in for missing channels.
+pub(super) fn smoothed(design: &Design, prior: &Prior, hyper: &Hyperparameters) -> Result<Mat<f64>, LocatorError> {
+    let noise = example_noise(design, hyper.noise);
+    let inverse = inverse_covariance(&design.positions_m, &noise, hyper.length_m)?;
+    let alpha = &inverse * (&design.z - &prior.at_examples);
+    Ok(Mat::from_fn(alpha.nrows(), alpha.ncols(), |i, k| design.z[(i, k)] - noise[i] * alpha[(i, k)]))
+}
+
+/// Noise variance of every example.
+pub(super) fn example_noise(design: &Design, noise: f64) -> Vec<f64> {
+    let median = median(&design.amplitude);
+    design.amplitude.iter().map(|&a| noise_variance(noise, a, median)).collect()
+}
+
+/// Middle value of a slice that is not empty.
+pub(super) fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let n = sorted.len();
+    if n % 2 == 1 { sorted[n / 2] } else { 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]) }
+}
+
+/// The fitted map in whitened coordinates y = T z, in which the covariance between channels is the identity, with what
+/// leaving one example out needs.
+#[derive(Debug, Clone)]
+pub(super) struct FittedMap {
+    /// T: rank by channels.
+    pub transform: Mat<f64>,
+    /// Whitened signature of each map position: rank by positions.
+    pub signatures: Mat<f64>,
+    /// Remaining variance of the map at each position, relative to the prior's.
+    pub variance: Vec<f64>,
+    /// Whitened examples: rank by examples.
+    pub frames: Mat<f64>,
+    /// Squared lengths of the columns of `signatures`.
+    pub squares: Vec<f64>,
+    /// Noise variance of each example.
+    pub noise: Vec<f64>,
+    influence: Mat<f64>,
+    alpha: Mat<f64>,
+    inverse_diagonal: Vec<f64>,
+    sample_share: f64,
+    signatures_frames: Mat<f64>,
+    signatures_alpha: Mat<f64>,
+}
+
+impl FittedMap {
+    /// Fits the map to a design whose rows `basis` (if any) projects.
+    pub(super) fn new(
+        design: &Design,
+        prior: &Prior,
+        positions: &[[f64; 2]],
+        basis: Option<&Mat<f64>>,
+        hyper: &Hyperparameters,
+    ) -> Result<Self, LocatorError> {
+        let n = design.z.nrows();
+        let project = |m: &Mat<f64>| basis.map_or_else(|| m.clone(), |q| m * q);
+        let noise = example_noise(design, hyper.noise);
+        let inverse = inverse_covariance(&design.positions_m, &noise, hyper.length_m)?;
+        let z = project(&design.z);
+        let residual = &z - project(&prior.at_examples);
+        let alpha = &inverse * &residual;
+        let factor = channel_factor(&residual, &alpha, hyper.shrinkage)?;
+        let to_map = correlations(positions, &design.positions_m, hyper.length_m);
+        let influence = &to_map * &inverse;
+        let variance = remaining_variance(&to_map, &influence);
+        let map = project(&prior.over_map) + &to_map * &alpha;
+        let whiten = |rows: &Mat<f64>| {
+            let mut columns = rows.transpose().to_owned();
+            solve_lower_triangular_in_place(factor.as_ref(), columns.as_mut(), Par::Seq);
+            columns
+        };
+        let (signatures, frames, alpha) = (whiten(&map), whiten(&z), whiten(&alpha));
+        let transform = match basis {
+            Some(q) => whiten(q),
+            None => whiten(&Mat::identity(z.ncols(), z.ncols())),
+        };
+        let squares = (0..signatures.ncols()).map(|p| signatures.col(p).squared_norm_l2()).collect();
+        let (signatures_frames, signatures_alpha) = (signatures.transpose() * &frames, signatures.transpose() * &alpha);
+        Ok(Self {
+            transform,
+            signatures,
+            variance,
+            frames,
+            squares,
+            noise,
+            influence,
+            alpha,
+            inverse_diagonal: (0..n).map(|i| inverse[(i, i)]).collect(),
+            sample_share: (1.0 - hyper.shrinkage) / n as f64,
+            signatures_frames,
+            signatures_alpha,
+        })
+    }
+
+    /// Number of examples.
+    pub(super) fn examples(&self) -> usize {
+        self.frames.ncols()
+    }
+
+    /// Log-likelihood over the map of example `i` under the fit without it; returns the misfit at the best position.
+    ///
+    /// Without example i the map is m(p) - h r, with r = alpha_i / K^-1_ii and h = (k(p, .) K^-1)_i, its variance grows
+    /// by h^2 / K^-1_ii, and the sample covariance loses alpha_i alpha_i' / K^-1_ii, which Sherman and Morrison's formula
+    /// turns into one extra term of every inner product.
+    pub(super) fn left_out_log_likelihood(&self, i: usize, out: &mut [f64]) -> f64 {
+        let diagonal = self.inverse_diagonal[i];
+        let (z, a, h) = (self.frames.col(i), self.alpha.col(i), self.influence.col(i));
+        let (zz, za, aa) = (z.squared_norm_l2(), z.transpose() * a, a.squared_norm_l2());
+        let extra = match self.sample_share {
+            share if share > 0.0 => 1.0 / (diagonal / share - aa).max(0.05 * diagonal / share),
+            _ => 0.0,
+        };
+        let (step, rank) = (1.0 / diagonal, self.frames.nrows() as f64);
+        let mut best = (f64::NEG_INFINITY, 0.0);
+        for (p, value) in out.iter_mut().enumerate() {
+            let hr = h[p] * step;
+            let (mz, ma) = (self.signatures_frames[(p, i)], self.signatures_alpha[(p, i)]);
+            let ma_out = ma - hr * aa;
+            let products = Products {
+                frame_frame: zz + extra * za * za,
+                frame_map: mz - hr * za + extra * za * ma_out,
+                map_map: self.squares[p] - 2.0 * hr * ma + hr * hr * aa + extra * ma_out * ma_out,
+            };
+            let variance = self.variance[p] + h[p] * hr + self.noise[i];
+            let misfit = products.misfit() / variance;
+            *value = -0.5 * (misfit + rank * variance.ln());
+            if *value > best.0 {
+                best = (*value, misfit);
+            }
+        }
+        best.1 / rank
+    }
+}
+
+/// Inner products of a whitened frame and a whitened signature.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Products {
+    /// Frame with itself.
+    pub frame_frame: f64,
+    /// Frame with signature.
+    pub frame_map: f64,
+    /// Signature with itself.
+    pub map_map: f64,
+}
+
+impl Products {
+    /// Squared distance from the frame to the best positive multiple of the signature.
+    pub(super) fn misfit(self) -> f64 {
+        let along = self.frame_map.max(0.0);
+        if self.map_map > 0.0 { (self.frame_frame - along * along / self.map_map).max(0.0) } else { self.frame_frame }
+    }
+}
+
+/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal.
+fn channel_factor(residual: &Mat<f64>, alpha: &Mat<f64>, shrinkage: f64) -> Result<Mat<f64>, LocatorError> {
+    let (n, c) = (residual.nrows() as f64, residual.ncols());
+    let sample = residual.transpose() * alpha;
+    let trace: f64 = (0..c).map(|k| sample[(k, k)]).sum::<f64>() / n;
+    let floor = 1e-3 * trace / c as f64;
+    let covariance = Mat::from_fn(c, c, |i, j| {
+        let value = (sample[(i, j)] + sample[(j, i)]) * 0.5 / n;
+        if i == j { value + shrinkage * floor } else { (1.0 - shrinkage) * value }
+    });
+    let what = "covariance between channels";
+    Ok(covariance.llt(Side::Lower).map_err(|_| LocatorError::Singular { what })?.L().to_owned())
+}
+
+/// 1 - k K^-1 k' at every map position, never below a small positive number.
+fn remaining_variance(to_map: &Mat<f64>, influence: &Mat<f64>) -> Vec<f64> {
+    let explained = |p: usize| (0..to_map.ncols()).map(|i| to_map[(p, i)] * influence[(p, i)]).sum::<f64>();
+    (0..to_map.nrows()).map(|p| (1.0 - explained(p)).max(1e-6)).collect()
+}

@@ -1,0 +1,206 @@
+//! What a locator keeps, as plain arrays that can be stored and are checked when read back.
+
+use super::data::{Hyperparameters, LeaveOneOut};
+use super::design::{Design, Prior};
+use super::error::{LocatorError, check_finite, check_length, check_positions};
+use super::load::LoadLaw;
+use super::{Fitting, Judged, Locator, example_noise, median, quantile};
+
+/// Version of the stored form; a locator of another version is refused.
+pub const LOCATOR_VERSION: u32 = 1;
+
+/// The stored form of a [`Locator`].
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LocatorState {
+    pub version: u32,
+    /// Map positions, metres.
+    pub positions_m: Vec<[f64; 2]>,
+    /// Median distance between neighbouring map positions, metres.
+    pub spacing_m: f64,
+    /// Weight of each channel.
+    pub weights: Vec<f64>,
+    /// Mean square of each channel of the unit frames.
+    pub energy: Vec<f64>,
+    /// Number of whitened coordinates.
+    pub rank: usize,
+    /// From channels to whitened coordinates: rank rows of channels.
+    pub transform: Vec<f32>,
+    /// Whitened signatures: a row of rank values for each map position.
+    pub signatures: Vec<f32>,
+    /// Remaining variance of each signature.
+    pub variance: Vec<f64>,
+    /// Median amplitude of the examples, to which the noise is relative.
+    pub median_amplitude: f64,
+    /// The misfit that 95 % of left-out examples stay below.
+    pub usual_misfit: f64,
+    pub temperature: f64,
+    pub sigma_factor: f64,
+    pub hyperparameters: Hyperparameters,
+    /// Noise variance of each example.
+    pub example_noise: Vec<f64>,
+    pub load: Option<LoadLaw>,
+    pub report: LeaveOneOut,
+}
+
+impl LocatorState {
+    /// Gathers the state from a finished fit.
+    pub(super) fn assemble(
+        design: &Design,
+        prior: &Prior,
+        fitting: &Fitting,
+        judged: &Judged,
+        hyperparameters: Hyperparameters,
+        load: Option<LoadLaw>,
+    ) -> Self {
+        let map = &judged.map;
+        let (rank, channels) = (map.transform.nrows(), map.transform.ncols());
+        let mut transform = Vec::with_capacity(rank * channels);
+        for r in 0..rank {
+            transform.extend((0..channels).map(|k| map.transform[(r, k)] as f32));
+        }
+        let mut signatures = Vec::with_capacity(rank * fitting.positions.len());
+        for p in 0..fitting.positions.len() {
+            signatures.extend(map.signatures.col_as_slice(p).iter().map(|v| *v as f32));
+        }
+        Self {
+            version: LOCATOR_VERSION,
+            positions_m: fitting.positions.to_vec(),
+            spacing_m: fitting.spacing_m,
+            weights: design.weights.clone(),
+            energy: design.energy.clone(),
+            rank,
+            transform,
+            signatures,
+            variance: map.variance.clone(),
+            median_amplitude: median(&design.amplitude),
+            usual_misfit: quantile(&judged.misfits, 0.95),
+            temperature: judged.calibration.temperature,
+            sigma_factor: judged.calibration.sigma_factor,
+            hyperparameters,
+            example_noise: example_noise(design, hyperparameters.noise),
+            report: fitting.report(design, prior, judged, load.as_ref()),
+            load,
+        }
+    }
+
+    /// Refuses a state whose arrays do not fit together or hold values no fit produces.
+    fn check(&self) -> Result<(), LocatorError> {
+        if self.version != LOCATOR_VERSION {
+            return Err(LocatorError::Version { expected: LOCATOR_VERSION, got: self.version });
+        }
+        let (positions, channels, examples) = (self.positions_m.len(), self.weights.len(), self.report.examples.len());
+        for (field, got) in [("positions_m", positions), ("weights", channels), ("rank", self.rank)] {
+            if got == 0 {
+                return Err(LocatorError::Count { field, got, expected: "at least 1" });
+            }
+        }
+        check_length("energy", channels, self.energy.len())?;
+        check_length("transform", product(self.rank, channels)?, self.transform.len())?;
+        check_length("signatures", product(self.rank, positions)?, self.signatures.len())?;
+        check_length("variance", positions, self.variance.len())?;
+        check_length("example_noise", examples, self.example_noise.len())?;
+        check_positions("positions_m", &self.positions_m)?;
+        check_single("transform", &self.transform)?;
+        check_single("signatures", &self.signatures)?;
+        check_not_negative("weights", &self.weights)?;
+        check_not_negative("energy", &self.energy)?;
+        check_above_zero("variance", &self.variance)?;
+        check_above_zero("example_noise", &self.example_noise)?;
+        for (field, value) in [
+            ("spacing_m", self.spacing_m),
+            ("median_amplitude", self.median_amplitude),
+            ("usual_misfit", self.usual_misfit),
+            ("temperature", self.temperature),
+            ("sigma_factor", self.sigma_factor),
+        ] {
+            check_above_zero(field, &[value])?;
+        }
+        check_hyperparameters(&self.hyperparameters)?;
+        for example in &self.report.examples {
+            check_finite("report position_m", &example.position_m)?;
+        }
+        if let Some(law) = &self.load {
+            check_length("load.log_factor", positions, law.log_factor.len())?;
+            check_finite("load.log_factor", &law.log_factor)?;
+            check_above_zero("load.exponent", &[law.exponent])?;
+            check_not_negative("load.relative_error", &[law.relative_error])?;
+        }
+        Ok(())
+    }
+}
+
+impl Locator {
+    /// Checks a state and derives what is not stored.
+    pub(super) fn from_state(state: LocatorState) -> Result<Self, LocatorError> {
+        state.check()?;
+        let squares = state.signatures.chunks_exact(state.rank).map(squared_length).collect();
+        let fingerprint =
+            state.signatures.iter().chain(&state.transform).fold(0xcbf2_9ce4_8422_2325, |hash, v| {
+                (hash ^ u64::from(v.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
+            });
+        Ok(Self { state, squares, fingerprint })
+    }
+}
+
+impl TryFrom<LocatorState> for Locator {
+    type Error = LocatorError;
+
+    fn try_from(state: LocatorState) -> Result<Self, LocatorError> {
+        Self::from_state(state)
+    }
+}
+
+impl From<Locator> for LocatorState {
+    fn from(locator: Locator) -> Self {
+        locator.state
+    }
+}
+
+/// Refuses hyperparameters out of range.
+pub(super) fn check_hyperparameters(hyper: &Hyperparameters) -> Result<(), LocatorError> {
+    check_above_zero("length_m", &[hyper.length_m])?;
+    check_above_zero("noise", &[hyper.noise])?;
+    if !(hyper.shrinkage > 0.0 && hyper.shrinkage <= 1.0) {
+        let expected = "a number above 0 and up to 1";
+        return Err(LocatorError::Value { field: "shrinkage", index: 0, value: hyper.shrinkage, expected });
+    }
+    Ok(())
+}
+
+fn squared_length(row: &[f32]) -> f64 {
+    row.iter().map(|v| f64::from(*v).powi(2)).sum()
+}
+
+fn product(a: usize, b: usize) -> Result<usize, LocatorError> {
+    a.checked_mul(b).ok_or(LocatorError::Count { field: "rank", got: a, expected: "a number of whitened coordinates" })
+}
+
+fn check_single(field: &'static str, values: &[f32]) -> Result<(), LocatorError> {
+    check_first(field, values.iter().map(|v| f64::from(*v)), f64::is_finite, "a finite number")
+}
+
+fn check_not_negative(field: &'static str, values: &[f64]) -> Result<(), LocatorError> {
+    check_first(field, values.iter().copied(), |v| v.is_finite() && v >= 0.0, "a finite number, zero or above")
+}
+
+fn check_above_zero(field: &'static str, values: &[f64]) -> Result<(), LocatorError> {
+    check_first(field, values.iter().copied(), |v| v.is_finite() && v > 0.0, "a finite number above zero")
+}
+
+fn check_first(
+    field: &'static str,
+    mut values: impl Iterator<Item = f64>,
+    accept: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), LocatorError> {
+    let mut index = 0;
+    values
+        .find(|v| {
+            !accept(*v) || {
+                index += 1;
+                false
+            }
+        })
+        .map_or(Ok(()), |value| Err(LocatorError::Value { field, index, value, expected }))
+}
