@@ -210,3 +210,32 @@ fn fifty_pokes_are_enough_for_millimetres() {
         assert!((0.60..=0.76).contains(&coverage), "one sigma covers {coverage}");
     }
 }
+
+#[test]
+fn sigma_grows_where_nothing_was_poked() {
+    let Some(pokes) = load() else { return };
+    let mut unpoked = Errors::default();
+    let (mut sigma_poked, mut sigma_unpoked) = (Vec::new(), Vec::new());
+    for quarter in 0..4 {
+        let along = |i: &usize| {
+            let [x, y] = pokes.positions_m[*i];
+            [x, y, -x, -y][quarter]
+        };
+        let train: Vec<usize> = (0..500).step_by(2).filter(|i| along(i) < 0.0).collect();
+        let locator = pokes.fit(&train);
+        print_report(locator.leave_one_out());
+        let far: Vec<usize> = (0..500).filter(|i| along(i) > 0.01).collect();
+        unpoked.test(&pokes, &locator, &far);
+        let sigma = |i: &usize| locator.predict(&pokes.frames[*i]).expect("a located touch").sigma_x_m;
+        sigma_poked.extend((1..500).step_by(2).filter(|i| along(i) < -0.01).map(|i| sigma(&i)));
+        sigma_unpoked.extend(far.iter().map(sigma));
+    }
+    unpoked.print("half the skin never poked, that half");
+    let ratio = Errors::quantile(&sigma_unpoked, 0.5) / Errors::quantile(&sigma_poked, 0.5);
+    println!("sigma there over sigma among pokes: {ratio:.1}");
+    assert!(ratio > 2.0, "sigma grows only {ratio} times");
+    // The sectors that calibrate this sigma reach the middle of the skin, where nothing is far: it errs on the wide side.
+    for coverage in unpoked.coverage() {
+        assert!(coverage > 0.60, "one sigma covers {coverage}");
+    }
+}

@@ -211,6 +211,9 @@ pub struct Located {
     /// Logarithm of the mean likelihood of the frame's direction over the map, untempered; comparable between frames
     /// with the same channels missing.
     pub log_evidence: f64,
+    /// Part of the map's prior variance that the examples have left around the located position: near 0 among pokes, near
+    /// 1 where nothing was poked and physics stands alone.
+    pub unexplained: f64,
     /// Misfit of the frame at its peak over the 95 % quantile of left-out examples: well above 1 the frame resembles no
     /// single touch that was learnt (two touches, damage, a loose electrode) and the position is not to be trusted.
     pub novelty: f64,

@@ -36,7 +36,7 @@ pub struct LocatorScratch {
 impl LocatorScratch {
     /// Probability of each of the map's positions after the last frame located; sums to 1. Empty before the first.
     ///
-    /// This is the tempered posterior whose covariance, times the square of the calibration's factor, is reported.
+    /// This is the tempered posterior whose covariance, calibrated, is reported.
     pub fn posterior(&self) -> &[f64] {
         &self.posterior
     }
@@ -203,7 +203,8 @@ impl Locator {
         let positions = &state.positions_m;
         let posterior = &mut scratch.posterior;
         let found = moments(positions, &scratch.log_likelihood, state.temperature, state.spacing_m, posterior);
-        let factor = state.sigma_factor;
+        let spread = state.spread();
+        let unexplained: f64 = state.variance.iter().zip(posterior.iter()).map(|(v, w)| v * w).sum();
         let load = state.load.as_ref().map(|law| {
             let log_factor: f64 = law.log_factor.iter().zip(posterior.iter()).map(|(f, w)| f * w).sum();
             let value = ((weighed.amplitude.ln() - log_factor) / law.exponent).exp();
@@ -212,14 +213,15 @@ impl Locator {
         Located {
             x_m: found.mean_m[0],
             y_m: found.mean_m[1],
-            sigma_x_m: found.covariance_m2[0].sqrt() * factor,
-            sigma_y_m: found.covariance_m2[1].sqrt() * factor,
-            covariance_xy_m2: found.covariance_m2[2] * factor * factor,
+            sigma_x_m: spread.variance_m2(found.covariance_m2[0], unexplained).sqrt(),
+            sigma_y_m: spread.variance_m2(found.covariance_m2[1], unexplained).sqrt(),
+            covariance_xy_m2: found.covariance_m2[2] * spread.factor * spread.factor,
             peak_x_m: positions[found.peak][0],
             peak_y_m: positions[found.peak][1],
             amplitude: weighed.amplitude,
             load,
             log_evidence: found.log_evidence,
+            unexplained,
             novelty: misfit / state.usual_misfit,
         }
     }

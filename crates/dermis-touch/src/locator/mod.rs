@@ -8,8 +8,9 @@
 //! L(p) = -[d(p)^2 / (v(p) + s) + C ln(v(p) + s)] / 2, with d the distance (in the metric of S) from the frame to the
 //! nearest positive multiple of m(p), and s the noise, larger for weaker touches. Position and covariance are the moments
 //! of exp(b L(p)); the temperature b < 1, which accounts for errors shared between channels, and a factor on sigma
-//! are chosen so that each example, left out, is predicted best and lies within one sigma in 68 % of cases. Because
-//! the model runs from position to frame, it interpolates what is smooth, needs few pokes, and its posterior may have
+//! are chosen so that each example, left out, is predicted best and lies within one sigma in 68 % of cases. Where no poke
+//! was near, a second term of sigma grows with v; its size is found by locating each quarter of the skin from the
+//! others. Because the model runs from position to frame, it interpolates what is smooth, needs few pokes, and its posterior may have
 //! several peaks where the skin is ambiguous. Sigma is raised by the factor 1 + 5/n for the five quantities that the same
 //! left-out examples chose.
 //!
@@ -37,7 +38,7 @@ pub use state::LOCATOR_VERSION;
 
 use design::{Design, Prior, basis};
 use load::LoadLaw;
-use posterior::{Calibration, calibrate, extent, moments, quantile, spacing};
+use posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile, spacing};
 use regression::{FittedMap, example_noise, median, smoothed};
 
 /// Passes of filling missing channels of the examples with what the regression makes of the others.
@@ -46,6 +47,9 @@ const FILLING_PASSES: usize = 3;
 const LENGTHS: [f64; 3] = [0.38, 0.25, 0.57];
 /// Noise variances tried; the first is the default.
 const NOISES: [f64; 3] = [0.04, 0.02, 0.08];
+/// Parts into which the examples are split by direction from their centroid, to see how well one part of the skin is
+/// located by the others.
+const SECTORS: usize = 4;
 /// Shrinkages tried.
 const SHRINKAGES: [f64; 4] = [0.9, 0.6, 0.3, 0.97];
 
@@ -86,13 +90,16 @@ impl Locator {
             }
         };
         let judged = fitting.judge(&design, &prior, &hyper)?;
+        let near = fitting.near_trials(&design, &judged);
+        let far = fitting.far_trials(&design, &prior, &hyper, judged.calibration.temperature)?;
+        let spread = Spread::fit(&near, &far);
         let load = match &examples.loads {
             None => None,
             Some(loads) => {
                 LoadLaw::fit(&physics.positions_m, &design.positions_m, &design.amplitude, loads, hyper.length_m)?
             }
         };
-        Self::from_state(state::LocatorState::assemble(&design, &prior, &fitting, &judged, hyper, load))
+        Self::from_state(state::LocatorState::assemble(&design, &prior, &fitting, &judged, spread, hyper, load))
     }
 
     /// How well each example is located by the others.
@@ -174,22 +181,86 @@ impl Fitting<'_> {
         Ok(best.1)
     }
 
-    /// The report on the left-out examples.
-    fn report(&self, design: &Design, prior: &Prior, judged: &Judged, load: Option<&LoadLaw>) -> LeaveOneOut {
+    /// Each example as the others locate it.
+    fn near_trials(&self, design: &Design, judged: &Judged) -> Vec<Trial> {
         let mut weights = vec![0.0; self.positions.len()];
+        let temperature = judged.calibration.temperature;
+        let trial = |i: usize| {
+            let left_out = judged.left_out.col_as_slice(i);
+            let variance = |p: usize| judged.map.left_out_variance(i, p);
+            self.trial(left_out, variance, design.positions_m[i], temperature, &mut weights)
+        };
+        (0..judged.misfits.len()).map(trial).collect()
+    }
+
+    /// Each example as those of the other sectors locate it; none when too few would be left.
+    fn far_trials(
+        &self,
+        design: &Design,
+        prior: &Prior,
+        hyper: &Hyperparameters,
+        temperature: f64,
+    ) -> Result<Vec<Trial>, LocatorError> {
+        let order = by_direction(&design.positions_m);
+        let n = order.len();
+        let noise = example_noise(design, hyper.noise);
+        let mut trials = Vec::with_capacity(n);
+        let (mut weights, mut log_likelihood) = (vec![0.0; self.positions.len()], vec![0.0; self.positions.len()]);
+        for sector in 0..SECTORS {
+            let inside = sector * n / SECTORS..(sector + 1) * n / SECTORS;
+            let outside: Vec<usize> = (0..n).filter(|i| !inside.contains(i)).map(|i| order[i]).collect();
+            if outside.len() < MIN_EXAMPLES {
+                return Ok(Vec::new());
+            }
+            let map =
+                FittedMap::new(&design.subset(&outside), &prior.subset(&outside), self.positions, self.basis, hyper)?;
+            for &i in &order[inside] {
+                map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
+                let variance = |p: usize| map.variance[p];
+                trials.push(self.trial(&log_likelihood, variance, design.positions_m[i], temperature, &mut weights));
+            }
+        }
+        Ok(trials)
+    }
+
+    fn trial(
+        &self,
+        log_likelihood: &[f64],
+        variance: impl Fn(usize) -> f64,
+        truth: [f64; 2],
+        temperature: f64,
+        weights: &mut [f64],
+    ) -> Trial {
+        let found = moments(self.positions, log_likelihood, temperature, self.spacing_m, weights);
+        Trial {
+            error_m: [found.mean_m[0] - truth[0], found.mean_m[1] - truth[1]],
+            variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
+            unexplained: weights.iter().enumerate().map(|(p, w)| w * variance(p)).sum(),
+        }
+    }
+
+    /// The report on the left-out examples.
+    fn report(
+        &self,
+        design: &Design,
+        prior: &Prior,
+        judged: &Judged,
+        spread: Spread,
+        load: Option<&LoadLaw>,
+    ) -> LeaveOneOut {
         let usual = quantile(&judged.misfits, 0.95);
-        let Calibration { temperature, sigma_factor, .. } = judged.calibration;
-        let examples: Vec<LeftOut> = (0..judged.misfits.len())
-            .map(|i| {
-                let log_likelihood = judged.left_out.col_as_slice(i);
-                let found = moments(self.positions, log_likelihood, temperature, self.spacing_m, &mut weights);
-                let position_m = design.positions_m[i];
-                let sigma_m = [0, 1].map(|axis| found.covariance_m2[axis].sqrt() * sigma_factor);
-                let error_m = design::squared_distance(found.mean_m, position_m).sqrt();
-                let novelty = judged.misfits[i] / usual;
-                LeftOut { position_m, located_m: found.mean_m, sigma_m, error_m, novelty }
-            })
-            .collect();
+        let near = self.near_trials(design, judged);
+        let example = |(i, trial): (usize, &Trial)| {
+            let position_m = design.positions_m[i];
+            LeftOut {
+                position_m,
+                located_m: [0, 1].map(|axis| position_m[axis] + trial.error_m[axis]),
+                sigma_m: trial.variance_m2.map(|v| spread.variance_m2(v, trial.unexplained).sqrt()),
+                error_m: trial.error_m[0].hypot(trial.error_m[1]),
+                novelty: judged.misfits[i] / usual,
+            }
+        };
+        let examples: Vec<LeftOut> = near.iter().enumerate().map(example).collect();
         let errors: Vec<f64> = examples.iter().map(|e| e.error_m).collect();
         let within = |axis: usize| {
             let inside = |e: &&LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
@@ -204,6 +275,16 @@ impl Fitting<'_> {
             examples,
         }
     }
+}
+
+/// Indices of positions in order of their direction from the centroid.
+fn by_direction(positions: &[[f64; 2]]) -> Vec<usize> {
+    let n = positions.len() as f64;
+    let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
+    let angle = |i: &usize| (positions[*i][1] - centre[1]).atan2(positions[*i][0] - centre[0]);
+    let mut order: Vec<usize> = (0..positions.len()).collect();
+    order.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
+    order
 }
 
 /// Brings examples and physics to the same form and fills what examples lack.

@@ -75,13 +75,11 @@ pub(super) fn moments(
     }
 }
 
-/// Temperature and sigma factor, with the predictive score they reach.
+/// A temperature, with the predictive score it reaches.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Calibration {
     /// Exponent of the likelihood.
     pub temperature: f64,
-    /// Factor on the posterior's standard deviations.
-    pub sigma_factor: f64,
     /// Mean log predictive density of an example's position (Student t, 4 degrees of freedom, constants left out).
     pub score: f64,
 }
@@ -95,7 +93,7 @@ pub(super) fn calibrate(
     spacing_m: f64,
 ) -> Calibration {
     let mut weights = vec![0.0; positions.len()];
-    let mut best = Calibration { temperature: 1.0, sigma_factor: 1.0, score: f64::NEG_INFINITY };
+    let mut best = Calibration { temperature: 1.0, score: f64::NEG_INFINITY };
     for step in 0..TEMPERATURES {
         let share = step as f64 / (TEMPERATURES - 1) as f64;
         let temperature = HOTTEST * (COLDEST / HOTTEST).powf(share);
@@ -111,11 +109,57 @@ pub(super) fn calibrate(
         let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
         let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / truth.len() as f64;
         if score > best.score {
-            best = Calibration { temperature, sigma_factor: factor, score };
+            best = Calibration { temperature, score };
         }
     }
-    best.sigma_factor *= 1.0 + CHOSEN_QUANTITIES / truth.len() as f64;
     best
+}
+
+/// One example as located by others: its error, the posterior's variances before calibration, and the part of the map's
+/// prior variance left where it was placed.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Trial {
+    pub error_m: [f64; 2],
+    pub variance_m2: [f64; 2],
+    pub unexplained: f64,
+}
+
+/// How sigma follows from the posterior: sigma^2 = (factor s)^2 + (extrapolation u)^2, with s the posterior's deviation
+/// and u the unexplained part of the map's variance: where no example was near, the map itself may be displaced.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Spread {
+    pub factor: f64,
+    pub extrapolation_m: f64,
+}
+
+impl Spread {
+    /// Variance of one coordinate.
+    pub(super) fn variance_m2(self, posterior_m2: f64, unexplained: f64) -> f64 {
+        posterior_m2 * self.factor.powi(2) + (self.extrapolation_m * unexplained).powi(2)
+    }
+
+    /// Finds both terms: extrapolation from `far`, examples located by those of other parts of the skin, the factor
+    /// from `near`, examples located by all the others, so that 68 % of the errors of each lie within one sigma.
+    pub(super) fn fit(near: &[Trial], far: &[Trial]) -> Self {
+        let alone = Self::factor_for(near, 0.0);
+        let needed = |t: &Trial, axis: usize| {
+            let rest = t.error_m[axis].powi(2) - t.variance_m2[axis] * alone * alone;
+            rest.max(0.0).sqrt() / t.unexplained.max(1e-3)
+        };
+        let ratios: Vec<f64> = far.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect();
+        let extrapolation_m = if ratios.is_empty() { 0.0 } else { quantile(&ratios, ONE_SIGMA) };
+        let factor = Self::factor_for(near, extrapolation_m).max(0.3 * alone);
+        Self { factor: factor * (1.0 + CHOSEN_QUANTITIES / near.len() as f64), extrapolation_m }
+    }
+
+    fn factor_for(near: &[Trial], extrapolation_m: f64) -> f64 {
+        let needed = |t: &Trial, axis: usize| {
+            let rest = t.error_m[axis].powi(2) - (extrapolation_m * t.unexplained).powi(2);
+            (rest.max(0.0) / t.variance_m2[axis]).sqrt()
+        };
+        let ratios: Vec<f64> = near.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect();
+        quantile(&ratios, ONE_SIGMA).max(1e-3)
+    }
 }
 
 /// Log density of a Student t with 4 degrees of freedom, without its constants: outliers cost little more than misses.

@@ -5,7 +5,7 @@
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
-use faer::{Mat, Par, Side};
+use faer::{Mat, Par, RowRef, Side};
 
 use super::data::Hyperparameters;
 use super::design::{Design, Prior, squared_distance};
@@ -19,7 +19,7 @@ pub(super) fn noise_variance(noise: f64, amplitude: f64, median_amplitude: f64) 
     noise * (AMPLITUDE_INDEPENDENT_NOISE + (median_amplitude / amplitude).powi(2))
 }
 
-/// Matern 5/2 correlation of two positions `length` apart in units of nothing but metres.
+/// Matern 5/2 correlation of two positions in metres, Rasmussen & Williams eq. 4.17.
 pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
     let s = (5.0 * squared_distance(a, b)).sqrt() / length_m;
     (1.0 + s + s * s / 3.0) * (-s).exp()
@@ -144,6 +144,23 @@ impl FittedMap {
         self.frames.ncols()
     }
 
+    /// Remaining variance of the map at position `p` under the fit without example `i`.
+    pub(super) fn left_out_variance(&self, i: usize, p: usize) -> f64 {
+        self.variance[p] + self.influence[(p, i)].powi(2) / self.inverse_diagonal[i]
+    }
+
+    /// Log-likelihood over the map of a frame of a design that this fit has not seen.
+    pub(super) fn log_likelihood(&self, z: RowRef<'_, f64>, noise: f64, out: &mut [f64]) {
+        let frame = &self.transform * z.transpose();
+        let along = self.signatures.transpose() * &frame;
+        let (frame_frame, rank) = (frame.squared_norm_l2(), self.frames.nrows() as f64);
+        for (p, value) in out.iter_mut().enumerate() {
+            let products = Products { frame_frame, frame_map: along[p], map_map: self.squares[p] };
+            let variance = self.variance[p] + noise;
+            *value = -0.5 * (products.misfit() / variance + rank * variance.ln());
+        }
+    }
+
     /// Log-likelihood over the map of example `i` under the fit without it; returns the misfit at the best position.
     ///
     /// Without example i the map is m(p) - h r, with r = alpha_i / K^-1_ii and h = (k(p, .) K^-1)_i, its variance grows
@@ -216,4 +233,60 @@ fn channel_factor(residual: &Mat<f64>, alpha: &Mat<f64>, shrinkage: f64) -> Resu
 fn remaining_variance(to_map: &Mat<f64>, influence: &Mat<f64>) -> Vec<f64> {
     let explained = |p: usize| (0..to_map.ncols()).map(|i| to_map[(p, i)] * influence[(p, i)]).sum::<f64>();
     (0..to_map.nrows()).map(|p| (1.0 - explained(p)).max(1e-6)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn made_up(n: usize, channels: usize) -> (Design, Prior, Vec<[f64; 2]>) {
+        let wave = |i: usize, k: usize, s: f64| ((i * 7 + k * 13) as f64 * s).sin();
+        let positions_m: Vec<[f64; 2]> = (0..n).map(|i| [0.05 * wave(i, 0, 0.61), 0.05 * wave(i, 1, 0.37)]).collect();
+        let map: Vec<[f64; 2]> =
+            (0..25).map(|p| [0.02 * f64::from(p % 5) - 0.04, 0.02 * f64::from(p / 5) - 0.04]).collect();
+        let smooth = |p: [f64; 2], k: usize| (20.0 * p[0] + k as f64).sin() + (15.0 * p[1] - k as f64).cos();
+        let design = Design {
+            z: Mat::from_fn(n, channels, |i, k| smooth(positions_m[i], k) + 0.3 * wave(i, k, 1.3)),
+            amplitude: vec![1.0; n],
+            positions_m,
+            weights: vec![1.0; channels],
+            energy: vec![1.0; channels],
+            missing: Vec::new(),
+        };
+        let prior =
+            Prior { at_examples: Mat::zeros(n, channels), over_map: Mat::zeros(map.len(), channels), cosine: 0.0 };
+        (design, prior, map)
+    }
+
+    /// Leaving an example out by the closed form is refitting without it. With no shrinkage the sample covariance over
+    /// n - 1 examples is n / (n - 1) of the closed form's, which keeps n.
+    #[test]
+    fn leaving_out_equals_refitting() {
+        let (n, channels, out) = (40, 6, 11);
+        let (design, prior, map) = made_up(n, channels);
+        let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 1e-12 };
+        let full = FittedMap::new(&design, &prior, &map, None, &hyper).expect("fits");
+        let mut closed = vec![0.0; map.len()];
+        full.left_out_log_likelihood(out, &mut closed);
+        let rows: Vec<usize> = (0..n).filter(|i| *i != out).collect();
+        let rest = FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper).expect("fits");
+        let frame = &rest.transform * design.z.row(out).transpose();
+        for p in 0..map.len() {
+            let signature = rest.signatures.col(p);
+            let frame_map = signature.transpose() * &frame;
+            let products = Products { frame_frame: frame.squared_norm_l2(), frame_map, map_map: rest.squares[p] };
+            let variance = rest.variance[p] + full.noise[out];
+            let misfit = products.misfit() * n as f64 / (n - 1) as f64 / variance;
+            let refitted = -0.5 * (misfit + channels as f64 * variance.ln());
+            let difference = (closed[p] - refitted).abs();
+            assert!(difference < 1e-8 * refitted.abs().max(1.0), "position {p}: {} against {refitted}", closed[p]);
+        }
+    }
+
+    #[test]
+    fn correlation_falls_from_one() {
+        assert_eq!(matern52([0.01, 0.02], [0.01, 0.02], 0.03), 1.0);
+        // (1 + sqrt 5 + 5/3) exp(-sqrt 5), Rasmussen & Williams eq. 4.17 at r = l.
+        assert!((matern52([0.0, 0.0], [0.03, 0.0], 0.03) - 0.523_994).abs() < 1e-6);
+    }
 }

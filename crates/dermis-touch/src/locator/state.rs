@@ -4,6 +4,7 @@ use super::data::{Hyperparameters, LeaveOneOut};
 use super::design::{Design, Prior};
 use super::error::{LocatorError, check_finite, check_length, check_positions};
 use super::load::LoadLaw;
+use super::posterior::Spread;
 use super::{Fitting, Judged, Locator, example_noise, median, quantile};
 
 /// Version of the stored form; a locator of another version is refused.
@@ -34,8 +35,12 @@ pub(super) struct LocatorState {
     pub median_amplitude: f64,
     /// The misfit that 95 % of left-out examples stay below.
     pub usual_misfit: f64,
+    /// Exponent of the likelihood in the posterior.
     pub temperature: f64,
+    /// Factor on the posterior's standard deviations.
     pub sigma_factor: f64,
+    /// Sigma, metres, that a wholly unexplained map adds.
+    pub extrapolation_m: f64,
     pub hyperparameters: Hyperparameters,
     /// Noise variance of each example.
     pub example_noise: Vec<f64>,
@@ -50,6 +55,7 @@ impl LocatorState {
         prior: &Prior,
         fitting: &Fitting,
         judged: &Judged,
+        spread: Spread,
         hyperparameters: Hyperparameters,
         load: Option<LoadLaw>,
     ) -> Self {
@@ -76,10 +82,11 @@ impl LocatorState {
             median_amplitude: median(&design.amplitude),
             usual_misfit: quantile(&judged.misfits, 0.95),
             temperature: judged.calibration.temperature,
-            sigma_factor: judged.calibration.sigma_factor,
+            sigma_factor: spread.factor,
+            extrapolation_m: spread.extrapolation_m,
             hyperparameters,
             example_noise: example_noise(design, hyperparameters.noise),
-            report: fitting.report(design, prior, judged, load.as_ref()),
+            report: fitting.report(design, prior, judged, spread, load.as_ref()),
             load,
         }
     }
@@ -116,6 +123,7 @@ impl LocatorState {
         ] {
             check_above_zero(field, &[value])?;
         }
+        check_not_negative("extrapolation_m", &[self.extrapolation_m])?;
         check_hyperparameters(&self.hyperparameters)?;
         for example in &self.report.examples {
             check_finite("report position_m", &example.position_m)?;
@@ -127,6 +135,13 @@ impl LocatorState {
             check_not_negative("load.relative_error", &[law.relative_error])?;
         }
         Ok(())
+    }
+}
+
+impl LocatorState {
+    /// How sigma follows from the posterior.
+    pub(super) fn spread(&self) -> Spread {
+        Spread { factor: self.sigma_factor, extrapolation_m: self.extrapolation_m }
     }
 }
 

@@ -68,7 +68,8 @@ impl Locator {
             log_likelihood[q] = -0.5 * ((products.misfit() + scatter) / variance + rank as f64 * variance.ln());
         }
         let found = moments(&state.positions_m, log_likelihood, state.temperature, state.spacing_m, weights);
-        (0.5 * (found.covariance_m2[0] + found.covariance_m2[1])).sqrt() * state.sigma_factor
+        let mean_m2 = 0.5 * (found.covariance_m2[0] + found.covariance_m2[1]);
+        state.spread().variance_m2(mean_m2, state.variance[p]).sqrt()
     }
 }
 
