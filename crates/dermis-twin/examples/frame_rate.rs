@@ -34,7 +34,8 @@ fn signals() -> Result<(), TwinError> {
     let mut twin = Twin::healing_square(&options)?;
     let mut rest = Vec::new();
     twin.step(0.0, &mut rest)?;
-    let size = |values: &[f64]| values.iter().map(|v| v.abs()).fold((f64::INFINITY, 0.0), |(l, h), v| (v.min(l), v.max(h)));
+    let size =
+        |values: &[f64]| values.iter().map(|v| v.abs()).fold((f64::INFINITY, 0.0), |(l, h), v| (v.min(l), v.max(h)));
     let (least, most) = size(&rest);
     println!("at rest: {:.3} to {:.2} mV", 1e3 * least, 1e3 * most);
     let mut time = 0.0;
@@ -54,7 +55,12 @@ fn signals() -> Result<(), TwinError> {
         let rms = (change.iter().map(|v| v * v).sum::<f64>() / 208.0).sqrt();
         println!(
             "{:.0} kPa, {:.0} mm indenter at ({:.0}, {:.0}) mm: change {:.3} mV at most, {:.3} mV rms",
-            pressure / 1e3, 2e3 * radius, 1e3 * x, 1e3 * y, 1e3 * size(&change).1, 1e3 * rms
+            pressure / 1e3,
+            2e3 * radius,
+            1e3 * x,
+            1e3 * y,
+            1e3 * size(&change).1,
+            1e3 * rms
         );
         twin.scene_mut().release_all();
         twin.step(time, &mut frame)?;

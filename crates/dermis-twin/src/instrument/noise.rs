@@ -17,7 +17,7 @@ impl Default for Noise {
     /// Solved from the two ends that paper H gives: 22.7 dB at 0.4 mV and 67.0 dB at 87.9 mV, less the rounding of the
     /// default converter (see [`Noise::through`]).
     fn default() -> Self {
-        Self { floor_v: 2.898e-5, proportional: 2.977e-4 }
+        Self { floor_v: 2.898e-5, proportional: 2.972e-4 }
     }
 }
 

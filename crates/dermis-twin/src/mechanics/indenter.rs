@@ -234,7 +234,8 @@ mod tests {
     fn carried_force(indenter: Indenter) -> f64 {
         let step = 2.5e-4;
         let axis = |k: i32| f64::from(k) * step;
-        let positions: Vec<[f64; 2]> = (-200..=200).flat_map(|i| (-200..=200).map(move |j| [axis(i), axis(j)])).collect();
+        let positions: Vec<[f64; 2]> =
+            (-200..=200).flat_map(|i| (-200..=200).map(move |j| [axis(i), axis(j)])).collect();
         let mut pressure = vec![0.0; positions.len()];
         indenter.add_pressure(Cover::default(), &positions, &mut pressure);
         pressure.iter().sum::<f64>() * step * step

@@ -1,7 +1,7 @@
 //! The coupled two-sheet problem with all its unknowns in one sparse Cholesky system: slower than
 //! [`TwoSheets::impedance`], exact for any ratio of conductances, and what that is tested against.
 
-use dermis_tomo::sparse::{Ordering, SpdStructure, SparseError};
+use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
 
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};

@@ -8,7 +8,7 @@
 //! all unknowns at once and is what the tests compare with.
 
 use dermis_tomo::mesh::{Contact, ElectrodedMesh};
-use dermis_tomo::sparse::{Ordering, SpdFactor, SpdStructure, SparseError};
+use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::{Mat, MatRef};
 
 use super::cut::{Cut, damaged_conductance};
@@ -44,14 +44,17 @@ pub struct TwoSheets {
     open_values: Vec<f64>,
     values: Vec<f64>,
     factor: SpdFactor,
-    /// Unit currents, then the contact's load; solved in place.
-    columns: Mat<f64>,
-    /// Net current of each node from u into v, per electrode; kept zero but at pressed nodes.
-    exchange: Mat<f64>,
+    /// One row an electrode with its unit current, then one with the contact's load; solved in place. Rows, so that
+    /// what belongs to a node lies together.
+    fields: Mat<f64>,
+    /// Net current from u into v at the touching nodes, electrodes within nodes.
+    exchange: Vec<f64>,
+    /// Electrodes x nodes: that current everywhere, then the potential it causes in the shortcut.
     spread: Mat<f64>,
     copper: Option<Copper>,
     impedance: Mat<f64>,
     load: Vec<f64>,
+    touching: Vec<u32>,
 }
 
 /// One entry of the constant part: electrode contacts. Unknowns at or above the node count are electrodes.
@@ -96,9 +99,10 @@ impl TwoSheets {
             open_values: vec![0.0; structure.value_count()],
             values: vec![0.0; structure.value_count()],
             factor: unit_factor(&structure)?,
-            columns: Mat::zeros(size, electrodes),
-            exchange: Mat::zeros(nodes, electrodes - 1),
-            spread: Mat::zeros(nodes, electrodes - 1),
+            fields: Mat::zeros(electrodes, size),
+            exchange: Vec::new(),
+            spread: Mat::zeros(electrodes - 1, nodes),
+            touching: Vec::new(),
             impedance: Mat::zeros(electrodes, electrodes),
             load: vec![0.0; nodes],
             copper: None,
@@ -144,75 +148,83 @@ impl TwoSheets {
     /// # Errors
     /// A singular system, as after cutting an electrode off entirely.
     pub fn impedance(&mut self, contact_s_per_m2: &[f64]) -> Result<MatRef<'_, f64>, SparseError> {
-        let electrodes = self.electrode_count - 1;
-        let touching = self.assemble_contact(contact_s_per_m2);
+        let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
+        self.assemble_contact(contact_s_per_m2);
         self.structure.refactor(&self.values, &mut self.factor)?;
-        self.columns.fill(0.0);
+        self.fields.fill(0.0);
         for electrode in 0..electrodes {
-            self.columns[(self.positions.len() + electrode, electrode)] = 1.0;
+            self.fields[(electrode, nodes + electrode)] = 1.0;
         }
-        for (node, load) in self.load.iter().enumerate() {
-            self.columns[(node, electrodes)] = *load;
+        for &node in &self.touching {
+            self.fields[(electrodes, node as usize)] = self.load[node as usize];
         }
-        let solved = if touching { electrodes + 1 } else { electrodes };
-        self.structure.solve_in_place(&self.factor, self.columns.as_mut().subcols_mut(0, solved));
+        let solved = if self.touching.is_empty() { electrodes } else { electrodes + 1 };
+        self.structure.solve_in_place(&self.factor, self.fields.as_mut().subrows_mut(0, solved).transpose_mut());
         for row in 0..electrodes {
             for column in 0..electrodes {
-                self.impedance[(row, column)] = self.columns[(self.positions.len() + row, column)];
+                self.impedance[(row, column)] = self.fields[(column, nodes + row)];
             }
         }
-        if touching {
-            self.connect_copper(contact_s_per_m2);
+        if !self.touching.is_empty() {
+            let potentials = self.connect_equipotential();
+            self.add_copper_loss(contact_s_per_m2, &potentials);
         }
         Ok(self.impedance.as_ref())
     }
 
-    /// Adds what the shortcut sheet carries, first as an equipotential, then its own resistance.
-    fn connect_copper(&mut self, contact_s_per_m2: &[f64]) {
-        let electrodes = self.electrode_count - 1;
-        // c of one electrode's field: net current integral g (u - c) = 0 with u = u_0 + c y.
-        let shortfall: f64 = self.load.iter().enumerate().map(|(k, m)| m * (1.0 - self.columns[(k, electrodes)])).sum();
-        let mut potentials = vec![0.0; electrodes];
-        for (electrode, potential) in potentials.iter_mut().enumerate() {
-            let inflow: f64 = self.load.iter().enumerate().map(|(k, m)| m * self.columns[(k, electrode)]).sum();
-            *potential = inflow / shortfall;
+    /// Adds what an equipotential shortcut carries; its potential for each electrode's unit current. With
+    /// `u = u_0 + c y`, c follows from no net current: `integral g (u - c) = 0`.
+    fn connect_equipotential(&mut self) -> Vec<f64> {
+        let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
+        let mut inflow = vec![0.0; electrodes];
+        let mut shortfall = 0.0;
+        for &node in &self.touching {
+            let (load, field) = (self.load[node as usize], self.fields.as_ref().col(node as usize));
+            shortfall += load * (1.0 - field[electrodes]);
+            for (electrode, sum) in inflow.iter_mut().enumerate() {
+                *sum += load * field[electrode];
+            }
         }
+        let potentials: Vec<f64> = inflow.into_iter().map(|current| current / shortfall).collect();
         for row in 0..electrodes {
+            let response = self.fields[(electrodes, nodes + row)];
             for column in 0..electrodes {
-                let lifted = self.columns[(self.positions.len() + row, electrodes)] * potentials[column];
-                self.impedance[(row, column)] += lifted;
+                self.impedance[(row, column)] += response * potentials[column];
             }
         }
-        if let Some(copper) = &self.copper {
-            let nodes = self.positions.len();
-            self.exchange.fill(0.0);
-            for (triangle, area) in self.triangles.iter().zip(&self.areas) {
-                let g = triangle.map(|node| contact_s_per_m2[node as usize]);
-                if g == [0.0; 3] {
-                    continue;
-                }
-                let local = weighted_mass(*area, g);
-                for (electrode, potential) in potentials.iter().enumerate() {
-                    let difference = triangle.map(|node| {
-                        let node = node as usize;
-                        self.columns[(node, electrode)] + potential * (self.columns[(node, electrodes)] - 1.0)
-                    });
-                    for (&(a, b), value) in PAIRS.iter().zip(&local) {
-                        self.exchange[(triangle[a] as usize, electrode)] += value * difference[b];
-                        if a != b {
-                            self.exchange[(triangle[b] as usize, electrode)] += value * difference[a];
-                        }
-                    }
+        potentials
+    }
+
+    /// Adds the first-order effect of the shortcut's own resistance, `r' K_v^-1 r`, r the current from u into v.
+    fn add_copper_loss(&mut self, contact_s_per_m2: &[f64], potentials: &[f64]) {
+        let Some(copper) = &self.copper else { return };
+        let electrodes = potentials.len();
+        self.spread.fill(0.0);
+        for (triangle, area) in self.triangles.iter().zip(&self.areas) {
+            let g = triangle.map(|node| contact_s_per_m2[node as usize]);
+            if g == [0.0; 3] {
+                continue;
+            }
+            for (&(a, b), value) in PAIRS.iter().zip(weighted_mass(*area, g)) {
+                let (a, b) = (triangle[a] as usize, triangle[b] as usize);
+                add_exchange(&mut self.spread, &self.fields, potentials, (a, b), value);
+                if a != b {
+                    add_exchange(&mut self.spread, &self.fields, potentials, (b, a), value);
                 }
             }
-            self.spread.copy_from(&self.exchange);
-            // The first node is grounded; as no net current enters, this only sets the sheet's level.
-            (0..electrodes).for_each(|electrode| self.spread[(0, electrode)] = 0.0);
-            copper.structure.solve_in_place(&copper.factor, self.spread.as_mut());
-            for row in 0..electrodes {
-                for column in 0..electrodes {
-                    let rise: f64 = (0..nodes).map(|k| self.exchange[(k, row)] * self.spread[(k, column)]).sum();
-                    self.impedance[(row, column)] += rise;
+        }
+        self.exchange.clear();
+        for &node in &self.touching {
+            self.exchange.extend(self.spread.as_ref().col(node as usize).iter());
+        }
+        // The first node is grounded; as no net current enters, this only sets the sheet's level.
+        self.spread.as_mut().col_mut(0).fill(0.0);
+        copper.structure.solve_in_place(&copper.factor, self.spread.as_mut().transpose_mut());
+        for (&node, current) in self.touching.iter().zip(self.exchange.chunks_exact(electrodes)) {
+            let rise = self.spread.as_ref().col(node as usize);
+            for (column, current) in current.iter().enumerate() {
+                for row in 0..electrodes {
+                    self.impedance[(row, column)] += current * rise[row];
                 }
             }
         }
@@ -232,36 +244,36 @@ impl TwoSheets {
         }
     }
 
-    /// Open system plus contact into `values`, and the contact's load `integral g phi` into `load`; false where nothing
-    /// touches.
-    fn assemble_contact(&mut self, contact_s_per_m2: &[f64]) -> bool {
+    /// Open system plus contact into `values`, the contact's load `integral g phi` into `load`, and the nodes that have
+    /// one into `touching`.
+    fn assemble_contact(&mut self, contact_s_per_m2: &[f64]) {
         self.values.copy_from_slice(&self.open_values);
         self.load.fill(0.0);
-        let mut touching = false;
+        self.touching.clear();
         for (element, triangle) in self.triangles.iter().enumerate() {
             let g = triangle.map(|node| contact_s_per_m2[node as usize]);
             if g == [0.0; 3] {
                 continue;
             }
-            touching = true;
             let area = self.areas[element];
             for (slot, value) in self.slots[element].iter().zip(weighted_mass(area, g)) {
                 self.values[*slot as usize] += value;
             }
             let sum: f64 = g.iter().sum();
             for (corner, &node) in triangle.iter().enumerate() {
+                if self.load[node as usize] == 0.0 {
+                    self.touching.push(node);
+                }
                 self.load[node as usize] += area * (sum + g[corner]) / 12.0;
             }
         }
-        touching
     }
 
     fn make_copper(&self) -> Result<Option<Copper>, SparseError> {
         let Shortcut::Sheet { conductance_s } = self.shortcut else { return Ok(None) };
         let entries: Vec<(u32, u32)> = self.triangles.iter().flat_map(|t| PAIRS.map(|(a, b)| (t[a], t[b]))).collect();
         let coordinates: Vec<[f64; 3]> = self.positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
-        let (structure, slots) =
-            SpdStructure::new(self.positions.len(), &entries, Ordering::Dissection(&coordinates))?;
+        let (structure, slots) = SpdStructure::new(self.positions.len(), &entries, Ordering::Dissection(&coordinates))?;
         let mut values = vec![0.0; structure.value_count()];
         for (element, triangle) in self.triangles.iter().enumerate() {
             let corners = triangle.map(|node| self.positions[node as usize]);
@@ -277,6 +289,15 @@ impl TwoSheets {
         }
         let factor = structure.factor(&values)?;
         Ok(Some(Copper { structure, factor }))
+    }
+}
+
+/// `r_a += m_ab (u_b - c)` for every electrode.
+fn add_exchange(current: &mut Mat<f64>, fields: &Mat<f64>, potentials: &[f64], (a, b): (usize, usize), mass: f64) {
+    let (mut current, field) = (current.as_mut().col_mut(a), fields.as_ref().col(b));
+    let below = field[potentials.len()] - 1.0;
+    for (electrode, potential) in potentials.iter().enumerate() {
+        current[electrode] += mass * (field[electrode] + potential * below);
     }
 }
 
@@ -314,7 +335,9 @@ fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseErr
                 .map(|&element| (mesh.element(element as usize), mesh.measures()[element as usize]))
                 .collect(),
             Contact::Faces(faces) => faces.iter().map(|face| (face.as_slice(), mesh.face_measure(face))).collect(),
-            Contact::Point(node) => return Err(refuse(format!("electrode {index} is a point (node {node}), not a pad"))),
+            Contact::Point(node) => {
+                return Err(refuse(format!("electrode {index} is a point (node {node}), not a pad")));
+            }
         };
         let unknown = (index < reference).then_some(nodes + index as u32);
         for (corners, measure) in patches {

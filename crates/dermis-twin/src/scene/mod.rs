@@ -84,7 +84,14 @@ impl Scene {
     ///
     /// # Errors
     /// Numbers that are not finite, a radius that is not positive, a pressure below zero.
-    pub fn press(&mut self, pointer: u64, x_m: f64, y_m: f64, radius_m: f64, pressure_pa: f64) -> Result<(), TwinError> {
+    pub fn press(
+        &mut self,
+        pointer: u64,
+        x_m: f64,
+        y_m: f64,
+        radius_m: f64,
+        pressure_pa: f64,
+    ) -> Result<(), TwinError> {
         self.press_with(pointer, Indenter::disc([x_m, y_m], radius_m, pressure_pa))
     }
 

@@ -156,9 +156,11 @@ impl Script {
     pub fn at(&self, time_s: f64) -> impl Iterator<Item = (u64, Indenter)> + '_ {
         let time = if self.repeat { time_s.rem_euclid(self.duration_s) } else { time_s };
         let running = time < self.duration_s;
-        let presses = self.events.iter().enumerate().filter(move |(_, event)| {
-            running && event.time_s() <= time && matches!(event, Event::Press { .. })
-        });
+        let presses = self
+            .events
+            .iter()
+            .enumerate()
+            .filter(move |(_, event)| running && event.time_s() <= time && matches!(event, Event::Press { .. }));
         presses.filter_map(move |(index, press)| Some((press.pointer(), self.stroke_at(index, time)?)))
     }
 
