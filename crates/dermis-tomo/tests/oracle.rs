@@ -113,7 +113,7 @@ fn one_step_images_equal_eidors() {
                 "prior_laplace" => Prior::Laplace,
                 _ => Prior::Identity,
             };
-            let matrix = prior.matrix(j.as_mat(), &basis).unwrap();
+            let matrix = prior.matrix(j.as_mat(), &weighting, &basis).unwrap();
             let problem = LinearProblem::new(j.as_mat(), weighting, matrix).unwrap();
             let image = problem.operator(recon["hyperparameter"].as_f64().unwrap()).unwrap().apply(&dv).unwrap();
             let error = relative(&image, &numbers(&recon["x"]));

@@ -1,1 +1,27 @@
-//! dermis
+//! Tomographic tactile skins: skin files, forward models and operators prepared from them, the live pipeline from frames
+//! to touches, calibration, recordings.
+//!
+//! ```
+//! let skin = dermis::skin::Skin::open("healing-square")?;
+//! let body = skin.body()?;
+//! assert_eq!(body.mesh.electrodes.len(), 16);
+//! # Ok::<(), dermis::Error>(())
+//! ```
+
+pub mod calibrate;
+pub mod case;
+pub mod channels;
+mod error;
+pub mod imager;
+pub mod latency;
+pub mod pipeline;
+pub mod prepare;
+pub mod reconstruct;
+pub mod record;
+pub mod reference;
+pub mod sink;
+pub mod skin;
+pub mod solve;
+pub mod touches;
+
+pub use error::Error;

@@ -1,10 +1,11 @@
 //! The forward model: conductivity in, potentials and measured voltages out. One factorisation and one solve per
 //! electrode for any number of stimulations and measurements, by superposition.
 
-use faer::Mat;
+use faer::{Mat, MatRef};
 use rayon::prelude::*;
 use thiserror::Error;
 
+use super::circuit::CircuitError;
 use super::protocol::{Pattern, Protocol};
 use super::system::{ElementGeometry, System};
 use crate::mesh::{Contact, ElectrodedMesh};
@@ -41,6 +42,9 @@ pub enum EitError {
     /// The system could not be factored.
     #[error("forward problem: {0}")]
     System(#[from] SparseError),
+    /// A readout circuit does not fit.
+    #[error("readout circuit: {0}")]
+    Circuit(#[from] CircuitError),
 }
 
 /// Mesh, electrodes and protocol made ready to solve for any conductivity.
@@ -138,6 +142,12 @@ impl Solution<'_> {
     /// The model that was solved.
     pub fn model(&self) -> &ForwardModel {
         self.model
+    }
+
+    /// Transfer impedances in ohm, electrodes x electrodes, symmetric: potential of the row's electrode for 1 A into the
+    /// column's and out of the last electrode, against the last. Row and column of the last are zero.
+    pub fn transfer_impedance(&self) -> MatRef<'_, f64> {
+        self.impedance.as_ref()
     }
 
     /// One voltage a channel, volts: `v[m] = meas[m] . U(stim of m)`.

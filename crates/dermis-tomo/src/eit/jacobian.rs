@@ -4,6 +4,7 @@
 
 use super::forward::Solution;
 use super::protocol::Pattern;
+use crate::mesh::PixelMap;
 
 /// Elements handled together: long enough for vector instructions, short enough for the caches.
 const BLOCK: usize = 128;
@@ -42,6 +43,34 @@ impl Solution<'_> {
                 block.sensitivity(channel, target);
             }
         });
+        Jacobian { rows, columns, values }
+    }
+
+    /// Sensitivity of every channel to the conductivity of every inside pixel of a grid: the element sensitivities
+    /// shared out by area of overlap, without forming them all.
+    pub fn jacobian_to_pixels(&self, map: &PixelMap) -> Jacobian {
+        let (rows, columns) = (self.model.protocol.channel_count(), map.inside_count());
+        // Transposed while summing, so that the scatter of one element writes contiguous runs of channels.
+        let mut by_pixel = vec![0.0; rows * columns];
+        let mut sensitivities = vec![0.0; BLOCK * rows];
+        let mut line = vec![0.0; BLOCK];
+        self.for_each_block(|first, block| {
+            for channel in 0..rows {
+                block.sensitivity(channel, &mut line[..block.len]);
+                for (k, value) in line[..block.len].iter().enumerate() {
+                    sensitivities[k * rows + channel] = *value;
+                }
+            }
+            for k in 0..block.len {
+                let source = &sensitivities[k * rows..(k + 1) * rows];
+                for (pixel, weight) in map.overlaps_of_element(first + k) {
+                    let target = &mut by_pixel[pixel * rows..(pixel + 1) * rows];
+                    target.iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
+                }
+            }
+        });
+        let mut values = vec![0.0; rows * columns];
+        transpose(&by_pixel, columns, rows, &mut values);
         Jacobian { rows, columns, values }
     }
 

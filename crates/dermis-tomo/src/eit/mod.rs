@@ -5,12 +5,14 @@
 //! `u + z_l sigma du/dn = U_l` and `int sigma du/dn = I_l` (Somersalo, Cheney and Isaacson, SIAM J. Appl. Math. 52,
 //! 1992, eqs. 2.1-2.5). Signs and units are those of EIDORS: current counted into the body, `J = dv/dsigma`.
 
+mod circuit;
 mod forward;
 mod jacobian;
 mod order;
 mod protocol;
 mod system;
 
+pub use circuit::{CircuitError, CircuitResponse, CurrentReturn, Lines, ReadoutCircuit};
 pub use forward::{EitError, ForwardModel, Solution};
 pub use jacobian::Jacobian;
 pub use order::{ChannelMap, OrderFit, OrderReport, diagnose_order};

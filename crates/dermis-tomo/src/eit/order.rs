@@ -159,6 +159,26 @@ fn drive_electrode(protocol: &Protocol, channel: u32) -> i64 {
 }
 
 impl Protocol {
+    /// For each channel its reciprocal one, in which drive and measurement are swapped, and the factor that its voltage
+    /// is to be multiplied with to be equal (the ratio of the drive amplitudes, with sign); `None` where it is not
+    /// measured. Geselowitz (1971): transfer impedances do not change when drive and measurement are swapped.
+    pub fn reciprocal_channels(&self) -> Vec<Option<(u32, f64)>> {
+        let first = |pattern: &super::Pattern| pattern.entries().first().map_or(1.0, |entry| entry.1);
+        let known: std::collections::HashMap<_, u32> = (0..self.channel_count())
+            .map(|c| ((unsigned(self.stimulation_of(c)).0, unsigned(self.pattern_of(c)).0), c as u32))
+            .collect();
+        (0..self.channel_count())
+            .map(|channel| {
+                let (drive, read) = (self.stimulation_of(channel), self.pattern_of(channel));
+                let &other = known.get(&(unsigned(read).0, unsigned(drive).0))?;
+                let (other_drive, other_read) =
+                    (self.stimulation_of(other as usize), self.pattern_of(other as usize));
+                let ratio = first(drive) * first(read) / (first(other_drive) * first(other_read));
+                (other as usize != channel).then_some((other, ratio))
+            })
+            .collect()
+    }
+
     /// The channels as seen after renaming electrode `k` to `relabel[k]`: channel `i` becomes channel `source[i]` times
     /// `sign[i]`, if the renamed protocol consists of the same channels. Symmetries of a skin are such renamings.
     pub fn relabelled(&self, relabel: &[u32]) -> Option<(Vec<u32>, Vec<f64>)> {
@@ -254,6 +274,16 @@ mod tests {
         late.rotate_left(13 * 3);
         assert!(diagnose_order(&absolute, &model, &late, false).better.is_some());
         assert!(diagnose_order(&absolute, &model, &model, false).better.is_none());
+    }
+
+    #[test]
+    fn reciprocal_channels_swap_drive_and_measurement() {
+        let absolute = protocol(Order::Absolute);
+        let model = voltages(&absolute);
+        for (channel, partner) in absolute.reciprocal_channels().into_iter().enumerate() {
+            let (other, ratio) = partner.expect("adjacent channels all have a partner");
+            assert!((model[channel] - ratio * model[other as usize]).abs() < 1e-12);
+        }
     }
 
     #[test]

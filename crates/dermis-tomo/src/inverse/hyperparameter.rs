@@ -11,8 +11,8 @@ use super::{InverseError, LinearProblem};
 pub enum Hyperparameter {
     /// This lambda.
     Number(f64),
-    /// `lambda^2 = factor * trace(W^1/2 J P J' W^1/2') / unknowns`: scale-free, so one factor serves skins of any
-    /// unit, gain or number of channels.
+    /// `lambda^2 = factor * trace(W^1/2 J P J' W^1/2') / channels`: scale-free, so one factor serves skins of any unit,
+    /// gain or number of channels.
     Relative(f64),
     /// Corner (largest curvature) of log residual against log solution norm (Hansen, SIAM Rev. 34, 1992).
     LCurve,
@@ -123,7 +123,7 @@ impl Hyperparameter {
             Hyperparameter::Number(value) => positive("hyperparameter", *value),
             Hyperparameter::Relative(factor) => {
                 let factor = positive("relative hyperparameter", *factor)?;
-                Ok((factor * problem.gram_trace()? / problem.unknowns() as f64).sqrt())
+                Ok((factor * problem.gram_trace()? / problem.channels() as f64).sqrt())
             }
             Hyperparameter::LCurve => l_curve_corner(&problem.spectrum()?, &problem.whiten_all(data)?),
             Hyperparameter::Gcv => {

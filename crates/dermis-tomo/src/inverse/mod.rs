@@ -8,8 +8,10 @@ mod greit;
 mod hyperparameter;
 mod linear;
 mod live;
+mod measured;
 mod missing;
 mod prior;
+mod self_calibration;
 mod total_variation;
 mod weighting;
 
@@ -17,8 +19,12 @@ pub use greit::{Greit, GreitSpec};
 pub use hyperparameter::{Hyperparameter, LCurvePoint, Spectrum};
 pub use linear::{LinearProblem, Operator};
 pub use live::LiveOperator;
+pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
 pub use prior::{ImageBasis, Prior, PriorMatrix};
+pub use self_calibration::{
+    CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,
+};
 pub use total_variation::{TotalVariation, TotalVariationResult};
 pub use weighting::Weighting;
 
@@ -63,6 +69,16 @@ pub enum InverseError {
     NoChannels {
         /// How many there are.
         channels: usize,
+    },
+    /// Too few frames to calibrate on.
+    #[error("calibration needs at least {needed} frames with any change in them, got {useful} in {given} frames")]
+    TooFewFrames {
+        /// Fewest that do.
+        needed: usize,
+        /// Frames with a channel that is present and not zero.
+        useful: usize,
+        /// All frames given.
+        given: usize,
     },
     /// A search for a hyperparameter did not find one.
     #[error("no hyperparameter gives a noise figure of {target}: the reachable range is {low:.3} to {high:.3}")]

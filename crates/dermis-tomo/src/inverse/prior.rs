@@ -2,7 +2,7 @@
 
 use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
 
-use super::InverseError;
+use super::{InverseError, Weighting};
 use crate::mesh::Mesh;
 use crate::sparse::{Ordering, SpdStructure};
 
@@ -50,8 +50,8 @@ pub enum Prior {
         /// Correlation length l, metres.
         correlation_length_m: f64,
     },
-    /// Gaussian smoothness of an image scaled as by NOSER: covariance `D^-1/2 K D^-1/2` with `D = diag(J'J)^exponent`
-    /// scaled to mean 1 and K as in [`Prior::Gaussian`].
+    /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`, scaled
+    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,
@@ -88,7 +88,12 @@ impl Prior {
     /// # Errors
     /// A basis of another size than the Jacobian, lengths or weights that are not positive and finite, or a mixture
     /// whose Gaussian part cannot be inverted.
-    pub fn matrix(&self, jacobian: MatRef<'_, f64>, basis: &ImageBasis) -> Result<PriorMatrix, InverseError> {
+    pub fn matrix(
+        &self,
+        jacobian: MatRef<'_, f64>,
+        weighting: &Weighting,
+        basis: &ImageBasis,
+    ) -> Result<PriorMatrix, InverseError> {
         let size = jacobian.ncols();
         if basis.len() != size {
             return Err(InverseError::Size { what: "unknowns of the image basis", expected: size, got: basis.len() });
@@ -101,12 +106,15 @@ impl Prior {
                 Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, None)?))
             }
             Prior::GaussianNoser { correlation_length_m, exponent } => {
-                let diagonal = noser(jacobian, *exponent)?;
+                let mut whitened = jacobian.to_owned();
+                weighting.check(jacobian.nrows())?;
+                weighting.whiten(whitened.as_mut());
+                let diagonal = noser(whitened.as_ref(), *exponent)?;
                 let mean = diagonal.iter().sum::<f64>() / size as f64;
                 let scale: Vec<f64> = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
                 Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, Some(&scale))?))
             }
-            Prior::Mixture(parts) => mixture(parts, jacobian, basis),
+            Prior::Mixture(parts) => mixture(parts, jacobian, weighting, basis),
         }
     }
 }
@@ -159,6 +167,7 @@ fn gaussian(basis: &ImageBasis, length: f64, scale: Option<&[f64]>) -> Result<Ma
 fn mixture(
     parts: &[(f64, Prior)],
     jacobian: MatRef<'_, f64>,
+    weighting: &Weighting,
     basis: &ImageBasis,
 ) -> Result<PriorMatrix, InverseError> {
     let size = basis.len();
@@ -177,7 +186,7 @@ fn mixture(
                 expected: "positive and finite",
             });
         }
-        match prior.matrix(jacobian, basis)? {
+        match prior.matrix(jacobian, weighting, basis)? {
             PriorMatrix::Diagonal(values) => {
                 diagonal.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * value)
             }

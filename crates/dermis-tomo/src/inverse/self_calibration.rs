@@ -1,0 +1,455 @@
+//! Calibrating a skin from its own unlabelled frames: scale, sign and trust of each channel, without knowing where
+//! anything touched.
+//!
+//! Every frame `D` (relative voltage changes) is taken to be one touch, `D = a T(g) + e` with `T(g)` the template of
+//! place `g`. Channels are scaled to unit RMS, which removes gains and ill-known baselines. Signs follow by
+//! synchronisation: `M = (D'D / n) o (T'T)` (channels x channels, elementwise product) is positive between channels
+//! whose signs are both right or both wrong, so the signs of its leading eigenvector, improved by `s <- sign(M s)`, are
+//! right up to one common sign. Then each frame is located by its matched filter, `max_g <wT(g), wD> / (|wT(g)| |wD|)`,
+//! and the weights follow from what the templates leave unexplained: `w^-2 = mean (D - a T)^2 + floor`.
+
+mod templates;
+
+pub use templates::TouchTemplates;
+
+use faer::{Mat, MatRef, Side};
+use templates::square_distance;
+
+use super::{InverseError, Weighting, check_finite};
+
+/// Fewest frames to calibrate on. With 20 position errors are about a third larger than with hundreds; with 10 they
+/// can double.
+pub const LEAST_CALIBRATION_FRAMES: usize = 20;
+
+const SIGN_ITERATIONS: usize = 30;
+
+/// What a touch does to the skin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TouchEffect {
+    /// Conducts less where it is pressed (thinned gels and hydrogels).
+    LowersConductivity,
+    /// Conducts more where it is pressed (most piezoresistive composites and foams).
+    RaisesConductivity,
+}
+
+/// Choices of [`SelfCalibration::fit`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CalibrationOptions {
+    /// What a touch does.
+    pub effect: TouchEffect,
+    /// Rounds of locating and reweighting.
+    pub weight_iterations: usize,
+    /// Unexplained variance that every channel is believed to have, relative to its mean square.
+    pub noise_floor: f64,
+    /// The position is the centroid of the scores within this much of the best one, ...
+    pub centroid_band: f64,
+    /// ... no farther than this from it, metres.
+    pub centroid_radius_m: f64,
+}
+
+impl Default for CalibrationOptions {
+    /// For a skin of some 0.1 to 0.2 m that conducts less where it is pressed.
+    fn default() -> Self {
+        Self {
+            effect: TouchEffect::LowersConductivity,
+            weight_iterations: 3,
+            noise_floor: 0.02,
+            centroid_band: 0.05,
+            centroid_radius_m: 0.015,
+        }
+    }
+}
+
+impl CalibrationOptions {
+    fn validate(&self) -> Result<(), InverseError> {
+        let values = [
+            ("noise_floor", self.noise_floor),
+            ("centroid_band", self.centroid_band),
+            ("centroid_radius_m", self.centroid_radius_m),
+        ];
+        match values.into_iter().find(|(_, value)| !(*value > 0.0 && value.is_finite())) {
+            Some((what, value)) => {
+                Err(InverseError::Value { what, index: None, value, expected: "positive and finite" })
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Where the matched filter finds a touch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchedTouch {
+    /// Centroid of the best scores, metres.
+    pub position_m: [f64; 2],
+    /// Index of the best place in [`TouchTemplates::places_m`].
+    pub peak: usize,
+    /// Weighted correlation of the frame with the template of that place, -1 to 1.
+    pub score: f64,
+    /// Strength in units of a typical calibration frame: the factor of the template, all channels at unit RMS.
+    pub amplitude: f64,
+}
+
+/// A calibrated skin: what to do with its channels, and a matched filter that locates single touches.
+#[derive(Clone, Debug)]
+pub struct SelfCalibration {
+    options: CalibrationOptions,
+    places_m: Vec<[f64; 2]>,
+    data_scale: Vec<f64>,
+    row_factors: Vec<f64>,
+    signs: Vec<f64>,
+    weights: Vec<f64>,
+    /// Weighted templates, places x channels.
+    filter: Mat<f64>,
+    score: f64,
+}
+
+impl SelfCalibration {
+    /// Calibrates on `frames` of relative changes, `(v - v_0) / mean(v_0)` for each channel of the templates, `NaN` where
+    /// a channel is missing. `voltages` are the modelled baselines (their signs start the synchronisation, their sizes
+    /// settle the common sign: a large voltage rarely has the wrong one).
+    ///
+    /// Use frames with touches at many places, not quiet ones. Where none is at hand, differences of successive
+    /// baselines taken between touches also serve on a skin that recovers slowly: they hold what is left of the last
+    /// touch.
+    ///
+    /// # Errors
+    /// Sizes that disagree, fewer than [`LEAST_CALIBRATION_FRAMES`] frames with any change in them, infinite values,
+    /// options that are not positive, or no channel that both model and data move.
+    pub fn fit(
+        templates: &TouchTemplates,
+        voltages: &[f64],
+        frames: &[Vec<f64>],
+        options: CalibrationOptions,
+    ) -> Result<Self, InverseError> {
+        options.validate()?;
+        let channels = templates.matrix().nrows();
+        if voltages.len() != channels {
+            return Err(InverseError::Size { what: "modelled voltages", expected: channels, got: voltages.len() });
+        }
+        check_finite("modelled voltage", voltages)?;
+        let data_scale = channel_scale(frames, channels)?;
+        let batch = Batch::new(frames, &data_scale);
+        let sizes = row_rms(templates.matrix());
+        let live: Vec<bool> = (0..channels).map(|c| data_scale[c] > 0.0 && sizes[c] > 0.0).collect();
+        if !live.contains(&true) {
+            return Err(InverseError::NoChannels { channels });
+        }
+        let unsigned: Vec<f64> =
+            (0..channels).map(|c| if live[c] { sign(voltages[c]) / sizes[c] } else { 0.0 }).collect();
+        let scaled = scale_rows(templates.matrix(), &unsigned);
+        let signs = synchronised_signs(scaled.as_ref(), batch.values.as_ref(), voltages)?;
+        let row_factors: Vec<f64> = unsigned.iter().zip(&signs).map(|(factor, sign)| factor * sign).collect();
+        let mut calibration = Self {
+            options,
+            places_m: templates.places_m().to_vec(),
+            data_scale,
+            row_factors,
+            signs,
+            weights: live.into_iter().map(f64::from).collect(),
+            filter: Mat::new(),
+            score: 0.0,
+        };
+        let matched = calibration.matched_rows(templates);
+        calibration.reweight(&matched, &batch);
+        Ok(calibration)
+    }
+
+    /// Templates with calibrated rows, as changes by a touch: places x channels.
+    fn matched_rows(&self, templates: &TouchTemplates) -> Mat<f64> {
+        let change = match self.options.effect {
+            TouchEffect::LowersConductivity => -1.0,
+            TouchEffect::RaisesConductivity => 1.0,
+        };
+        let factors: Vec<f64> = self.row_factors.iter().map(|factor| change * factor).collect();
+        scale_rows(templates.matrix(), &factors).transpose().to_owned()
+    }
+
+    /// Alternates between locating all frames and weighing channels by what is left over.
+    fn reweight(&mut self, matched: &Mat<f64>, batch: &Batch) {
+        let floor = self.options.noise_floor;
+        for _ in 0..self.options.weight_iterations {
+            self.set_filter(matched);
+            let peaks = self.peaks(batch);
+            for channel in 0..self.weights.len() {
+                let (mut sum, mut count) = (0.0, 0.0);
+                for (frame, peak) in peaks.iter().enumerate() {
+                    if batch.present[(channel, frame)] > 0.0 {
+                        let explained = peak.amplitude * matched[(peak.place, channel)];
+                        sum += (batch.values[(channel, frame)] - explained).powi(2);
+                        count += 1.0;
+                    }
+                }
+                if self.weights[channel] > 0.0 && count > 0.0 {
+                    self.weights[channel] = 1.0 / (sum / count + floor).sqrt();
+                }
+            }
+        }
+        self.set_filter(matched);
+        let mut scores: Vec<f64> = self.peaks(batch).iter().map(|peak| peak.score).collect();
+        scores.sort_by(f64::total_cmp);
+        self.score = scores[scores.len() / 2];
+    }
+
+    fn set_filter(&mut self, matched: &Mat<f64>) {
+        let weights = &self.weights;
+        self.filter = Mat::from_fn(matched.nrows(), matched.ncols(), |place, c| weights[c] * matched[(place, c)]);
+    }
+
+    fn peaks(&self, batch: &Batch) -> Vec<Peak> {
+        let (scores, norms) = self.score_batch(batch);
+        (0..scores.ncols()).map(|frame| Peak::of(&scores, &norms, frame)).collect()
+    }
+
+    /// Scores, places x frames. A channel that a frame lacks counts in neither norm.
+    fn score_batch(&self, batch: &Batch) -> (Mat<f64>, Norms) {
+        let weighted = scale_rows(batch.values.as_ref(), &self.weights);
+        let mut scores = &self.filter * &weighted;
+        let square_norm = |column: faer::ColRef<'_, f64>| column.iter().map(|v| v * v).sum::<f64>();
+        let squares = Mat::from_fn(self.filter.nrows(), self.filter.ncols(), |r, c| self.filter[(r, c)].powi(2));
+        let template = if batch.complete {
+            &squares * Mat::<f64>::full(squares.ncols(), 1, 1.0)
+        } else {
+            &squares * &batch.present
+        };
+        let norms = Norms { template, frame: weighted.col_iter().map(|column| square_norm(column).sqrt()).collect() };
+        for frame in 0..scores.ncols() {
+            for place in 0..scores.nrows() {
+                let both = norms.place(place, frame) * norms.frame[frame];
+                scores[(place, frame)] = if both > 0.0 { scores[(place, frame)] / both } else { 0.0 };
+            }
+        }
+        (scores, norms)
+    }
+
+    fn single(&self, frame: &[f64]) -> Result<Batch, InverseError> {
+        let expected = self.data_scale.len();
+        if frame.len() != expected {
+            return Err(InverseError::Size { what: "channels of the frame", expected, got: frame.len() });
+        }
+        check_not_infinite(frame)?;
+        let batch = Batch::new(&[frame], &self.data_scale);
+        let usable = (0..expected).any(|c| batch.present[(c, 0)] > 0.0 && self.weights[c] > 0.0);
+        if usable { Ok(batch) } else { Err(InverseError::NoChannels { channels: expected }) }
+    }
+
+    /// Correlation of a frame of relative changes with the template of every place, -1 to 1.
+    ///
+    /// # Errors
+    /// A frame of the wrong length, with infinite values, or without any usable channel.
+    pub fn scores(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
+        let (scores, _) = self.score_batch(&self.single(frame)?);
+        Ok(scores.col(0).iter().copied().collect())
+    }
+
+    /// The place of a single touch in a frame of relative changes; `None` where no channel changed at all.
+    ///
+    /// # Errors
+    /// As [`SelfCalibration::scores`].
+    pub fn locate(&self, frame: &[f64]) -> Result<Option<MatchedTouch>, InverseError> {
+        let batch = self.single(frame)?;
+        let (scores, norms) = self.score_batch(&batch);
+        if norms.frame[0] == 0.0 {
+            return Ok(None);
+        }
+        let Peak { place, score, amplitude } = Peak::of(&scores, &norms, 0);
+        let column: Vec<f64> = scores.col(0).iter().copied().collect();
+        Ok(Some(MatchedTouch { position_m: self.centroid(&column, place), peak: place, score, amplitude }))
+    }
+
+    fn centroid(&self, scores: &[f64], peak: usize) -> [f64; 2] {
+        let centre = self.places_m[peak];
+        let reach = self.options.centroid_radius_m.powi(2);
+        let mut sum = [0.0; 3];
+        for (place, score) in self.places_m.iter().zip(scores) {
+            let excess = score - scores[peak] + self.options.centroid_band;
+            if excess > 0.0 && square_distance(*place, centre) < reach {
+                sum = [sum[0] + excess * place[0], sum[1] + excess * place[1], sum[2] + excess];
+            }
+        }
+        // The peak itself always counts, with the whole band.
+        [sum[0] / sum[2], sum[1] / sum[2]]
+    }
+
+    /// Median score of the calibration frames: how well the model fits them. Compares models without labels; below
+    /// about 0.75 suspect the readout circuit or the electrode layout.
+    pub fn score(&self) -> f64 {
+        self.score
+    }
+
+    /// RMS change of each channel over the calibration frames; 0 for a channel that never changed or was always missing.
+    pub fn data_scale(&self) -> &[f64] {
+        &self.data_scale
+    }
+
+    /// For each channel, +1 where the model's sign of the voltage is right and -1 where it is not.
+    pub fn signs(&self) -> &[f64] {
+        &self.signs
+    }
+
+    /// Weights of the channels, in units of 1 / [`SelfCalibration::data_scale`]; 0 for unusable ones.
+    pub fn weights(&self) -> &[f64] {
+        &self.weights
+    }
+
+    /// `W = diag(w^2)` for [`LinearProblem`](super::LinearProblem), to go with [`SelfCalibration::calibrated_rows`] and
+    /// [`SelfCalibration::scaled`].
+    pub fn weighting(&self) -> Weighting {
+        Weighting::Diagonal(self.weights.iter().map(|weight| weight * weight).collect())
+    }
+
+    /// A Jacobian `dv/dsigma` or [`TouchTemplates::matrix`] (channels x anything) as sensitivities of
+    /// [`SelfCalibration::scaled`] data: rows signed and scaled, rows of unusable channels zero.
+    ///
+    /// # Errors
+    /// Another number of channels.
+    pub fn calibrated_rows(&self, jacobian: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
+        let expected = self.row_factors.len();
+        if jacobian.nrows() != expected {
+            return Err(InverseError::Size { what: "channels of the Jacobian", expected, got: jacobian.nrows() });
+        }
+        Ok(scale_rows(jacobian, &self.row_factors))
+    }
+
+    /// A frame of relative changes in units of each channel's RMS; `NaN` stays, unusable channels are 0.
+    ///
+    /// # Errors
+    /// Another number of channels.
+    pub fn scaled(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
+        let expected = self.data_scale.len();
+        if frame.len() != expected {
+            return Err(InverseError::Size { what: "channels of the frame", expected, got: frame.len() });
+        }
+        let scale = |(value, scale): (&f64, &f64)| if *scale > 0.0 { value / scale } else { 0.0 };
+        Ok(frame.iter().zip(&self.data_scale).map(scale).collect())
+    }
+
+    /// Where the columns of the matched filter lie, metres.
+    pub fn places_m(&self) -> &[[f64; 2]] {
+        &self.places_m
+    }
+}
+
+struct Peak {
+    place: usize,
+    score: f64,
+    amplitude: f64,
+}
+
+impl Peak {
+    fn of(scores: &Mat<f64>, norms: &Norms, frame: usize) -> Self {
+        let column = scores.col(frame);
+        let better = |best: usize, place: usize| if column[place] > column[best] { place } else { best };
+        let place = (0..column.nrows()).fold(0, better);
+        let template = norms.place(place, frame);
+        let amplitude = if template > 0.0 { column[place] * norms.frame[frame] / template } else { 0.0 };
+        Self { place, score: column[place], amplitude }
+    }
+}
+
+struct Norms {
+    /// Squared norms of the weighted templates, places x frames, or one column for all frames.
+    template: Mat<f64>,
+    /// Norms of the weighted frames.
+    frame: Vec<f64>,
+}
+
+impl Norms {
+    fn place(&self, place: usize, frame: usize) -> f64 {
+        self.template[(place, if self.template.ncols() == 1 { 0 } else { frame })].max(0.0).sqrt()
+    }
+}
+
+/// Scaled frames as columns.
+struct Batch {
+    /// Channels x frames, 0 where missing.
+    values: Mat<f64>,
+    /// Channels x frames, 1 or 0.
+    present: Mat<f64>,
+    complete: bool,
+}
+
+impl Batch {
+    fn new<F: AsRef<[f64]>>(frames: &[F], scale: &[f64]) -> Self {
+        let value = |channel: usize, frame: usize| frames[frame].as_ref()[channel];
+        let present = Mat::from_fn(scale.len(), frames.len(), |c, f| f64::from(!value(c, f).is_nan()));
+        let usable = |c: usize, f: usize| scale[c] > 0.0 && present[(c, f)] > 0.0;
+        let values =
+            Mat::from_fn(scale.len(), frames.len(), |c, f| if usable(c, f) { value(c, f) / scale[c] } else { 0.0 });
+        let complete = present.col_iter().all(|column| column.iter().all(|&p| p > 0.0));
+        Self { values, present, complete }
+    }
+}
+
+fn sign(value: f64) -> f64 {
+    if value < 0.0 { -1.0 } else { 1.0 }
+}
+
+fn check_not_infinite(frame: &[f64]) -> Result<(), InverseError> {
+    match frame.iter().position(|value| value.is_infinite()) {
+        Some(index) => {
+            let (what, expected) = ("channel", "finite, or NaN where missing");
+            Err(InverseError::Value { what, index: Some(index), value: frame[index], expected })
+        }
+        None => Ok(()),
+    }
+}
+
+/// RMS of each channel over the frames that have it; checks the frames.
+fn channel_scale(frames: &[Vec<f64>], channels: usize) -> Result<Vec<f64>, InverseError> {
+    let (mut sums, mut counts, mut useful) = (vec![0.0; channels], vec![0usize; channels], 0);
+    for frame in frames {
+        if frame.len() != channels {
+            let (what, got) = ("channels of a calibration frame", frame.len());
+            return Err(InverseError::Size { what, expected: channels, got });
+        }
+        check_not_infinite(frame)?;
+        useful += usize::from(frame.iter().any(|value| value.abs() > 0.0));
+        for (channel, value) in frame.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
+            sums[channel] += value * value;
+            counts[channel] += 1;
+        }
+    }
+    if useful < LEAST_CALIBRATION_FRAMES {
+        return Err(InverseError::TooFewFrames { needed: LEAST_CALIBRATION_FRAMES, useful, given: frames.len() });
+    }
+    Ok(sums.iter().zip(&counts).map(|(sum, &count)| (sum / count.max(1) as f64).sqrt()).collect())
+}
+
+fn row_rms(matrix: MatRef<'_, f64>) -> Vec<f64> {
+    let square = |row: faer::RowRef<'_, f64>| row.iter().map(|v| v * v).sum::<f64>();
+    matrix.row_iter().map(|row| (square(row) / matrix.ncols() as f64).sqrt()).collect()
+}
+
+fn scale_rows(matrix: MatRef<'_, f64>, factors: &[f64]) -> Mat<f64> {
+    Mat::from_fn(matrix.nrows(), matrix.ncols(), |row, column| factors[row] * matrix[(row, column)])
+}
+
+/// Signs by which the templates (channels x places) agree best with the second moments of the data (channels x frames).
+fn synchronised_signs(
+    templates: MatRef<'_, f64>,
+    data: MatRef<'_, f64>,
+    voltages: &[f64],
+) -> Result<Vec<f64>, InverseError> {
+    let (observed, modelled) = (data * data.transpose(), templates * templates.transpose());
+    let entries = data.ncols() as f64 * templates.ncols() as f64;
+    let agreement = Mat::from_fn(observed.nrows(), observed.ncols(), |row, column| {
+        let (low, high) = (row.max(column), row.min(column));
+        if row == column { 0.0 } else { observed[(low, high)] * modelled[(low, high)] / entries }
+    });
+    let decomposition = agreement.self_adjoint_eigen(Side::Lower).map_err(|_| InverseError::Singular {
+        what: "the agreement of channels (its eigenvectors were not found)",
+        hint: "look for channels of vastly different scale",
+    })?;
+    // Eigenvalues ascend.
+    let leading = decomposition.U().col(agreement.ncols() - 1);
+    let mut signs: Vec<f64> = leading.iter().map(|&component| sign(component)).collect();
+    for _ in 0..SIGN_ITERATIONS {
+        let next = &agreement * faer::ColRef::from_slice(&signs);
+        signs = next.iter().map(|&component| sign(component)).collect();
+    }
+    let common = sign(signs.iter().zip(voltages).map(|(s, v)| s * v.abs()).sum());
+    Ok(signs.into_iter().map(|s| common * s).collect())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,79 @@
+//! What a touch at each place does to each channel: Jacobian rows summed over a touch of Gaussian shape,
+//! `T[c, g] = sum_p exp(-|x_p - x_g|^2 / (2 s^2)) J[c, p]`.
+
+use faer::{Mat, MatRef};
+
+use super::super::{InverseError, check_finite};
+
+/// Voltage changes by a touch of unit conductivity change at each of a list of places.
+#[derive(Clone, Debug)]
+pub struct TouchTemplates {
+    /// Channels x places.
+    matrix: Mat<f64>,
+    places_m: Vec<[f64; 2]>,
+}
+
+impl TouchTemplates {
+    /// From a matrix (channels x places, `dv` for a *rise* of conductivity) and where its columns lie, metres.
+    ///
+    /// # Errors
+    /// No channel or place, sizes that disagree, or values that are not finite.
+    pub fn new(matrix: Mat<f64>, places_m: Vec<[f64; 2]>) -> Result<Self, InverseError> {
+        if places_m.is_empty() || places_m.len() != matrix.ncols() {
+            let expected = matrix.ncols().max(1);
+            return Err(InverseError::Size { what: "places of the templates", expected, got: places_m.len() });
+        }
+        if matrix.nrows() == 0 {
+            return Err(InverseError::Size { what: "channels of the templates", expected: 1, got: 0 });
+        }
+        check_finite("place coordinate", &places_m.iter().flatten().copied().collect::<Vec<_>>())?;
+        for column in matrix.col_iter() {
+            check_finite("touch template", &column.iter().copied().collect::<Vec<_>>())?;
+        }
+        Ok(Self { matrix, places_m })
+    }
+
+    /// From a Jacobian per pixel (channels x pixels) by summing it over a Gaussian touch of standard deviation
+    /// `touch_sigma_m` around each place. Places may be some of the pixels; leave out those within about a touch's
+    /// width of the rim, where electrodes make every channel respond to everything.
+    ///
+    /// # Errors
+    /// As [`TouchTemplates::new`], and a touch size that is not positive and finite.
+    pub fn blurred(
+        jacobian: MatRef<'_, f64>,
+        pixels_m: &[[f64; 2]],
+        places_m: &[[f64; 2]],
+        touch_sigma_m: f64,
+    ) -> Result<Self, InverseError> {
+        if pixels_m.len() != jacobian.ncols() {
+            let (expected, got) = (jacobian.ncols(), pixels_m.len());
+            return Err(InverseError::Size { what: "pixel positions", expected, got });
+        }
+        if !(touch_sigma_m > 0.0 && touch_sigma_m.is_finite()) {
+            return Err(InverseError::Value {
+                what: "touch_sigma_m",
+                index: None,
+                value: touch_sigma_m,
+                expected: "positive and finite",
+            });
+        }
+        let touch = Mat::from_fn(pixels_m.len(), places_m.len(), |pixel, place| {
+            (-square_distance(pixels_m[pixel], places_m[place]) / (2.0 * touch_sigma_m * touch_sigma_m)).exp()
+        });
+        Self::new(jacobian * touch, places_m.to_vec())
+    }
+
+    /// Channels x places.
+    pub fn matrix(&self) -> MatRef<'_, f64> {
+        self.matrix.as_ref()
+    }
+
+    /// Where the columns lie, metres.
+    pub fn places_m(&self) -> &[[f64; 2]] {
+        &self.places_m
+    }
+}
+
+pub(super) fn square_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
+}

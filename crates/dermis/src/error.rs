@@ -1,0 +1,105 @@
+//! Errors of this crate: what failed, where, the value, and what was expected.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why something could not be done.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A skin file could not be understood; the message shows the place.
+    #[error("{file}: {message}")]
+    SkinFile {
+        /// The file, or `built-in skin NAME`.
+        file: String,
+        /// What is wrong, with line and column.
+        message: String,
+    },
+    /// A field of a skin file holds a value that makes no sense.
+    #[error("{file}: {field} = {value}: expected {expected}")]
+    SkinField {
+        /// The file, or `built-in skin NAME`.
+        file: String,
+        /// Dotted name of the field.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// What was expected.
+        expected: String,
+    },
+    /// No such built-in skin and no such file.
+    #[error("skin {name:?}: no file of that name and no built-in skin; built-in are {known}")]
+    UnknownSkin {
+        /// What was asked for.
+        name: String,
+        /// The names there are.
+        known: String,
+    },
+    /// A file that could not be read or written.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file whose contents are not what they should be.
+    #[error("{}: {field}: {reason}", file.display())]
+    Content {
+        /// The file.
+        file: PathBuf,
+        /// Line, key or column.
+        field: String,
+        /// Value found and what was expected.
+        reason: String,
+    },
+    /// Frames that do not fit the skin.
+    #[error("{what}: expected {expected}, got {got}")]
+    Frames {
+        /// Which frames.
+        what: String,
+        /// Expected.
+        expected: String,
+        /// Found.
+        got: String,
+    },
+    /// From the mesh.
+    #[error("mesh of {skin}: {source}")]
+    Mesh {
+        /// Name of the skin.
+        skin: String,
+        /// The cause.
+        source: dermis_tomo::mesh::MeshError,
+    },
+    /// From the protocol.
+    #[error("protocol of {skin}: {source}")]
+    Protocol {
+        /// Name of the skin.
+        skin: String,
+        /// The cause.
+        source: dermis_tomo::eit::ProtocolError,
+    },
+    /// From the forward model.
+    #[error("forward model: {0}")]
+    Forward(#[from] dermis_tomo::eit::EitError),
+    /// From the inverse operator.
+    #[error("inverse operator: {0}")]
+    Inverse(#[from] dermis_tomo::inverse::InverseError),
+    /// From a reader or source.
+    #[error(transparent)]
+    Device(#[from] dermis_device::DeviceError),
+    /// From a calibrated locator.
+    #[error("calibration: {0}")]
+    Locator(#[from] dermis_touch::locator::LocatorError),
+    /// From touch extraction.
+    #[error("touches: {0}")]
+    Touch(#[from] dermis_touch::TouchError),
+}
+
+impl Error {
+    pub(crate) fn io(file: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let file = file.into();
+        move |source| Self::Io { file, source }
+    }
+}

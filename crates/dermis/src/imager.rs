@@ -1,0 +1,245 @@
+//! Difference data to images: the skin's operator for a reference, with missing channels filled in and the noise that
+//! reaches each pixel.
+
+use dermis_tomo::inverse::{
+    Hyperparameter, LinearProblem, LiveOperator, MissingChannels, Operator, Weighting,
+};
+use faer::MatRef;
+
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+use crate::skin::{HyperparameterChoice, WeightChoice};
+
+/// The live inverse of a skin: difference data in, image out.
+#[derive(Debug)]
+pub struct Imager {
+    problem: LinearProblem,
+    operator: Operator,
+    live: LiveOperator,
+    polarity: f64,
+    /// Standard deviation of each inside pixel caused by the reference's noise.
+    pixel_noise: Vec<f32>,
+    inside: Vec<u32>,
+    grid_len: usize,
+    missing: Option<MissingChannels>,
+    scratch: Scratch,
+}
+
+#[derive(Debug, Default)]
+struct Scratch {
+    filled: Vec<f64>,
+    single: Vec<f32>,
+    image: Vec<f32>,
+    absent: Vec<u32>,
+}
+
+/// Most frames that a data-driven hyperparameter looks at.
+const MOST_FRAMES: usize = 16;
+
+impl Prepared {
+    /// Builds the operator for a reference. `data` (difference frames in model volts) is looked at only by
+    /// hyperparameter rules that need it.
+    ///
+    /// # Errors
+    /// Weights that the reference cannot give, or a hyperparameter that cannot be found.
+    pub fn imager(&self, reference: &Reference, data: &[Vec<f64>]) -> Result<Imager, Error> {
+        let weighting = self.weighting(reference)?;
+        let prior = self.prior().matrix(self.jacobian.as_mat(), &weighting, &self.basis)?;
+        let problem = LinearProblem::new(self.jacobian.as_mat(), weighting, prior)?;
+        let rule = match &self.skin.imaging.hyperparameter {
+            HyperparameterChoice::Number(value) => Hyperparameter::Number(*value),
+            HyperparameterChoice::Relative(factor) => Hyperparameter::Relative(*factor),
+            HyperparameterChoice::LCurve => Hyperparameter::LCurve,
+            HyperparameterChoice::Gcv => Hyperparameter::Gcv,
+            HyperparameterChoice::KnownNoise(factor) => Hyperparameter::KnownNoise { factor: *factor },
+            HyperparameterChoice::NoiseFigure(target) => {
+                Hyperparameter::NoiseFigure { target: *target, signal: self.central_touch() }
+            }
+        };
+        let lambda = problem.choose(&rule, &informative(data))?;
+        self.imager_from(problem, lambda, &reference.noise, self.skin.imaging.polarity.sign())
+    }
+
+    /// As [`Prepared::imager`], from a problem made elsewhere (a calibrated one) at a given lambda; `polarity` is the sign
+    /// that its unknowns get in images.
+    ///
+    /// # Errors
+    /// A lambda that is not positive and finite.
+    pub fn imager_from(
+        &self,
+        problem: LinearProblem,
+        lambda: f64,
+        noise: &[f64],
+        polarity: f64,
+    ) -> Result<Imager, Error> {
+        let operator = problem.operator(lambda)?;
+        let live = LiveOperator::new(&operator, polarity);
+        let pixel_noise = pixel_noise(&operator, noise);
+        Ok(Imager {
+            live,
+            polarity,
+            pixel_noise,
+            inside: self.map.inside_pixels().to_vec(),
+            grid_len: self.map.grid().len(),
+            missing: None,
+            scratch: Scratch::default(),
+            problem,
+            operator,
+        })
+    }
+
+    pub(crate) fn weighting(&self, reference: &Reference) -> Result<Weighting, Error> {
+        let largest = self.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
+        let from_variances = |variances: Vec<f64>| Weighting::Diagonal(variances.iter().map(|v| 1.0 / v).collect());
+        Ok(match &self.skin.imaging.weights {
+            WeightChoice::Identity => Weighting::Identity,
+            WeightChoice::FloorAndShare { floor, share } => {
+                let variance = |v: &f64| (floor * largest).powi(2) + (share * v).powi(2);
+                from_variances(self.voltages.iter().map(variance).collect())
+            }
+            WeightChoice::Measured { floor } => {
+                let variance = |sigma: &f64| sigma * sigma + (floor * largest).powi(2);
+                from_variances(reference.noise.iter().map(variance).collect())
+            }
+            WeightChoice::MeasuredFull => match &reference.covariance {
+                Some(matrix) => {
+                    let size = self.channels();
+                    Weighting::from_covariance(MatRef::from_row_major_slice(matrix, size, size))?
+                }
+                None => {
+                    return Err(Error::Frames {
+                        what: "baseline for imaging.weights = \"measured-full\"".into(),
+                        expected: "at least 16 frames without missing values".into(),
+                        got: "fewer, or some values missing".into(),
+                    });
+                }
+            },
+            WeightChoice::Reciprocity { floor } => {
+                let volts: Vec<f64> = reference.baseline.iter().zip(&reference.scale).map(|(b, s)| b * s).collect();
+                Weighting::from_reciprocity(&volts, &self.protocol.reciprocal_channels(), floor * largest)?
+            }
+        })
+    }
+
+    /// Difference data of a small touch in the middle of the skin, for the noise figure.
+    fn central_touch(&self) -> Vec<f64> {
+        let (low, high) = self.body.outline.bounds_m();
+        let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
+        let radius = 0.05 * (high[0] - low[0]).min(high[1] - low[1]);
+        let touched: Vec<bool> = self
+            .basis
+            .positions
+            .iter()
+            .map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]) <= radius)
+            .collect();
+        (0..self.channels())
+            .map(|c| self.jacobian.row(c).iter().zip(&touched).map(|(j, t)| if *t { 0.1 * j } else { 0.0 }).sum())
+            .collect()
+    }
+}
+
+impl Imager {
+    /// lambda.
+    pub fn hyperparameter(&self) -> f64 {
+        self.operator.hyperparameter
+    }
+
+    /// Rebuilds the operator at another lambda.
+    ///
+    /// # Errors
+    /// A lambda that is not positive and finite.
+    pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
+        self.operator = self.problem.operator(lambda)?;
+        self.live = LiveOperator::new(&self.operator, self.polarity);
+        self.pixel_noise = pixel_noise(&self.operator, noise);
+        self.missing = None;
+        Ok(())
+    }
+
+    /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the
+    /// channels.
+    pub fn noise_image(&self) -> Vec<f32> {
+        let mut image = vec![f32::NAN; self.grid_len];
+        self.scatter(&self.pixel_noise, &mut image);
+        image
+    }
+
+    /// Posterior standard deviation of each pixel of the grid, relative conductivity change.
+    ///
+    /// # Errors
+    /// See [`LinearProblem::posterior_deviation`].
+    pub fn posterior_image(&self) -> Result<Vec<f32>, Error> {
+        let inside: Vec<f32> =
+            self.problem.posterior_deviation(self.operator.hyperparameter)?.iter().map(|v| *v as f32).collect();
+        let mut image = vec![f32::NAN; self.grid_len];
+        self.scatter(&inside, &mut image);
+        Ok(image)
+    }
+
+    /// Images one frame of difference data (model volts, `NaN` where missing) into a row-major image, `NaN` outside.
+    /// Allocates only when the set of missing channels changes.
+    ///
+    /// # Errors
+    /// All channels missing, or lengths that do not fit.
+    pub fn image(&mut self, difference: &[f64], image: &mut [f32]) -> Result<(), Error> {
+        if difference.len() != self.live.channels() || image.len() != self.grid_len {
+            return Err(Error::Frames {
+                what: "difference data and image".into(),
+                expected: format!("{} channels and {} pixels", self.live.channels(), self.grid_len),
+                got: format!("{} and {}", difference.len(), image.len()),
+            });
+        }
+        let mut scratch = std::mem::take(&mut self.scratch);
+        let outcome = self.image_with(difference, image, &mut scratch);
+        self.scratch = scratch;
+        outcome
+    }
+
+    fn image_with(&mut self, difference: &[f64], image: &mut [f32], scratch: &mut Scratch) -> Result<(), Error> {
+        scratch.absent.clear();
+        scratch.absent.extend(
+            difference.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32),
+        );
+        scratch.filled.clear();
+        scratch.filled.extend_from_slice(difference);
+        if !scratch.absent.is_empty() {
+            let known = self.missing.as_ref().is_some_and(|missing| missing.channels() == scratch.absent);
+            if !known {
+                self.missing = Some(MissingChannels::new(&self.operator, &scratch.absent)?);
+            }
+            if let Some(missing) = &self.missing {
+                missing.fill_in(&mut scratch.filled);
+            }
+        }
+        scratch.single.clear();
+        scratch.single.extend(scratch.filled.iter().map(|v| *v as f32));
+        scratch.image.resize(self.live.unknowns(), 0.0);
+        self.live.apply(&scratch.single, &mut scratch.image);
+        image.fill(f32::NAN);
+        self.scatter(&scratch.image, image);
+        Ok(())
+    }
+
+    fn scatter(&self, inside: &[f32], image: &mut [f32]) {
+        for (&pixel, &value) in self.inside.iter().zip(inside) {
+            image[pixel as usize] = value;
+        }
+    }
+}
+
+fn pixel_noise(operator: &Operator, noise: &[f64]) -> Vec<f32> {
+    let mut variance = vec![0.0; operator.matrix.nrows()];
+    for (column, sigma) in operator.matrix.col_iter().zip(noise) {
+        variance.iter_mut().zip(column.iter()).for_each(|(sum, value)| *sum += (value * sigma).powi(2));
+    }
+    variance.into_iter().map(|v| v.sqrt() as f32).collect()
+}
+
+/// The largest complete frames: those that say most about the hyperparameter.
+fn informative(data: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let energy = |frame: &Vec<f64>| frame.iter().map(|v| v * v).sum::<f64>();
+    let mut frames: Vec<&Vec<f64>> = data.iter().filter(|frame| frame.iter().all(|v| v.is_finite())).collect();
+    frames.sort_by(|a, b| energy(b).total_cmp(&energy(a)));
+    frames.into_iter().take(MOST_FRAMES).cloned().collect()
+}

@@ -1,0 +1,150 @@
+//! What a recording says about itself at its beginning, as MCAP metadata records.
+
+use std::collections::BTreeMap;
+
+use dermis_device::Layout;
+use mcap::records::Metadata;
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// Names of the metadata records.
+pub(super) const RECORDING: &str = "dermis.recording";
+pub(super) const SKIN: &str = "dermis.skin";
+pub(super) const FINISHED: &str = "dermis.finished";
+
+/// Version of the format that [`super`] describes.
+const VERSION: &str = "1";
+
+/// What the frames of a recording are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordingHead {
+    /// The skin file's text.
+    pub skin_toml: String,
+    /// What stands at which channel of a raw frame.
+    pub layout: Layout,
+    /// A name for every channel, or none at all.
+    pub labels: Vec<String>,
+    /// Where the frames came from: a port, an address, a twin.
+    pub source: String,
+}
+
+impl RecordingHead {
+    /// A head without channel labels.
+    pub fn new(skin_toml: impl Into<String>, layout: Layout, source: impl Into<String>) -> Self {
+        Self { skin_toml: skin_toml.into(), layout, labels: Vec::new(), source: source.into() }
+    }
+
+    /// # Errors
+    /// [`Error::Frames`] unless there are no labels or as many as channels.
+    pub(super) fn validate(&self) -> Result<(), Error> {
+        let channels = self.layout.channels();
+        if self.labels.is_empty() || self.labels.len() == channels {
+            return Ok(());
+        }
+        Err(Error::Frames {
+            what: "channel labels of a recording".to_owned(),
+            expected: format!("none or {channels}"),
+            got: self.labels.len().to_string(),
+        })
+    }
+
+    pub(super) fn metadata(&self) -> [Metadata; 2] {
+        let layout = LayoutText::from(&self.layout);
+        let json = |value: serde_json::Result<String>| value.unwrap_or_default();
+        let recording = record(
+            RECORDING,
+            [
+                ("version", VERSION.to_owned()),
+                ("software", concat!("dermis ", env!("CARGO_PKG_VERSION")).to_owned()),
+                ("source", self.source.clone()),
+                ("layout", json(serde_json::to_string(&layout))),
+                ("labels", json(serde_json::to_string(&self.labels))),
+            ],
+        );
+        [recording, record(SKIN, [("toml", self.skin_toml.clone())])]
+    }
+
+    /// Reads both records back; the error is what is wrong with which key.
+    pub(super) fn from_metadata(found: &BTreeMap<String, BTreeMap<String, String>>) -> Result<Self, (String, String)> {
+        let entry = |name: &str, key: &str| {
+            let absent = || (format!("metadata {name}, key {key}"), "expected in a dermis recording, not found".into());
+            found.get(name).and_then(|record| record.get(key)).map(String::as_str).ok_or_else(absent)
+        };
+        let wrong = |key: &str, reason: String| (format!("metadata {RECORDING}, key {key}"), reason);
+        let version = entry(RECORDING, "version")?;
+        if version != VERSION {
+            return Err(wrong("version", format!("expected {VERSION}, found {version:?}")));
+        }
+        let layout: LayoutText =
+            serde_json::from_str(entry(RECORDING, "layout")?).map_err(|error| wrong("layout", error.to_string()))?;
+        let labels: Vec<String> =
+            serde_json::from_str(entry(RECORDING, "labels")?).map_err(|error| wrong("labels", error.to_string()))?;
+        let (skin_toml, source) = (entry(SKIN, "toml")?.to_owned(), entry(RECORDING, "source")?.to_owned());
+        let head = Self { skin_toml, layout: layout.into(), labels, source };
+        head.validate().map_err(|error| wrong("labels", error.to_string()))?;
+        Ok(head)
+    }
+}
+
+pub(super) fn record<const N: usize>(name: &str, entries: [(&str, String); N]) -> Metadata {
+    let metadata = entries.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
+    Metadata { name: name.to_owned(), metadata }
+}
+
+/// [`Layout`] in JSON.
+#[derive(Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case")]
+enum LayoutText {
+    Channels { count: usize },
+    SingleEnded { electrodes: usize, stimulations: Vec<(usize, usize)> },
+    FullMatrix { electrodes: usize },
+}
+
+impl From<&Layout> for LayoutText {
+    fn from(layout: &Layout) -> Self {
+        match layout {
+            Layout::Channels { count } => Self::Channels { count: *count },
+            Layout::SingleEnded { electrodes, stimulations } => {
+                Self::SingleEnded { electrodes: *electrodes, stimulations: stimulations.clone() }
+            }
+            Layout::FullMatrix { electrodes } => Self::FullMatrix { electrodes: *electrodes },
+        }
+    }
+}
+
+impl From<LayoutText> for Layout {
+    fn from(text: LayoutText) -> Self {
+        match text {
+            LayoutText::Channels { count } => Self::Channels { count },
+            LayoutText::SingleEnded { electrodes, stimulations } => Self::SingleEnded { electrodes, stimulations },
+            LayoutText::FullMatrix { electrodes } => Self::FullMatrix { electrodes },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_layout_survives() {
+        let layouts = [
+            Layout::Channels { count: 2 },
+            Layout::SingleEnded { electrodes: 2, stimulations: vec![(0, 1)] },
+            Layout::FullMatrix { electrodes: 1 },
+        ];
+        for layout in layouts {
+            let mut head = RecordingHead::new("name = \"a\"\n", layout, "twin:a");
+            head.labels = (0..head.layout.channels()).map(|channel| format!("\"{channel}\"")).collect();
+            let found = head.metadata().into_iter().map(|record| (record.name, record.metadata)).collect();
+            assert_eq!(RecordingHead::from_metadata(&found), Ok(head));
+        }
+    }
+
+    #[test]
+    fn what_is_missing_is_named() {
+        let (field, reason) = RecordingHead::from_metadata(&BTreeMap::new()).unwrap_err();
+        assert_eq!((field.as_str(), reason.contains("not found")), ("metadata dermis.recording, key version", true));
+    }
+}

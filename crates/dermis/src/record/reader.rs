@@ -1,0 +1,390 @@
+//! Reading a recording, whole or damaged. Every chunk's checksum is compared before anything of it is believed; what
+//! cannot be read is passed over and counted.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use dermis_device::Frame;
+use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::head::{FINISHED, RecordingHead};
+use super::scan::{ChunkPlace, MOST_BYTES, Outline, PREFIX, announced_size};
+use super::{BaselineEntry, schema, wire};
+use crate::Error;
+
+/// A message's header: channel (u16), sequence (u32), log and publish time (u64 each).
+const MESSAGE_HEADER: usize = 22;
+
+/// One entry of a recording, in the order of writing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Entry<'a> {
+    /// A raw frame.
+    Frame(&'a Frame),
+    /// A baseline came into use.
+    Baseline {
+        /// Wall clock, nanoseconds since 1970-01-01 UTC.
+        wall_ns: u64,
+        /// The baseline and its reason.
+        entry: &'a BaselineEntry,
+    },
+    /// Touches of a frame.
+    Touches {
+        /// Wall clock, nanoseconds since 1970-01-01 UTC.
+        wall_ns: u64,
+        /// The object that [`crate::sink::JsonLines`] writes.
+        json: &'a str,
+    },
+    /// Something happened.
+    Event {
+        /// Wall clock, nanoseconds since 1970-01-01 UTC.
+        wall_ns: u64,
+        /// An object with `event` and `detail`.
+        json: &'a str,
+    },
+}
+
+/// Frames that a damaged recording had and that cannot be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LostFrames {
+    /// So many: the recording's own statistics survived.
+    Exactly(u64),
+    /// Unknown, for the recording's end is missing. Those chunks that are there in part had room for about so many.
+    Unknown {
+        /// Frames that fit into the damaged chunks, as far as these announce a size.
+        in_damaged_chunks: u64,
+    },
+}
+
+/// What could not be read of a recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Damage {
+    /// The recording was not finished, or its end is cut off.
+    pub cut_off: bool,
+    /// Bytes in damaged chunks and after the last whole record.
+    pub bytes: u64,
+    /// Chunks whose content fails its checksum or cannot be decompressed.
+    pub chunks: u64,
+    /// Single messages or records that are malformed, or of a channel that nothing describes.
+    pub messages: u64,
+    /// Frames missing, known once every entry has been read; until then, the frames still to come count as missing.
+    pub frames: LostFrames,
+}
+
+impl Damage {
+    /// True if nothing is missing.
+    #[must_use]
+    pub fn is_none(&self) -> bool {
+        !self.cut_off && (self.bytes, self.chunks, self.messages) == (0, 0, 0) && self.frames == LostFrames::Exactly(0)
+    }
+}
+
+/// A recording being read.
+///
+/// Only one chunk, a megabyte or so, is in memory at a time. A file that is still being written opens like one that is
+/// cut off.
+pub struct Recording<R = BufReader<File>> {
+    input: R,
+    path: PathBuf,
+    head: RecordingHead,
+    outline: Outline,
+    topics: BTreeMap<u16, String>,
+    next_chunk: usize,
+    chunk: Option<LinearReader>,
+    /// Size of the open chunk once decompressed, as it announces it.
+    announced_bytes: u64,
+    frame: Frame,
+    baseline: BaselineEntry,
+    text: String,
+    tally: Tally,
+}
+
+/// What has been read and what could not be since the last rewind.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    frames: u64,
+    bytes: u64,
+    chunks: u64,
+    messages: u64,
+    frame_bytes: u64,
+    damaged_chunk_bytes: u64,
+}
+
+/// Kinds of entries; the content is in the recording's own memory.
+enum Kind {
+    Frame,
+    Baseline,
+    Touches,
+    Event,
+    Other,
+}
+
+/// What the next step in a chunk came to.
+enum Step {
+    Entry(Kind, u64),
+    Skipped,
+    ChunkEnd,
+    ChunkDamaged,
+}
+
+impl<R> std::fmt::Debug for Recording<R> {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.debug_struct("Recording").field("path", &self.path).field("head", &self.head).finish_non_exhaustive()
+    }
+}
+
+impl Recording {
+    /// Opens a recording, finished or not. Chunks are looked at only when entries are read.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Content`] if the file is no MCAP, or none of dermis, or cut off so early that it lacks
+    /// its skin.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let file = File::open(path).map_err(Error::io(path))?;
+        Recording::from_reader(BufReader::new(file), path)
+    }
+}
+
+impl<R: Read + Seek> Recording<R> {
+    /// Reads a recording from anything that can seek; `name` is for messages.
+    ///
+    /// # Errors
+    /// As [`Recording::open`].
+    pub fn from_reader(mut input: R, name: impl Into<PathBuf>) -> Result<Self, Error> {
+        let path = name.into();
+        let content = |field: String, reason: String| Error::Content { file: path.clone(), field, reason };
+        let outline = Outline::read(&mut input).map_err(Error::io(&path))?;
+        let outline = outline.ok_or_else(|| {
+            content("byte 0".to_owned(), "expected an MCAP recording, found another beginning".to_owned())
+        })?;
+        let head = RecordingHead::from_metadata(&outline.metadata);
+        let head = head.map_err(|(field, reason)| content(field, reason))?;
+        Ok(Self {
+            input,
+            path,
+            head,
+            topics: outline.topics.clone(),
+            outline,
+            next_chunk: 0,
+            chunk: None,
+            announced_bytes: 0,
+            frame: Frame::default(),
+            baseline: wire::empty_baseline(),
+            text: String::new(),
+            tally: Tally::default(),
+        })
+    }
+
+    /// The file, or the name given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Skin, channel layout, labels and source.
+    pub fn head(&self) -> &RecordingHead {
+        &self.head
+    }
+
+    /// The skin file's text at the time of recording.
+    pub fn skin_toml(&self) -> &str {
+        &self.head.skin_toml
+    }
+
+    /// Frames in the recording, as its end says; none if the end is missing.
+    pub fn frames_written(&self) -> Option<u64> {
+        let statistics = self.outline.statistics.as_ref()?;
+        let (channel, _) = self.outline.topics.iter().find(|(_, topic)| *topic == schema::FRAMES)?;
+        Some(statistics.channel_message_counts.get(channel).copied().unwrap_or(0))
+    }
+
+    /// Frames that were dropped while recording because the disk was too slow; none if the end is missing.
+    pub fn frames_dropped(&self) -> Option<u64> {
+        self.outline.metadata.get(FINISHED)?.get("dropped")?.parse().ok()
+    }
+
+    /// What could not be read so far; complete once every entry has been read.
+    pub fn damage(&self) -> Damage {
+        let tally = &self.tally;
+        let frames = match self.frames_written() {
+            Some(written) => LostFrames::Exactly(written.saturating_sub(tally.frames)),
+            None => {
+                let announced = tally.damaged_chunk_bytes.saturating_add(self.outline.cut_chunk_bytes);
+                let in_damaged_chunks = announced.checked_div(tally.frame_bytes).unwrap_or(0);
+                LostFrames::Unknown { in_damaged_chunks }
+            }
+        };
+        Damage {
+            cut_off: !self.outline.whole,
+            bytes: tally.bytes.saturating_add(self.outline.bytes_cut),
+            chunks: tally.chunks,
+            messages: tally.messages.saturating_add(self.outline.bad_records),
+            frames,
+        }
+    }
+
+    /// Goes back to the first entry.
+    pub fn rewind(&mut self) {
+        self.next_chunk = 0;
+        self.chunk = None;
+        self.tally = Tally::default();
+    }
+
+    /// The next entry, or none after the last one that can be read.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the system cannot read; damage is no error but counted in [`Recording::damage`].
+    pub fn next_entry(&mut self) -> Result<Option<Entry<'_>>, Error> {
+        let kind = self.advance().map_err(|error| Error::io(&self.path)(error))?;
+        Ok(kind.map(|(kind, wall_ns)| match kind {
+            Kind::Baseline => Entry::Baseline { wall_ns, entry: &self.baseline },
+            Kind::Touches => Entry::Touches { wall_ns, json: &self.text },
+            Kind::Event | Kind::Other => Entry::Event { wall_ns, json: &self.text },
+            Kind::Frame => Entry::Frame(&self.frame),
+        }))
+    }
+
+    /// The next frame into `frame`, passing over other entries; false after the last.
+    ///
+    /// # Errors
+    /// As [`Recording::next_entry`].
+    pub fn next_frame(&mut self, frame: &mut Frame) -> Result<bool, Error> {
+        self.try_next_frame(frame).map_err(|error| Error::io(&self.path)(error))
+    }
+
+    pub(super) fn try_next_frame(&mut self, frame: &mut Frame) -> io::Result<bool> {
+        while let Some((kind, _)) = self.advance()? {
+            if matches!(kind, Kind::Frame) {
+                std::mem::swap(frame, &mut self.frame);
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// The frames from here on.
+    pub fn frames(&mut self) -> impl Iterator<Item = Result<Frame, Error>> {
+        std::iter::from_fn(move || {
+            let mut frame = Frame::default();
+            self.next_frame(&mut frame).map(|there| there.then_some(frame)).transpose()
+        })
+    }
+
+    /// Goes to the next entry and decodes it into memory of `self`.
+    fn advance(&mut self) -> io::Result<Option<(Kind, u64)>> {
+        loop {
+            if self.chunk.is_none() && !self.open_chunk()? {
+                return Ok(None);
+            }
+            match self.step() {
+                Step::Entry(kind, wall_ns) => return Ok(Some((kind, wall_ns))),
+                Step::Skipped => {}
+                Step::ChunkEnd => self.chunk = None,
+                Step::ChunkDamaged => {
+                    self.chunk = None;
+                    let place = self.outline.chunks[self.next_chunk - 1];
+                    self.count_damaged(place, self.announced_bytes);
+                }
+            }
+        }
+    }
+
+    /// Reads the next chunk's bytes; false after the last.
+    fn open_chunk(&mut self) -> io::Result<bool> {
+        while let Some(&place) = self.outline.chunks.get(self.next_chunk) {
+            self.next_chunk += 1;
+            let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
+                self.count_damaged(place, 0);
+                continue;
+            };
+            let options = LinearReaderOptions::default()
+                .with_skip_start_magic(true)
+                .with_skip_end_magic(true)
+                .with_prevalidate_chunk_crcs(true)
+                .with_record_length_limit(MOST_BYTES);
+            let mut reader = LinearReader::new_with_options(options);
+            self.input.seek(SeekFrom::Start(place.offset))?;
+            let buffer = reader.insert(length);
+            self.input.read_exact(&mut buffer[..length])?;
+            self.announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
+            reader.notify_read(length);
+            self.chunk = Some(reader);
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    fn count_damaged(&mut self, place: ChunkPlace, announced_bytes: u64) {
+        self.tally.chunks += 1;
+        self.tally.bytes = self.tally.bytes.saturating_add(place.length);
+        self.tally.damaged_chunk_bytes = self.tally.damaged_chunk_bytes.saturating_add(announced_bytes);
+    }
+
+    /// Takes one record out of the open chunk.
+    fn step(&mut self) -> Step {
+        let Some(reader) = self.chunk.as_mut() else { return Step::ChunkEnd };
+        let (opcode, data) = match reader.next_event() {
+            None => return Step::ChunkEnd,
+            Some(Err(_)) => return Step::ChunkDamaged,
+            Some(Ok(LinearReadEvent::ReadRequest(_))) => {
+                // All bytes are there already. Told so, the reader ends well if the chunk was whole.
+                reader.notify_read(0);
+                return Step::Skipped;
+            }
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => (opcode, data),
+        };
+        match opcode {
+            op::CHANNEL => match mcap::parse_record(opcode, data) {
+                Ok(Record::Channel(channel)) => drop(self.topics.insert(channel.id, channel.topic)),
+                _ => self.tally.messages += 1,
+            },
+            op::MESSAGE => {
+                let memory = (&mut self.frame, &mut self.baseline, &mut self.text);
+                match decode(data, &self.topics, self.head.layout.channels(), memory) {
+                    Some((Kind::Other, _)) => {}
+                    Some((kind, wall_ns)) => {
+                        if matches!(kind, Kind::Frame) {
+                            self.tally.frames += 1;
+                            self.tally.frame_bytes = PREFIX + data.len() as u64;
+                        }
+                        return Step::Entry(kind, wall_ns);
+                    }
+                    None => self.tally.messages += 1,
+                }
+            }
+            _ => {}
+        }
+        Step::Skipped
+    }
+}
+
+/// Decodes a message into the memory for its kind; none if it is malformed or nothing describes its channel.
+fn decode(
+    data: &[u8],
+    topics: &BTreeMap<u16, String>,
+    channels: usize,
+    (frame, baseline, text): (&mut Frame, &mut BaselineEntry, &mut String),
+) -> Option<(Kind, u64)> {
+    let (header, body) = data.split_at_checked(MESSAGE_HEADER)?;
+    let channel = u16::from_le_bytes([header[0], header[1]]);
+    let wall_ns = u64::from_le_bytes(header[6..14].try_into().ok()?);
+    let kind = match topics.get(&channel)?.as_str() {
+        schema::FRAMES => {
+            wire::read_frame(body, frame)?;
+            let complex = frame.imaginary.is_empty() || frame.imaginary.len() == channels;
+            (frame.values.len() == channels && complex).then_some(Kind::Frame)?
+        }
+        schema::BASELINES => {
+            *baseline = wire::read_baseline(body)?;
+            Kind::Baseline
+        }
+        topic @ (schema::TOUCHES | schema::EVENTS) => {
+            text.clear();
+            text.push_str(std::str::from_utf8(body).ok()?);
+            if topic == schema::TOUCHES { Kind::Touches } else { Kind::Event }
+        }
+        _ => Kind::Other,
+    };
+    Some((kind, wall_ns))
+}

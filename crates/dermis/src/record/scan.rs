@@ -1,0 +1,117 @@
+//! A first pass over a recording that looks at the frame of every record (kind, length) and passes over chunks: where the
+//! chunks are, what the metadata and the summary say, and where the file is cut off.
+//!
+//! A record is an operation code (u8), a length (u64, little-endian) and that many bytes.
+
+use std::collections::BTreeMap;
+use std::io::{self, Read, Seek, SeekFrom};
+
+use mcap::MAGIC;
+use mcap::records::{Record, Statistics, op};
+
+/// Longest record, and longest chunk once decompressed, that is read into memory.
+pub(super) const MOST_BYTES: usize = 64 << 20;
+
+/// Bytes before a record's content.
+pub(super) const PREFIX: u64 = 9;
+
+/// Where a chunk record stands, prefix included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct ChunkPlace {
+    pub offset: u64,
+    pub length: u64,
+}
+
+/// What the first pass found.
+#[derive(Debug, Default)]
+pub(super) struct Outline {
+    pub chunks: Vec<ChunkPlace>,
+    pub metadata: BTreeMap<String, BTreeMap<String, String>>,
+    /// Topics of channels that stand outside chunks: the summary's.
+    pub topics: BTreeMap<u16, String>,
+    pub statistics: Option<Statistics>,
+    /// The closing record was reached.
+    pub whole: bool,
+    /// Records outside chunks that could not be understood.
+    pub bad_records: u64,
+    /// Bytes after the last whole record.
+    pub bytes_cut: u64,
+    /// A chunk that is cut off: its size before compression, as it announces it.
+    pub cut_chunk_bytes: u64,
+}
+
+impl Outline {
+    /// None if `input` does not begin as an MCAP file.
+    pub(super) fn read(input: &mut (impl Read + Seek)) -> io::Result<Option<Self>> {
+        let end = input.seek(SeekFrom::End(0))?;
+        input.seek(SeekFrom::Start(0))?;
+        let mut magic = [0; MAGIC.len()];
+        if end < MAGIC.len() as u64 {
+            return Ok(None);
+        }
+        input.read_exact(&mut magic)?;
+        if magic != MAGIC {
+            return Ok(None);
+        }
+        let mut outline = Self::default();
+        let mut at = MAGIC.len() as u64;
+        while !outline.whole {
+            let left = end.saturating_sub(at);
+            let Some(length) = outline.record(input, at, left)? else {
+                outline.bytes_cut = left;
+                break;
+            };
+            at += length;
+        }
+        Ok(Some(outline))
+    }
+
+    /// Takes in the record at `at`, of which `left` bytes may be there, and returns its length; none if it is cut off.
+    fn record(&mut self, input: &mut (impl Read + Seek), at: u64, left: u64) -> io::Result<Option<u64>> {
+        if left < PREFIX {
+            return Ok(None);
+        }
+        input.seek(SeekFrom::Start(at))?;
+        let mut prefix = [0; PREFIX as usize];
+        input.read_exact(&mut prefix)?;
+        let (kind, length) = (prefix[0], u64::from_le_bytes([1, 2, 3, 4, 5, 6, 7, 8].map(|index| prefix[index])));
+        if kind == 0 || length > left - PREFIX {
+            if kind == op::CHUNK {
+                let mut header = Vec::new();
+                input.take(24).read_to_end(&mut header)?;
+                self.cut_chunk_bytes = announced_size(&header);
+            }
+            return Ok(None);
+        }
+        match kind {
+            op::CHUNK => self.chunks.push(ChunkPlace { offset: at, length: PREFIX + length }),
+            op::FOOTER => self.whole = true,
+            op::METADATA | op::CHANNEL | op::STATISTICS => self.content(input, kind, length)?,
+            _ => {}
+        }
+        Ok(Some(PREFIX + length))
+    }
+
+    fn content(&mut self, input: &mut impl Read, kind: u8, length: u64) -> io::Result<()> {
+        let Some(length) = usize::try_from(length).ok().filter(|&length| length <= MOST_BYTES) else {
+            self.bad_records += 1;
+            return Ok(());
+        };
+        let mut bytes = vec![0; length];
+        input.read_exact(&mut bytes)?;
+        match mcap::parse_record(kind, &bytes) {
+            Ok(Record::Metadata(record)) => drop(self.metadata.insert(record.name, record.metadata)),
+            Ok(Record::Channel(channel)) => drop(self.topics.insert(channel.id, channel.topic)),
+            Ok(Record::Statistics(statistics)) => self.statistics = Some(statistics),
+            _ => self.bad_records += 1,
+        }
+        Ok(())
+    }
+}
+
+/// The uncompressed size in a chunk's header, third of its u64 fields, as far as it can be believed; 0 where even that is
+/// cut off.
+pub(super) fn announced_size(header: &[u8]) -> u64 {
+    let size = header.get(16..24).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes);
+    if size <= MOST_BYTES as u64 { size } else { 0 }
+}

@@ -1,0 +1,185 @@
+//! One JSON object a line and frame, for pipes and logs.
+
+use std::fmt::{self, Write as _};
+use std::io::Write;
+use std::path::PathBuf;
+
+use dermis_touch::{Touch, TouchEvent, TouchPhase};
+
+use super::{Output, Sink, Summary, TouchRow};
+use crate::Error;
+
+/// Which frames get a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LinesFor {
+    /// Every frame.
+    EveryFrame,
+    /// Frames with a touch, or in which one ended.
+    Touches,
+}
+
+/// Writes lines such as
+/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
+///
+/// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
+/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm`; what is not finite is `null`. Numbers have as many digits as it
+/// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
+/// that is kept: nothing is allocated once the longest line has been seen.
+#[derive(Debug)]
+pub struct JsonLines<W> {
+    out: W,
+    name: PathBuf,
+    lines_for: LinesFor,
+    line: String,
+    summary: Summary,
+}
+
+impl<W: Write + Send> JsonLines<W> {
+    /// Writes to `out`, which messages call `name`.
+    pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
+        Self { out, name: name.into(), lines_for, line: String::with_capacity(1024), summary: Summary::default() }
+    }
+}
+
+impl<W: Write + Send> Sink for JsonLines<W> {
+    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+        self.summary.frames += 1;
+        let silent = output.touches.is_empty() && ended(output.events).next().is_none();
+        if silent && self.lines_for == LinesFor::Touches {
+            return Ok(());
+        }
+        self.line.clear();
+        push_touches(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
+        self.line.push('\n');
+        let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
+        written.map_err(Error::io(&self.name))?;
+        self.summary.written += 1;
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<Summary, Error> {
+        self.out.flush().map_err(Error::io(&self.name))?;
+        Ok(self.summary)
+    }
+}
+
+/// Touches that ended in this frame.
+fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
+    events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch)
+}
+
+/// Appends the object for one frame, without a line end: its touches, then those that ended in it.
+pub(crate) fn push_touches(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+    let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
+    // Writing to a String cannot fail.
+    let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
+    for (index, touch) in touches.iter().chain(ended(events)).enumerate() {
+        if index > 0 {
+            text.push(',');
+        }
+        push_touch(text, touch);
+    }
+    text.push_str("]}");
+}
+
+fn push_touch(text: &mut String, touch: &Touch) {
+    let phase = match touch.phase {
+        TouchPhase::Begin => "begin",
+        TouchPhase::Move => "move",
+        TouchPhase::End => "end",
+    };
+    let _ = write!(text, "{{\"id\":{},\"phase\":\"{phase}\"", touch.id);
+    let row = TouchRow::new(touch);
+    let fields = [
+        ("x_mm", row.x_mm),
+        ("y_mm", row.y_mm),
+        ("amplitude", row.amplitude),
+        ("area_mm2", row.area_mm2),
+        ("sigma_x_mm", row.sigma_x_mm),
+        ("sigma_y_mm", row.sigma_y_mm),
+    ];
+    for (name, value) in fields {
+        let _ = write!(text, ",\"{name}\":{}", Number(value));
+    }
+    text.push('}');
+}
+
+/// A number as JSON has it.
+struct Number(f64);
+
+impl fmt::Display for Number {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_finite() { write!(out, "{}", self.0) } else { out.write_str("null") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{output, touch};
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn lines(bytes: &[u8]) -> Vec<Value> {
+        std::str::from_utf8(bytes).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    #[test]
+    fn a_line_is_one_object_with_touches_and_endings() {
+        let mut bytes = Vec::new();
+        let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame);
+        let mut odd = touch(2, TouchPhase::Move, 0.5, 0.25);
+        odd.amplitude = f64::NAN;
+        let events = [TouchEvent::End(touch(3, TouchPhase::End, 1.0, 2.0)), TouchEvent::Move(odd)];
+        sink.accept(&output(7, &[0.0; 6], &[odd], &events)).unwrap();
+        sink.accept(&output(8, &[0.0; 6], &[], &[])).unwrap();
+        assert_eq!(sink.finish().unwrap(), Summary { frames: 2, written: 2 });
+        let found = lines(&bytes);
+        assert_eq!(found[0]["time_s"], json!(12.000000352));
+        let expected = json!([
+            {"id": 2, "phase": "move", "x_mm": 0.5, "y_mm": 0.25, "amplitude": null, "area_mm2": 100.0,
+             "sigma_x_mm": 0.5, "sigma_y_mm": 0.25},
+            {"id": 3, "phase": "end", "x_mm": 1.0, "y_mm": 2.0, "amplitude": 0.75, "area_mm2": 100.0,
+             "sigma_x_mm": 0.5, "sigma_y_mm": 0.25},
+        ]);
+        for (found, expected) in found[0]["touches"].as_array().unwrap().iter().zip(expected.as_array().unwrap()) {
+            for (key, expected) in expected.as_object().unwrap() {
+                match expected.as_f64() {
+                    Some(expected) => assert!((found[key].as_f64().unwrap() - expected).abs() < 1e-12, "{key}"),
+                    None => assert_eq!(&found[key], expected, "{key}"),
+                }
+            }
+        }
+        assert_eq!(found[1], json!({"sequence": 8, "time_s": 12.000000353, "touches": []}));
+    }
+
+    #[test]
+    fn quiet_frames_can_be_left_out_but_endings_are_not() {
+        let mut bytes = Vec::new();
+        let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::Touches);
+        let touches = [touch(1, TouchPhase::Begin, 0.0, 0.0)];
+        let end = [TouchEvent::End(touch(1, TouchPhase::End, 0.0, 0.0))];
+        sink.accept(&output(1, &[0.0; 6], &[], &[])).unwrap();
+        sink.accept(&output(2, &[0.0; 6], &touches, &[])).unwrap();
+        sink.accept(&output(3, &[0.0; 6], &[], &end)).unwrap();
+        sink.accept(&output(4, &[0.0; 6], &[], &[])).unwrap();
+        assert_eq!(sink.finish().unwrap(), Summary { frames: 4, written: 2 });
+        let sequences: Vec<Value> = lines(&bytes).iter().map(|line| line["sequence"].clone()).collect();
+        assert_eq!(sequences, [2, 3]);
+    }
+
+    #[test]
+    fn a_reader_that_went_away_is_an_error_with_its_name() {
+        struct Closed;
+        impl Write for Closed {
+            fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+                Err(std::io::ErrorKind::BrokenPipe.into())
+            }
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut sink = JsonLines::new(Closed, "standard output", LinesFor::EveryFrame);
+        let message = sink.accept(&output(1, &[0.0; 6], &[], &[])).unwrap_err().to_string();
+        assert!(message.starts_with("standard output: "), "{message}");
+    }
+}

@@ -1,0 +1,182 @@
+//! From a skin file to its geometry, mesh and protocol.
+
+use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
+use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec};
+
+use super::{DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, Shape, Skin};
+use crate::Error;
+
+const MM: f64 = 1e-3;
+
+/// A skin's geometry made concrete.
+#[derive(Clone, Debug)]
+pub struct SkinBody {
+    /// Outline, metres.
+    pub outline: Outline,
+    /// Electrode shapes, in order.
+    pub electrodes: Vec<ElectrodeShape>,
+    /// Mesh with electrodes.
+    pub mesh: ElectrodedMesh,
+}
+
+impl Skin {
+    /// Outline in metres.
+    pub fn outline(&self) -> Outline {
+        match &self.frontend.shape {
+            Shape::Disc { diameter_mm } => Outline::Disc { radius_m: 0.5 * diameter_mm * MM },
+            Shape::Square { side_mm } => Outline::Rectangle { width_m: side_mm * MM, height_m: side_mm * MM },
+            Shape::Rectangle { width_mm, height_mm } => {
+                Outline::Rectangle { width_m: width_mm * MM, height_m: height_mm * MM }
+            }
+            Shape::Polygon { outer_mm, holes_mm } => {
+                let metres = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] * MM, p[1] * MM]).collect::<Vec<_>>();
+                Outline::Polygon { outer: metres(outer_mm), holes: holes_mm.iter().map(|h| metres(h)).collect() }
+            }
+        }
+    }
+
+    /// Electrode shapes in metres, in order.
+    pub fn electrode_shapes(&self) -> Vec<ElectrodeShape> {
+        match &self.frontend.electrodes {
+            Electrodes::Rim { count, width_mm, start_deg, clockwise } => {
+                let direction = if *clockwise { Direction::Clockwise } else { Direction::CounterClockwise };
+                let outline = self.outline();
+                match outline {
+                    Outline::Disc { .. } => {
+                        Outline::rim_arcs(*count, width_mm * MM, start_deg.to_radians(), direction)
+                    }
+                    _ => {
+                        let start_m = start_deg / 360.0 * outline.perimeter_m();
+                        outline.rim_segments(*count, width_mm * MM, start_m, direction)
+                    }
+                }
+            }
+            Electrodes::RimPads { per_side, pitch_mm, size_mm } => {
+                let pad = ElectrodeShape::PadRectangle {
+                    centre_m: [0.0, 0.0],
+                    width_m: size_mm * MM,
+                    height_m: size_mm * MM,
+                    angle_rad: 0.0,
+                };
+                pad.ring(per_side + 1, per_side + 1, [pitch_mm * MM; 2], Direction::CounterClockwise)
+            }
+            Electrodes::Pads(pads) => pads.iter().map(pad_shape).collect(),
+        }
+    }
+
+    /// Sheet conductance of the resting skin, siemens: conductivity times thickness.
+    pub fn sheet_conductance_s(&self) -> f64 {
+        self.frontend.layer.conductivity_s_per_m * self.frontend.layer.thickness_mm * MM
+    }
+
+    /// The reconstruction's mesh, with electrodes.
+    ///
+    /// # Errors
+    /// Shapes that cannot be meshed, electrodes that overlap or lie off the skin.
+    pub fn body(&self) -> Result<SkinBody, Error> {
+        self.body_with_elements(self.imaging.elements)
+    }
+
+    /// A mesh of about so many elements, with electrodes.
+    ///
+    /// # Errors
+    /// As [`Skin::body`].
+    pub fn body_with_elements(&self, elements: usize) -> Result<SkinBody, Error> {
+        let outline = self.outline();
+        let electrodes = self.electrode_shapes();
+        let named = |source: MeshError| Error::Mesh { skin: self.name.clone(), source };
+        let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
+        let spec = SheetSpec::new(outline.clone(), electrodes.clone(), size);
+        let spec = spec.with_target_elements(elements).map_err(named)?;
+        let impedances: Vec<f64> = electrodes.iter().map(|shape| self.sheet_contact_impedance(shape)).collect();
+        let (mesh, _) = spec.build(&impedances).map_err(named)?;
+        Ok(SkinBody { outline, electrodes, mesh })
+    }
+
+    /// Contact impedance in the unit that the sheet model takes: ohm.m^2 for pads under the sheet; ohm.m (the specific
+    /// impedance over the thickness) for electrodes on the rim.
+    fn sheet_contact_impedance(&self, shape: &ElectrodeShape) -> f64 {
+        let specific = self.frontend.contact_impedance_ohm_m2;
+        match shape {
+            ElectrodeShape::RimArc { .. } | ElectrodeShape::RimSegment { .. } | ElectrodeShape::RimPoint { .. } => {
+                specific / (self.frontend.layer.thickness_mm * MM)
+            }
+            _ => specific,
+        }
+    }
+
+    /// The grid that images of this skin live on: exactly its bounding box.
+    ///
+    /// # Errors
+    /// An outline without extent.
+    pub fn grid(&self) -> Result<PixelGrid, Error> {
+        let (low, high) = self.outline().bounds_m();
+        PixelGrid::covering(low, high, self.imaging.grid)
+            .map_err(|source| Error::Mesh { skin: self.name.clone(), source })
+    }
+
+    /// Stimulation and measurement as explicit lists.
+    ///
+    /// # Errors
+    /// Patterns that need another number of electrodes, or name electrodes that do not exist.
+    pub fn protocol(&self) -> Result<Protocol, Error> {
+        self.protocol_of(self.electrode_shapes().len())
+            .map_err(|source| Error::Protocol { skin: self.name.clone(), source })
+    }
+
+    fn protocol_of(&self, electrode_count: usize) -> Result<Protocol, dermis_tomo::eit::ProtocolError> {
+        let backend = &self.backend;
+        // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
+        let zero_based = |pairs: &[[u32; 2]]| {
+            pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>()
+        };
+        Protocol::generate(&ProtocolSpec {
+            electrode_count,
+            drive: match &backend.drive {
+                DrivePattern::Adjacent => Drive::Adjacent,
+                DrivePattern::Opposite => Drive::Opposite,
+                DrivePattern::Skip(skip) => Drive::Skip(*skip),
+                DrivePattern::PseudoPolar => Drive::PseudoPolar,
+                DrivePattern::Trigonometric => Drive::Trigonometric,
+                DrivePattern::Pairs(pairs) => Drive::Pairs(zero_based(pairs)),
+            },
+            measure: match &backend.measure {
+                MeasurePattern::Adjacent => Measure::Adjacent,
+                MeasurePattern::Opposite => Measure::Opposite,
+                MeasurePattern::Skip(skip) => Measure::Skip(*skip),
+                MeasurePattern::PseudoPolar => Measure::PseudoPolar,
+                MeasurePattern::Pairs(pairs) => Measure::Pairs(zero_based(pairs)),
+                MeasurePattern::SingleEnded(reference) => Measure::SingleEnded(match reference {
+                    ReferenceChoice::Mean => Reference::Mean,
+                    ReferenceChoice::Sink => Reference::Sink,
+                    ReferenceChoice::Electrode(number) => Reference::Electrode(number.wrapping_sub(1)),
+                }),
+            },
+            order: match backend.order {
+                ReadingOrder::Absolute => Order::Absolute,
+                ReadingOrder::Rotating => Order::Rotating,
+            },
+            driven: match backend.driven {
+                DrivenChannels::Drop => Driven::Drop,
+                DrivenChannels::Keep => Driven::Keep,
+            },
+            amplitude_a: backend.current_ma * 1e-3,
+        })
+    }
+}
+
+fn pad_shape(pad: &Pad) -> ElectrodeShape {
+    let metres = |p: &[f64; 2]| [p[0] * MM, p[1] * MM];
+    match pad {
+        Pad::Circle { centre_mm, diameter_mm } => {
+            ElectrodeShape::PadCircle { centre_m: metres(centre_mm), radius_m: 0.5 * diameter_mm * MM }
+        }
+        Pad::Rectangle { centre_mm, width_mm, height_mm } => ElectrodeShape::PadRectangle {
+            centre_m: metres(centre_mm),
+            width_m: width_mm * MM,
+            height_m: height_mm * MM,
+            angle_rad: 0.0,
+        },
+        Pad::Point { at_mm } => ElectrodeShape::Point { position_m: metres(at_mm) },
+    }
+}
