@@ -195,7 +195,7 @@ fn finer_meshes_change_little() {
 #[test]
 fn signal_to_noise_is_that_of_the_paper() {
     let mut twin = Twin::healing_square(&HealingSquareOptions::default()).unwrap();
-    let mut readings = vec![Vec::with_capacity(500); 208];
+    let mut readings = vec![Vec::new(); 208];
     let mut frame = Vec::new();
     for step in 0..500 {
         twin.step(0.04 * f64::from(step), &mut frame).unwrap();
