@@ -316,7 +316,10 @@ fn syntax_error(content: &[u8], file: &Path, error: &serde_json::Error) -> Error
     let reason = match not_finite {
         Some(word) => format!("is {word}; expected a finite number"),
         None if error.is_eof() => "the file ends inside its JSON; it is truncated".to_string(),
-        None => format!("expected JSON; {error}"),
+        None => {
+            let text = error.to_string();
+            format!("expected JSON; {}", text.split(" at line").next().unwrap_or(&text))
+        }
     };
     Error::Content { file: file.to_path_buf(), field: place, reason }
 }

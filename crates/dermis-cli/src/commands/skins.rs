@@ -1,0 +1,125 @@
+//! `dermis skins`: what skins there are, what a skin file means with its defaults written out, and pictures of them.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dermis::skin::{BUILTIN_NAMES, Skin};
+use dermis_device::write_atomic;
+
+use crate::draw::{self, Picture, SkinDrawing};
+use crate::exit::{Outcome, UsageError};
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis skins list
+  dermis skins show healing-square
+  dermis skins draw healing-square --out skin.svg";
+
+const SHOW_EXAMPLE: &str = "\
+Example:
+  dermis skins show hydrogel-disc
+
+The output is a whole skin file, defaults included: a start for a skin of your own.";
+
+const DRAW_EXAMPLE: &str = "\
+Examples:
+  dermis skins draw ktc-tank --out tank.png --width-px 800
+  dermis skins draw healing-square --out skin.svg --no-mesh";
+
+/// Arguments of `dermis skins`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    /// The built-in skins.
+    #[command(after_help = "Example:\n  dermis skins list")]
+    List,
+    /// A skin as a skin file, with every default written out.
+    #[command(after_help = SHOW_EXAMPLE)]
+    Show {
+        /// Name of a built-in skin, or a skin file.
+        #[arg(value_name = "NAME|FILE")]
+        skin: String,
+    },
+    /// A skin drawn to scale: mesh, outline, electrodes with their numbers.
+    #[command(after_help = DRAW_EXAMPLE)]
+    Draw {
+        /// Name of a built-in skin, or a skin file.
+        #[arg(value_name = "NAME|FILE")]
+        skin: String,
+        /// Where to; the ending decides between SVG and PNG.
+        #[arg(long, value_name = "FILE.svg|FILE.png")]
+        out: PathBuf,
+        /// Width of the picture.
+        #[arg(long, value_name = "PIXELS", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(200..=8000))]
+        width_px: u32,
+        /// Leave the mesh out.
+        #[arg(long)]
+        no_mesh: bool,
+    },
+}
+
+impl Arguments {
+    /// Does what was asked for.
+    pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        match &self.action {
+            Action::List => list(out),
+            Action::Show { skin } => show(skin, out),
+            Action::Draw { skin, out: path, width_px, no_mesh } => draw_skin(skin, path, *width_px, !*no_mesh, out),
+        }
+    }
+}
+
+fn list(out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    let longest = BUILTIN_NAMES.iter().map(|name| name.len()).max().unwrap_or(0);
+    for name in BUILTIN_NAMES {
+        writeln!(out, "{name:longest$}  {}", Skin::open(name)?.title)?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    let skin = Skin::open(name)?;
+    let protocol = skin.protocol()?;
+    let (low, high) = skin.outline().bounds_m();
+    writeln!(
+        out,
+        "# {:.1} x {:.1} mm, {} electrodes, {} drives, {} channels, sheet conductance {:.4} mS",
+        1e3 * (high[0] - low[0]),
+        1e3 * (high[1] - low[1]),
+        protocol.electrode_count(),
+        protocol.stimulations().len(),
+        protocol.channel_count(),
+        1e3 * skin.sheet_conductance_s(),
+    )?;
+    write!(out, "{}", skin.to_toml())?;
+    Ok(Outcome::Done)
+}
+
+fn draw_skin(name: &str, path: &Path, width_px: u32, mesh: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    let encode = encoder(path)?;
+    let skin = Skin::open(name)?;
+    let body = skin.body()?;
+    let title = if skin.title.is_empty() { &skin.name } else { &skin.title };
+    let picture = SkinDrawing { body: &body.mesh, title, width_px, mesh }.picture();
+    let content = encode(&picture)?;
+    write_atomic(path, |file| file.write_all(&content))?;
+    writeln!(out, "{} x {} pixels to {}", picture.width_px, picture.height_px, path.display())?;
+    Ok(Outcome::Done)
+}
+
+type Encoder = fn(&Picture) -> anyhow::Result<Vec<u8>>;
+
+fn encoder(path: &Path) -> Result<Encoder, UsageError> {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    match extension.as_deref() {
+        Some("svg") => Ok(|picture| Ok(draw::svg(picture).into_bytes())),
+        Some("png") => Ok(draw::png),
+        _ => Err(UsageError(format!("--out {}: expected a name that ends in .svg or .png", path.display()))),
+    }
+}

@@ -1,0 +1,366 @@
+//! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes with the numbers that people use (from 1),
+//! axes in millimetres and a scale bar. x to the right, y up, seen from the toucher.
+
+use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+
+use super::text::Lettering;
+use super::{Colour, Picture, Point, Polyline, Shape, Stroke};
+
+const INK: Colour = Colour(31, 41, 51);
+const MESH: Colour = Colour(186, 198, 210);
+const COPPER: Colour = Colour(196, 98, 34);
+const WHITE: Colour = Colour(255, 255, 255);
+
+/// What to draw.
+pub struct SkinDrawing<'a> {
+    /// Mesh and electrodes of a flat sheet.
+    pub body: &'a ElectrodedMesh,
+    /// Title of the picture.
+    pub title: &'a str,
+    /// Width of the picture.
+    pub width_px: u32,
+    /// Whether the elements are drawn.
+    pub mesh: bool,
+}
+
+/// Where things are, in pixels.
+struct Layout {
+    /// Size that lines and letters are in proportion to: 1 in a picture 1000 pixels wide.
+    unit: f64,
+    width: f64,
+    height: f64,
+    /// Left, top, right and bottom of the frame.
+    frame: [f64; 4],
+    /// Middle of the skin, metres, and where it is drawn.
+    centre_m: Point,
+    centre: Point,
+    pixels_per_m: f64,
+    /// Width of the skin, metres.
+    width_m: f64,
+}
+
+/// Where the number of an electrode goes.
+struct NumberPlace {
+    centre: Point,
+    height: f64,
+    colour: Colour,
+}
+
+impl SkinDrawing<'_> {
+    /// The picture.
+    pub fn picture(&self) -> Picture {
+        let layout = Layout::of(self.body, self.width_px);
+        let mut shapes = Vec::new();
+        if self.mesh {
+            shapes.push(self.elements(&layout));
+        }
+        shapes.push(self.rim(&layout));
+        shapes.push(self.electrodes(&layout));
+        shapes.extend(self.numbers(&layout));
+        shapes.extend(axes(&layout));
+        shapes.push(scale_bar(&layout));
+        let title = self.title.to_string();
+        Picture { title, width_px: self.width_px, height_px: layout.height as u32, shapes }
+    }
+
+    fn elements(&self, layout: &Layout) -> Shape {
+        let mesh = &self.body.mesh;
+        let sides = |cell: &[u32]| [[cell[0], cell[1]], [cell[1], cell[2]], [cell[2], cell[0]]];
+        let mut edges: Vec<[u32; 2]> = mesh.elements().flat_map(sides).map(|[a, b]| [a.min(b), a.max(b)]).collect();
+        edges.sort_unstable();
+        edges.dedup();
+        let lines = edges.iter().map(|edge| Polyline::open(edge.map(|node| self.node(layout, node)))).collect();
+        stroked("mesh", lines, MESH, 0.8 * layout.unit)
+    }
+
+    fn rim(&self, layout: &Layout) -> Shape {
+        let faces = self.body.mesh.boundary_faces();
+        let line = |face: &[u32]| Polyline::open(face.iter().map(|&n| self.node(layout, n)).collect::<Vec<_>>());
+        stroked("outline", faces.iter().map(|(face, _)| line(face)).collect(), INK, 2.5 * layout.unit)
+    }
+
+    fn electrodes(&self, layout: &Layout) -> Shape {
+        let mut lines = Vec::new();
+        for electrode in &self.body.electrodes {
+            match &electrode.contact {
+                Contact::Faces(faces) => lines.extend(faces.iter().map(|face| self.band(layout, face))),
+                Contact::Area(elements) => lines.extend(elements.iter().map(|&element| {
+                    let corners = self.body.mesh.element(element as usize);
+                    anticlockwise(corners.iter().map(|&node| self.node(layout, node)).collect())
+                })),
+                Contact::Point(node) => lines.push(disc(self.node(layout, *node), 7.0 * layout.unit)),
+            }
+        }
+        let stroke = Some(Stroke { colour: COPPER, width: 0.8 * layout.unit });
+        Shape { class: "electrodes", lines, fill: Some(COPPER), stroke }
+    }
+
+    /// A rim electrode's stretch as a band outside the skin; a line inside it as a band along it.
+    fn band(&self, layout: &Layout, face: &[u32]) -> Polyline {
+        let [a, b] = [face[0], face[1]].map(|node| self.node(layout, node));
+        let [x, y] = self.outward(layout, face).map(|component| component * 10.0 * layout.unit);
+        anticlockwise(vec![a, b, [b[0] + x, b[1] + y], [a[0] + x, a[1] + y]])
+    }
+
+    /// Unit normal of a face in pixels, away from its element (from the middle of the skin, for lines inside it).
+    fn outward(&self, layout: &Layout, face: &[u32]) -> Point {
+        let [a, b] = [face[0], face[1]].map(|node| self.node(layout, node));
+        let middle = mean(&[a, b]);
+        let mut owners = self.body.mesh.elements().filter(|cell| face.iter().all(|node| cell.contains(node)));
+        let inside = match (owners.next(), owners.next()) {
+            (Some(cell), None) => mean(&[cell[0], cell[1], cell[2]].map(|node| self.node(layout, node))),
+            _ => layout.centre,
+        };
+        let normal = unit([b[1] - a[1], a[0] - b[0]]);
+        let away = normal[0] * (middle[0] - inside[0]) + normal[1] * (middle[1] - inside[1]);
+        if away < 0.0 { normal.map(|component| -component) } else { normal }
+    }
+
+    fn numbers(&self, layout: &Layout) -> Vec<Shape> {
+        let centres: Vec<Point> = self.body.electrodes.iter().map(|e| self.centre(layout, &e.contact)).collect();
+        let height = (0.6 * nearest_distance(&centres)).clamp(7.0 * layout.unit, 18.0 * layout.unit);
+        let mut shapes = Vec::new();
+        for (index, electrode) in self.body.electrodes.iter().enumerate() {
+            let text = (index + 1).to_string();
+            let place = self.number_place(layout, &electrode.contact, &Lettering::new(&text, height), height);
+            let lines = Lettering::new(&text, place.height).centred_at(place.centre);
+            let width = 0.14 * place.height;
+            if place.colour == INK {
+                // Letters over the mesh stay legible on a white edge.
+                shapes.push(stroked("halo", lines.clone(), WHITE, width + 5.0 * layout.unit));
+            }
+            shapes.push(stroked("number", lines, place.colour, width));
+        }
+        shapes
+    }
+
+    /// Beyond a rim electrode, on a pad that is large enough, or beside a small one on the side of the skin's middle.
+    fn number_place(&self, layout: &Layout, contact: &Contact, text: &Lettering, height: f64) -> NumberPlace {
+        let centre = self.centre(layout, contact);
+        let beside = |direction: Point, gap: f64| {
+            let reach = gap + 0.5 * (direction[0].abs() * text.width + direction[1].abs() * height);
+            let centre = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
+            NumberPlace { centre, height, colour: INK }
+        };
+        let to_middle = unit([layout.centre[0] - centre[0], layout.centre[1] - centre[1]]);
+        match contact {
+            Contact::Faces(faces) => {
+                let normals: Vec<Point> = faces.iter().map(|face| self.outward(layout, face)).collect();
+                beside(unit(mean(&normals)), 17.0 * layout.unit)
+            }
+            Contact::Area(elements) => {
+                let [width, tall] = self.extent(layout, elements);
+                if text.width < 0.8 * width && height < 0.7 * tall {
+                    NumberPlace { centre, height, colour: WHITE }
+                } else {
+                    beside(to_middle, 0.5 * width.max(tall) + 5.0 * layout.unit)
+                }
+            }
+            Contact::Point(_) => beside(to_middle, 13.0 * layout.unit),
+        }
+    }
+
+    fn centre(&self, layout: &Layout, contact: &Contact) -> Point {
+        let nodes: Vec<u32> = match contact {
+            Contact::Faces(faces) => faces.concat(),
+            Contact::Area(elements) => {
+                elements.iter().flat_map(|&e| self.body.mesh.element(e as usize)).copied().collect()
+            }
+            Contact::Point(node) => vec![*node],
+        };
+        let points: Vec<Point> = nodes.iter().map(|&node| self.node(layout, node)).collect();
+        let (low, high) = bounds(&points);
+        // The middle of a curved or bent rim electrode is not that of its bounds, so its nodes' mean is taken.
+        if matches!(contact, Contact::Area(_)) { mean(&[low, high]) } else { mean(&points) }
+    }
+
+    fn extent(&self, layout: &Layout, elements: &[u32]) -> Point {
+        let nodes = elements.iter().flat_map(|&element| self.body.mesh.element(element as usize));
+        let (low, high) = bounds(&nodes.map(|&node| self.node(layout, node)).collect::<Vec<_>>());
+        [high[0] - low[0], high[1] - low[1]]
+    }
+
+    fn node(&self, layout: &Layout, node: u32) -> Point {
+        let [x, y, _] = self.body.mesh.nodes()[node as usize];
+        layout.place([x, y])
+    }
+}
+
+impl Layout {
+    fn of(body: &ElectrodedMesh, width_px: u32) -> Self {
+        let (low, high) = body.mesh.bounds();
+        let [width_m, height_m] = [high[0] - low[0], high[1] - low[1]];
+        let width = f64::from(width_px);
+        // Letters below this size could not be read.
+        let unit = (width / 1000.0).max(0.5);
+        let (left, right, top, bottom, pad) = (90.0 * unit, 30.0 * unit, 25.0 * unit, 100.0 * unit, 60.0 * unit);
+        // Skins much higher than wide are made narrower rather than the picture endless.
+        let room = [width - left - right - 2.0 * pad, 2.0 * width];
+        let pixels_per_m = (room[0] / width_m).min(room[1] / height_m);
+        let frame = [left, top, width - right, top + 2.0 * pad + height_m * pixels_per_m];
+        let centre = [0.5 * (frame[0] + frame[2]), 0.5 * (frame[1] + frame[3])];
+        let centre_m = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
+        let height = (frame[3] + bottom).ceil();
+        Self { unit, width, height, frame, centre_m, centre, pixels_per_m, width_m }
+    }
+
+    fn place(&self, [x, y]: Point) -> Point {
+        let [centre_x, centre_y] = self.centre_m;
+        [self.centre[0] + (x - centre_x) * self.pixels_per_m, self.centre[1] - (y - centre_y) * self.pixels_per_m]
+    }
+}
+
+/// Frame, ticks with their values, and the names of the axes.
+fn axes(layout: &Layout) -> Vec<Shape> {
+    let [left, top, right, bottom] = layout.frame;
+    let unit = layout.unit;
+    let step_mm = nice_at_least(90.0 * unit / layout.pixels_per_m * 1e3);
+    let label = |value_mm: f64| {
+        let decimals = (-step_mm.log10().floor()).max(0.0) as usize;
+        Lettering::new(&format!("{value_mm:.decimals$}"), 15.0 * unit)
+    };
+    let corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
+    let (mut lines, mut letters) = (vec![Polyline::closed(corners)], Vec::new());
+    for value_mm in ticks(layout, 0, step_mm) {
+        let [x, _] = layout.place([value_mm * 1e-3, 0.0]);
+        lines.push(Polyline::open([[x, bottom], [x, bottom + 7.0 * unit]]));
+        letters.extend(label(value_mm).centred_at([x, bottom + 22.0 * unit]));
+    }
+    for value_mm in ticks(layout, 1, step_mm) {
+        let [_, y] = layout.place([0.0, value_mm * 1e-3]);
+        let text = label(value_mm);
+        lines.push(Polyline::open([[left - 7.0 * unit, y], [left, y]]));
+        letters.extend(text.centred_at([left - 14.0 * unit - 0.5 * text.width, y]));
+    }
+    let name = |text: &str| Lettering::new(text, 17.0 * unit);
+    letters.extend(name("x (mm)").centred_at([layout.centre[0], bottom + 62.0 * unit]));
+    letters.extend(name("y (mm)").turned_at([left - 68.0 * unit, layout.centre[1]], true));
+    vec![stroked("axes", lines, INK, 1.2 * unit), stroked("labels", letters, INK, 2.0 * unit)]
+}
+
+/// Multiples of `step_mm` inside the frame along an axis.
+fn ticks(layout: &Layout, axis: usize, step_mm: f64) -> impl Iterator<Item = f64> {
+    let half_mm = 0.5e3 * (layout.frame[axis + 2] - layout.frame[axis]) / layout.pixels_per_m;
+    let centre_mm = 1e3 * layout.centre_m[axis];
+    let first = ((centre_mm - half_mm) / step_mm).ceil() as i64;
+    let last = ((centre_mm + half_mm) / step_mm).floor() as i64;
+    (first..=last).map(move |multiple| multiple as f64 * step_mm)
+}
+
+fn scale_bar(layout: &Layout) -> Shape {
+    let unit = layout.unit;
+    let length_mm = nice_at_most(0.25e3 * layout.width_m);
+    let length = length_mm * 1e-3 * layout.pixels_per_m;
+    let (right, y) = (layout.width - 30.0 * unit, layout.frame[3] + 62.0 * unit);
+    let left = right - length;
+    let half = 6.0 * unit;
+    let text = Lettering::new(&format!("{length_mm} mm"), 17.0 * unit);
+    let mut lines = text.centred_at([left - 14.0 * unit - 0.5 * text.width, y]);
+    lines.push(Polyline::open([[left, y], [right, y]]));
+    lines.extend([left, right].map(|x| Polyline::open([[x, y - half], [x, y + half]])));
+    stroked("scale-bar", lines, INK, 2.2 * unit)
+}
+
+/// The largest of 1, 2 and 5 times powers of ten that is no longer than a length.
+fn nice_at_most(length: f64) -> f64 {
+    let decade = decade_below(length);
+    [5.0, 2.0].into_iter().find(|step| step * decade <= length).unwrap_or(1.0) * decade
+}
+
+/// The smallest of 1, 2 and 5 times powers of ten that is no shorter than a length.
+fn nice_at_least(length: f64) -> f64 {
+    let decade = decade_below(length);
+    [1.0, 2.0, 5.0].into_iter().find(|step| step * decade >= length).unwrap_or(10.0) * decade
+}
+
+fn decade_below(length: f64) -> f64 {
+    10_f64.powf(length.log10().floor())
+}
+
+fn stroked(class: &'static str, lines: Vec<Polyline>, colour: Colour, width: f64) -> Shape {
+    Shape { class, lines, fill: None, stroke: Some(Stroke { colour, width }) }
+}
+
+fn disc(centre: Point, radius: f64) -> Polyline {
+    let corner = |k: i32| {
+        let (sine, cosine) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
+        [centre[0] + radius * cosine, centre[1] + radius * sine]
+    };
+    Polyline::closed((0..24).map(corner).collect::<Vec<_>>())
+}
+
+/// An area whose corners run one way round, so that areas which overlap do not cancel.
+fn anticlockwise(mut corners: Vec<Point>) -> Polyline {
+    let next = corners.iter().cycle().skip(1);
+    let area: f64 = corners.iter().zip(next).map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum();
+    if area < 0.0 {
+        corners.reverse();
+    }
+    Polyline::closed(corners)
+}
+
+fn mean(points: &[Point]) -> Point {
+    let count = points.len().max(1) as f64;
+    [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count)
+}
+
+/// The direction of a vector; up for one without length.
+fn unit([x, y]: Point) -> Point {
+    let length = x.hypot(y);
+    if length > 1e-9 { [x / length, y / length] } else { [0.0, -1.0] }
+}
+
+fn bounds(points: &[Point]) -> (Point, Point) {
+    let most = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| points.iter().map(|p| p[axis]).fold(start, pick);
+    let low = [0, 1].map(|axis| most(axis, f64::INFINITY, f64::min));
+    (low, [0, 1].map(|axis| most(axis, f64::NEG_INFINITY, f64::max)))
+}
+
+fn nearest_distance(points: &[Point]) -> f64 {
+    let pairs = points.iter().enumerate().flat_map(|(index, a)| points[..index].iter().map(move |b| (a, b)));
+    pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1])).fold(f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis::skin::{BUILTIN_NAMES, Skin};
+
+    #[test]
+    fn lengths_are_rounded_to_ones_twos_and_fives() {
+        for (length, down, up) in [(25.0, 20.0, 50.0), (0.7, 0.5, 1.0), (100.0, 100.0, 100.0), (43.0, 20.0, 50.0)] {
+            assert_eq!(nice_at_most(length), down, "{length}");
+            assert_eq!(nice_at_least(length), up, "{length}");
+        }
+    }
+
+    #[test]
+    fn every_electrode_of_every_skin_has_a_number_inside_the_picture() {
+        for name in BUILTIN_NAMES {
+            let body = Skin::open(name).unwrap().body_with_elements(400).unwrap().mesh;
+            let picture = SkinDrawing { body: &body, title: name, width_px: 600, mesh: false }.picture();
+            let numbers: Vec<&Shape> = picture.shapes.iter().filter(|shape| shape.class == "number").collect();
+            assert_eq!(numbers.len(), body.electrodes.len(), "{name}");
+            assert!(picture.shapes.iter().all(|shape| shape.class != "mesh"));
+            let (width, height) = (f64::from(picture.width_px), f64::from(picture.height_px));
+            for [x, y] in picture.shapes.iter().flat_map(|s| &s.lines).flat_map(|line| &line.points) {
+                assert!((0.0..=width).contains(x) && (0.0..=height).contains(y), "{name}: {x}, {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn y_points_up_and_rim_numbers_stand_outside() {
+        let body = Skin::open("golfball-tank").unwrap().body_with_elements(400).unwrap().mesh;
+        let drawing = SkinDrawing { body: &body, title: "", width_px: 1000, mesh: true };
+        let layout = Layout::of(&body, 1000);
+        // Electrode 1 lies on +x, electrode 5 on +y.
+        let place = |electrode: usize| {
+            let contact = &body.electrodes[electrode].contact;
+            drawing.number_place(&layout, contact, &Lettering::new("8", 18.0), 18.0).centre
+        };
+        let radius = 0.15 * layout.pixels_per_m;
+        assert!(place(0)[0] > layout.centre[0] + radius && (place(0)[1] - layout.centre[1]).abs() < 1.0);
+        assert!(place(4)[1] < layout.centre[1] - radius && (place(4)[0] - layout.centre[0]).abs() < 1.0);
+    }
+}

@@ -1,0 +1,202 @@
+//! A stroke font of the characters that drawings need: digits and a few letters on a grid of 4 x 6 units, drawn as
+//! polylines.
+
+use super::{Point, Polyline};
+
+/// Height of a capital or digit in grid units.
+const CAPITAL: f64 = 6.0;
+/// Blank between characters.
+const GAP: f64 = 1.6;
+
+type Glyph = (char, f64, &'static [&'static [[f64; 2]]]);
+
+/// Character, width, and its lines; y counts up from the base line.
+const GLYPHS: [Glyph; 18] = [
+    (
+        '0',
+        4.0,
+        &[&[
+            [1.0, 0.0],
+            [3.0, 0.0],
+            [4.0, 1.2],
+            [4.0, 4.8],
+            [3.0, 6.0],
+            [1.0, 6.0],
+            [0.0, 4.8],
+            [0.0, 1.2],
+            [1.0, 0.0],
+        ]],
+    ),
+    ('1', 3.0, &[&[[0.2, 4.6], [1.7, 6.0], [1.7, 0.0]]]),
+    ('2', 4.0, &[&[[0.0, 4.8], [1.0, 6.0], [3.0, 6.0], [4.0, 4.9], [4.0, 3.9], [0.0, 0.0], [4.0, 0.0]]]),
+    (
+        '3',
+        4.0,
+        &[
+            &[[0.0, 5.0], [1.0, 6.0], [3.0, 6.0], [4.0, 5.1], [4.0, 4.0], [3.0, 3.1], [1.6, 3.1]],
+            &[[3.0, 3.1], [4.0, 2.2], [4.0, 1.0], [3.0, 0.0], [1.0, 0.0], [0.0, 1.0]],
+        ],
+    ),
+    ('4', 4.0, &[&[[3.0, 0.0], [3.0, 6.0], [0.0, 1.8], [4.0, 1.8]]]),
+    (
+        '5',
+        4.0,
+        &[&[
+            [3.8, 6.0],
+            [0.4, 6.0],
+            [0.2, 3.2],
+            [1.2, 3.7],
+            [3.0, 3.7],
+            [4.0, 2.7],
+            [4.0, 1.1],
+            [3.0, 0.0],
+            [1.0, 0.0],
+            [0.0, 0.9],
+        ]],
+    ),
+    (
+        '6',
+        4.0,
+        &[&[
+            [3.7, 5.3],
+            [2.9, 6.0],
+            [1.2, 6.0],
+            [0.0, 4.6],
+            [0.0, 1.2],
+            [1.0, 0.0],
+            [3.0, 0.0],
+            [4.0, 1.1],
+            [4.0, 2.5],
+            [3.0, 3.6],
+            [1.0, 3.6],
+            [0.0, 2.6],
+        ]],
+    ),
+    ('7', 4.0, &[&[[0.0, 6.0], [4.0, 6.0], [1.4, 0.0]]]),
+    (
+        '8',
+        4.0,
+        &[&[
+            [1.0, 3.2],
+            [0.2, 4.0],
+            [0.2, 5.2],
+            [1.1, 6.0],
+            [2.9, 6.0],
+            [3.8, 5.2],
+            [3.8, 4.0],
+            [3.0, 3.2],
+            [1.0, 3.2],
+            [0.0, 2.3],
+            [0.0, 1.0],
+            [1.0, 0.0],
+            [3.0, 0.0],
+            [4.0, 1.0],
+            [4.0, 2.3],
+            [3.0, 3.2],
+        ]],
+    ),
+    (
+        '9',
+        4.0,
+        &[&[
+            [0.3, 0.7],
+            [1.1, 0.0],
+            [2.8, 0.0],
+            [4.0, 1.4],
+            [4.0, 4.8],
+            [3.0, 6.0],
+            [1.0, 6.0],
+            [0.0, 4.9],
+            [0.0, 3.5],
+            [1.0, 2.4],
+            [3.0, 2.4],
+            [4.0, 3.4],
+        ]],
+    ),
+    ('-', 3.0, &[&[[0.0, 3.0], [3.0, 3.0]]]),
+    ('.', 0.4, &[&[[0.0, 0.0], [0.3, 0.0]]]),
+    (
+        'm',
+        5.0,
+        &[
+            &[[0.0, 0.0], [0.0, 4.0]],
+            &[[0.0, 2.9], [1.2, 4.0], [2.5, 3.2], [2.5, 0.0]],
+            &[[2.5, 2.9], [3.7, 4.0], [5.0, 3.2], [5.0, 0.0]],
+        ],
+    ),
+    ('x', 3.2, &[&[[0.0, 0.0], [3.2, 4.0]], &[[0.0, 4.0], [3.2, 0.0]]]),
+    ('y', 3.2, &[&[[0.0, 4.0], [1.6, 0.2]], &[[3.2, 4.0], [0.8, -1.8]]]),
+    ('(', 1.4, &[&[[1.4, 6.8], [0.3, 4.8], [0.3, 0.8], [1.4, -1.2]]]),
+    (')', 1.4, &[&[[0.0, 6.8], [1.1, 4.8], [1.1, 0.8], [0.0, -1.2]]]),
+    (' ', 2.0, &[]),
+];
+
+/// Text as polylines, and how wide they are, pixels.
+pub struct Lettering {
+    /// Lines with the text's middle at the origin.
+    lines: Vec<Polyline>,
+    /// From the left edge of the first character to the right edge of the last.
+    pub width: f64,
+}
+
+impl Lettering {
+    /// Sets text with capitals `height` pixels high. Characters that the font lacks are left blank.
+    pub fn new(text: &str, height: f64) -> Self {
+        let unit = height / CAPITAL;
+        let mut lines = Vec::new();
+        let mut pen = 0.0;
+        for character in text.chars() {
+            let (_, width, strokes) =
+                GLYPHS.iter().find(|glyph| glyph.0 == character).copied().unwrap_or((' ', 2.0, &[]));
+            lines.extend(strokes.iter().map(|stroke| {
+                let place = |[x, y]: &[f64; 2]| [(pen + x) * unit, (CAPITAL / 2.0 - y) * unit];
+                Polyline::open(stroke.iter().map(place).collect::<Vec<_>>())
+            }));
+            pen += width + GAP;
+        }
+        let width = (pen - GAP).max(0.0) * unit;
+        let shift = |point: &mut Point| point[0] -= width / 2.0;
+        lines.iter_mut().flat_map(|line| &mut line.points).for_each(shift);
+        Self { lines, width }
+    }
+
+    /// The lines with the text's middle (half-way up its capitals) at a point.
+    pub fn centred_at(&self, centre: Point) -> Vec<Polyline> {
+        self.turned_at(centre, false)
+    }
+
+    /// As [`Lettering::centred_at`], turned to read upward where asked.
+    pub fn turned_at(&self, centre: Point, upward: bool) -> Vec<Polyline> {
+        let place = |[x, y]: &Point| match upward {
+            true => [centre[0] + y, centre[1] - x],
+            false => [centre[0] + x, centre[1] + y],
+        };
+        self.lines.iter().map(|line| Polyline::open(line.points.iter().map(place).collect::<Vec<_>>())).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_digit_fills_its_height_and_differs_from_the_others() {
+        let digits: Vec<_> = ('0'..='9').map(|digit| Lettering::new(&digit.to_string(), 12.0)).collect();
+        for (index, digit) in digits.iter().enumerate() {
+            let heights = digit.lines.iter().flat_map(|line| &line.points).map(|point| point[1]);
+            let (low, high) = heights.fold((0.0_f64, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
+            assert!((low + 6.0).abs() < 1e-9 && (high - 6.0).abs() < 1e-9, "{index}: {low} to {high}");
+            assert!(digits[..index].iter().all(|other| other.lines != digit.lines), "{index}");
+        }
+    }
+
+    #[test]
+    fn text_is_centred() {
+        let text = Lettering::new("20 mm", 9.0);
+        let points: Vec<Point> = text.centred_at([100.0, 50.0]).into_iter().flat_map(|line| line.points).collect();
+        let left = points.iter().map(|p| p[0]).fold(f64::INFINITY, f64::min);
+        let right = points.iter().map(|p| p[0]).fold(f64::NEG_INFINITY, f64::max);
+        assert!((left + right - 200.0).abs() < 1e-9, "{left} {right}");
+        assert!((right - left - text.width).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,139 @@
+//! Exit codes and error messages. The mapping from errors to codes is by type, not by text.
+
+use std::io;
+use std::process::ExitCode;
+
+use dermis_device::DeviceError;
+use dermis_tomo::eit::EitError;
+use dermis_tomo::inverse::InverseError;
+
+const FAILED: u8 = 1;
+const BAD_INPUT: u8 = 2;
+const DATA_LOST: u8 = 3;
+
+/// How a command that did not fail ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Everything asked for is there.
+    Done,
+    /// It ran to its end, but frames were lost or damaged on the way; how many has been said.
+    DataLost,
+}
+
+impl Outcome {
+    /// The code for the shell.
+    pub fn code(self) -> ExitCode {
+        match self {
+            Outcome::Done => ExitCode::SUCCESS,
+            Outcome::DataLost => ExitCode::from(DATA_LOST),
+        }
+    }
+}
+
+/// Arguments that are well formed one by one but do not go together, or name something that cannot be.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct UsageError(pub String);
+
+/// Prints `error: ...`, then the causes that the message does not contain already, one a line.
+pub fn report(error: &anyhow::Error) {
+    let mut said = error.to_string();
+    eprintln!("error: {said}");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !said.contains(&cause) {
+            eprintln!("  caused by: {cause}");
+            said = cause;
+        }
+    }
+}
+
+/// True where the reader of our output closed it, as `head` does: no failure of ours.
+pub fn reader_has_gone(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
+}
+
+/// 2 where the input is to blame, 1 where the machine is.
+pub fn code_of(error: &anyhow::Error) -> ExitCode {
+    ExitCode::from(error.chain().find_map(code_of_cause).unwrap_or(FAILED))
+}
+
+fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
+    if cause.is::<UsageError>() {
+        return Some(BAD_INPUT);
+    }
+    if let Some(error) = cause.downcast_ref::<dermis::Error>() {
+        return Some(code_of_dermis(error));
+    }
+    if let Some(error) = cause.downcast_ref::<DeviceError>() {
+        return Some(code_of_device(error));
+    }
+    cause.downcast_ref::<io::Error>().map(code_of_io)
+}
+
+fn code_of_dermis(error: &dermis::Error) -> u8 {
+    use dermis::Error;
+    match error {
+        Error::SkinFile { .. }
+        | Error::SkinField { .. }
+        | Error::UnknownSkin { .. }
+        | Error::Content { .. }
+        | Error::Frames { .. }
+        | Error::Mesh { .. }
+        | Error::Protocol { .. }
+        | Error::Touch(_) => BAD_INPUT,
+        Error::Io { source, .. } => code_of_io(source),
+        Error::Device(error) => code_of_device(error),
+        Error::Forward(EitError::System(_)) | Error::Inverse(InverseError::Singular { .. }) => FAILED,
+        Error::Forward(_) | Error::Inverse(_) => BAD_INPUT,
+        _ => FAILED,
+    }
+}
+
+fn code_of_device(error: &DeviceError) -> u8 {
+    match error {
+        DeviceError::Io { source, .. } => code_of_io(source),
+        DeviceError::SourceFailed { .. } => FAILED,
+        _ => BAD_INPUT,
+    }
+}
+
+/// A path that leads nowhere was mistyped; anything else is the machine's doing.
+fn code_of_io(error: &io::Error) -> u8 {
+    use io::ErrorKind::{InvalidInput, IsADirectory, NotADirectory, NotFound};
+    if matches!(error.kind(), NotFound | IsADirectory | NotADirectory | InvalidInput) { BAD_INPUT } else { FAILED }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn io_error(kind: io::ErrorKind) -> dermis::Error {
+        dermis::Error::Io { file: "x".into(), source: kind.into() }
+    }
+
+    #[test]
+    fn codes_follow_the_kind_of_error() {
+        let foreign = DeviceError::Foreign { file: "x".into(), expected: "a table", found: "a PNG image".into() };
+        let singular = InverseError::Singular { what: "the system", hint: "raise it" };
+        let cases: [(anyhow::Error, u8); 7] = [
+            (UsageError("no".into()).into(), BAD_INPUT),
+            (dermis::Error::Device(foreign).into(), BAD_INPUT),
+            (io_error(io::ErrorKind::NotFound).into(), BAD_INPUT),
+            (io_error(io::ErrorKind::AddrInUse).into(), FAILED),
+            (io_error(io::ErrorKind::StorageFull).into(), FAILED),
+            (dermis::Error::Inverse(singular).into(), FAILED),
+            (anyhow::anyhow!("something else"), FAILED),
+        ];
+        for (error, expected) in cases {
+            let context = format!("{error:?}");
+            assert_eq!(code_of(&error), ExitCode::from(expected), "{context}");
+            assert_eq!(code_of(&error.context("while reading")), ExitCode::from(expected), "{context}");
+        }
+    }
+
+    #[test]
+    fn a_closed_pipe_is_no_failure() {
+        assert!(reader_has_gone(&io::Error::from(io::ErrorKind::BrokenPipe).into()));
+        assert!(!reader_has_gone(&io::Error::from(io::ErrorKind::StorageFull).into()));
+    }
+}
