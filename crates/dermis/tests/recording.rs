@@ -25,10 +25,10 @@ fn frame(n: u64) -> Frame {
     let values = vec![f64::from_bits(0x7ff8_0000_dead_beef + n), -0.0, (n as f64).sin()];
     Frame {
         sequence: n + n / 10,
-        device_time_ns: (n % 2 == 0).then_some(n * 7),
+        device_time_ns: n.is_multiple_of(2).then_some(n * 7),
         host_monotonic_ns: 1_000 + n * 20_000_000,
         host_wall_ns: 1_600_000_000_000_000_000 + n,
-        imaginary: if n % 3 == 0 { values.iter().map(|value| value / 3.0).collect() } else { Vec::new() },
+        imaginary: if n.is_multiple_of(3) { values.iter().map(|value| value / 3.0).collect() } else { Vec::new() },
         values,
     }
 }
@@ -291,11 +291,48 @@ fn exhaust(bytes: &[u8]) {
     }
 }
 
+/// A file with the metadata of a recording and arbitrary messages, checksums right.
+fn made_of(messages: &[(usize, Vec<u8>)]) -> Vec<u8> {
+    let topics = ["/dermis/frames", "/dermis/baselines", "/dermis/touches", "/dermis/events", "/other"];
+    let map = |entries: &[(&str, &str)]| entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+    let layout = r#"{"kind":"channels","count":1}"#;
+    let recording = map(&[("version", "1"), ("source", "made"), ("layout", layout), ("labels", "[]")]);
+    let mut bytes = Vec::new();
+    let mut writer = mcap::Writer::new(Cursor::new(&mut bytes)).unwrap();
+    for (name, metadata) in [("dermis.recording", recording), ("dermis.skin", map(&[("toml", SKIN)]))] {
+        writer.write_metadata(&mcap::records::Metadata { name: name.to_owned(), metadata }).unwrap();
+    }
+    let ids = topics.map(|topic| writer.add_channel(0, topic, "", &Default::default()).unwrap());
+    for (topic, data) in messages {
+        let header =
+            mcap::records::MessageHeader { channel_id: ids[*topic], sequence: 0, log_time: 1, publish_time: 1 };
+        writer.write_to_known_channel(&header, data).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    bytes
+}
+
 proptest! {
     #[test]
     fn arbitrary_bytes_never_panic(tail: Vec<u8>) {
         exhaust(&tail);
         exhaust(&[MAGIC, &tail].concat());
+    }
+
+    #[test]
+    fn malformed_messages_in_sound_chunks_are_counted(
+        messages in prop::collection::vec((0_usize..5, any::<Vec<u8>>()), 0..20),
+    ) {
+        let bytes = made_of(&messages);
+        let mut recording = open(&bytes);
+        let mut entries = 0;
+        while recording.next_entry().unwrap().is_some() {
+            entries += 1;
+        }
+        // The last topic is one that other programs may have added.
+        let ours = messages.iter().filter(|(topic, _)| *topic < 4).count() as u64;
+        prop_assert_eq!(entries + recording.damage().messages, ours);
     }
 
     #[test]
