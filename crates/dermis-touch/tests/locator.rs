@@ -1,5 +1,5 @@
-//! The calibrated locator on a made-up skin: a disc whose true signatures differ from the physics by channel gains and by
-//! a distortion of position, poked at random, with noise.
+//! The calibrated locator on a made-up skin: a disc whose true signatures differ from the physics by channel gains and
+//! by a distortion of position, poked at random, with noise.
 
 use dermis_touch::locator::{
     Examples, Hyperparameters, Located, Locator, LocatorError, LocatorOptions, Selection, SignatureMap,

@@ -25,8 +25,8 @@ impl Examples {
     /// Takes `frames`, row-major, one row of `channels` values for each of `positions_m` (x, y in metres).
     ///
     /// # Errors
-    /// Fewer than [`MIN_EXAMPLES`] examples or [`MIN_CHANNELS`] channels, lengths that do not fit, an infinite value, or
-    /// a position that is not finite.
+    /// Fewer than [`MIN_EXAMPLES`] examples or [`MIN_CHANNELS`] channels, lengths that do not fit, an infinite value,
+    /// or a position that is not finite.
     pub fn new(channels: usize, frames: Vec<f64>, positions_m: Vec<[f64; 2]>) -> Result<Self, LocatorError> {
         check_channels(channels)?;
         let count = positions_m.len();
@@ -175,7 +175,8 @@ pub enum Selection {
 pub struct LocatorOptions {
     /// How the hyperparameters are found.
     pub selection: Selection,
-    /// At most so many examples, evenly drawn, take part in finding the hyperparameters. All take part in the final fit.
+    /// At most so many examples, evenly drawn, take part in finding the hyperparameters. All take part in the final
+    /// fit.
     pub selection_examples: usize,
     /// Frames with more channels than this are projected on so many principal directions of examples and physics.
     pub max_rank: usize,
@@ -211,8 +212,8 @@ pub struct Located {
     /// Logarithm of the mean likelihood of the frame's direction over the map, untempered; comparable between frames
     /// with the same channels missing.
     pub log_evidence: f64,
-    /// Part of the map's prior variance that the examples have left around the located position: near 0 among pokes, near
-    /// 1 where nothing was poked and physics stands alone.
+    /// Part of the map's prior variance that the examples have left around the located position: near 0 among pokes,
+    /// near 1 where nothing was poked and physics stands alone.
     pub unexplained: f64,
     /// Misfit of the frame at its peak over the 95 % quantile of left-out examples: well above 1 the frame resembles no
     /// single touch that was learnt (two touches, damage, a loose electrode) and the position is not to be trusted.

@@ -1,8 +1,8 @@
 //! Locating one frame, without allocating: whiten, one product with the signatures of all positions, moments.
 //!
-//! A missing channel k is a value y_k not known but for its prior N(0, e_k), e_k its mean square in the examples. Summing
-//! it out changes the metric from I to (I + D E D')^-1, D the columns of the transform that belong to missing channels;
-//! Woodbury's formula makes that a small factor, kept in the scratch until other channels go missing.
+//! A missing channel k is a value y_k not known but for its prior N(0, e_k), e_k its mean square in the examples.
+//! Summing it out changes the metric from I to (I + D E D')^-1, D the columns of the transform that belong to missing
+//! channels; Woodbury's formula makes that a small factor, kept in the scratch until other channels go missing.
 
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, Side};

@@ -1,18 +1,17 @@
 //! A calibrated touch locator: from one frame to the position of one touch and an honest uncertainty, learnt from a few
 //! dozen to a few hundred pokes at known positions and carried between them by physics.
 //!
-//! The frame of a touch at p, weighted by the channel noise and brought to unit length, is modelled as
-//! z(p) ~ N(G u(p), k(p, p') S) + noise, where u is the physical signature, G a diagonal of channel gains, k a Matern 5/2
-//! correlation and S the covariance between channels. Conditioning on the pokes gives a mean signature m(p) and a
-//! variance v(p) at every position of the map, and a new frame the log-likelihood
-//! L(p) = -[d(p)^2 / (v(p) + s) + C ln(v(p) + s)] / 2, with d the distance (in the metric of S) from the frame to the
-//! nearest positive multiple of m(p), and s the noise, larger for weaker touches. Position and covariance are the moments
-//! of exp(b L(p)); the temperature b < 1, which accounts for errors shared between channels, and a factor on sigma
-//! are chosen so that each example, left out, is predicted best and lies within one sigma in 68 % of cases. Where no poke
-//! was near, a second term of sigma grows with v; its size is found by locating each quarter of the skin from the
-//! others. Because the model runs from position to frame, it interpolates what is smooth, needs few pokes, and its posterior may have
-//! several peaks where the skin is ambiguous. Sigma is raised by the factor 1 + 5/n for the five quantities that the same
-//! left-out examples chose.
+//! The frame of a touch at p, weighted by the channel noise and brought to unit length, is modelled as z(p) ~ N(G u(p),
+//! k(p, p') S) + noise, where u is the physical signature, G a diagonal of channel gains, k a Matern 5/2 correlation
+//! and S the covariance between channels. Conditioning on the pokes gives a mean signature m(p) and a variance v(p) at
+//! every position of the map, and a new frame the log-likelihood L(p) = -[d(p)^2 / (v(p) + s) + C ln(v(p) + s)] / 2,
+//! with d the distance (in the metric of S) from the frame to the nearest positive multiple of m(p), and s the noise,
+//! larger for weaker touches. Position and covariance are the moments of exp(b L(p)); the temperature b < 1, which
+//! accounts for errors shared between channels, and a factor on sigma are chosen so that each example, left out, is
+//! predicted best and lies within one sigma in 68 % of cases. Where no poke was near, a second term of sigma grows with
+//! v; its size is found by locating each quarter of the skin from the others. Because the model runs from position to
+//! frame, it interpolates what is smooth, needs few pokes, and its posterior may have several peaks where the skin is
+//! ambiguous. Sigma is raised by the factor 1 + 7/n for the seven quantities that the same left-out examples chose.
 //!
 //! The module is pure and knows no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
@@ -47,6 +46,9 @@ const FILLING_PASSES: usize = 3;
 const LENGTHS: [f64; 3] = [0.38, 0.25, 0.57];
 /// Noise variances tried; the first is the default.
 const NOISES: [f64; 3] = [0.04, 0.02, 0.08];
+/// Gain in total log score that a hyperparameter must bring to leave its default: as much as Akaike's criterion charges
+/// for one parameter, so that few examples do not choose by chance.
+const SELECTION_MARGIN: f64 = 1.0;
 /// Parts into which the examples are split by direction from their centroid, to see how well one part of the skin is
 /// located by the others.
 const SECTORS: usize = 4;
@@ -160,11 +162,12 @@ impl Fitting<'_> {
         radius: f64,
     ) -> Result<Hyperparameters, LocatorError> {
         let score = |hyper: &Hyperparameters| Ok(self.judge(design, prior, hyper)?.calibration.score);
+        let margin = SELECTION_MARGIN / design.positions_m.len() as f64;
         let mut best = (score(&start)?, start);
         let mut consider = |propose: &dyn Fn(Hyperparameters) -> Hyperparameters| {
             let candidate = propose(best.1);
             let reached = score(&candidate)?;
-            if reached > best.0 {
+            if reached > best.0 + margin {
                 best = (reached, candidate);
             }
             Ok::<(), LocatorError>(())

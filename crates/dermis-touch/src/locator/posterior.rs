@@ -11,8 +11,10 @@ const COLDEST: f64 = 2.0;
 const HOTTEST: f64 = 0.003;
 /// Fraction of errors within one standard deviation of a Gaussian.
 const ONE_SIGMA: f64 = 0.6827;
-/// Number of quantities that the left-out examples themselves chose: their errors are that much too small.
-const CHOSEN_QUANTITIES: f64 = 5.0;
+/// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
+/// common gain, temperature, both terms of sigma): left-out errors are too small by about that many parts in their
+/// number.
+const CHOSEN_QUANTITIES: f64 = 7.0;
 
 /// Mean and covariance of a posterior over positions.
 #[derive(Debug, Clone, Copy)]
