@@ -79,6 +79,14 @@ pub enum DeviceError {
         /// What the reader needs there.
         expected: String,
     },
+    /// A source that was running can yield no further frame.
+    #[error("{name}: {reason}")]
+    SourceFailed {
+        /// Name of the source.
+        name: String,
+        /// What happened.
+        reason: String,
+    },
     /// A number of things (rows, channels, frames) differs from what it must be.
     #[error("{}: expected {expected} {what}, found {found}", file.display())]
     Count {

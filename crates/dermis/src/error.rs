@@ -92,6 +92,9 @@ pub enum Error {
     /// From a calibrated locator.
     #[error("calibration: {0}")]
     Locator(#[from] dermis_touch::locator::LocatorError),
+    /// From a twin.
+    #[error("twin: {0}")]
+    Twin(#[from] dermis_twin::TwinError),
     /// From touch extraction.
     #[error("touches: {0}")]
     Touch(#[from] dermis_touch::TouchError),

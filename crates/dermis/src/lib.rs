@@ -8,6 +8,7 @@
 //! # Ok::<(), dermis::Error>(())
 //! ```
 
+pub mod acquire;
 pub mod calibrate;
 pub mod case;
 pub mod channels;
@@ -23,5 +24,6 @@ pub mod sink;
 pub mod skin;
 pub mod solve;
 pub mod touches;
+pub mod twin_source;
 
 pub use error::Error;

@@ -1,5 +1,9 @@
 //! One file per command. To add one: a file with `Arguments` and their `run`, and a variant below.
 
+mod bench;
+mod calibrate;
+mod reconstruct;
+mod run;
 mod skins;
 mod snr;
 mod solve;
@@ -11,21 +15,48 @@ use crate::exit::Outcome;
 /// What can be asked for.
 #[derive(clap::Subcommand)]
 pub enum Command {
+    /// Run a skin live: acquire, reconstruct, show a page in the browser.
+    Run(run::Arguments),
     /// Solve a forward problem or make a difference image from a case file.
     Solve(solve::Arguments),
+    /// Make images and touches of recorded frames.
+    Reconstruct(reconstruct::Arguments),
+    /// Fit a calibration to pokes at known positions.
+    Calibrate(calibrate::Arguments),
     /// List, show or draw skins.
     Skins(skins::Arguments),
     /// Signal-to-noise ratio of frames of an untouched skin.
     Snr(snr::Arguments),
+    /// Time the numerical work on this machine.
+    Bench(bench::Arguments),
 }
 
 impl Command {
     /// Runs it; results go to `out`.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match self {
+            Command::Run(arguments) => arguments.run(out),
+            Command::Reconstruct(arguments) => arguments.run(out),
+            Command::Calibrate(arguments) => arguments.run(out),
+            Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),
             Command::Snr(arguments) => arguments.run(out),
         }
     }
+}
+
+/// A progress bar on stderr, shown only where someone watches.
+pub(crate) fn progress_bar(unit: &str) -> indicatif::ProgressBar {
+    let style = indicatif::ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left"));
+    let bar = indicatif::ProgressBar::new(0);
+    bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()));
+    bar
+}
+
+/// A spinner on stderr for work of unknown length.
+pub(crate) fn spinner(text: &str) -> indicatif::ProgressBar {
+    let spinner = indicatif::ProgressBar::new_spinner().with_message(text.to_string());
+    spinner.enable_steady_tick(std::time::Duration::from_millis(120));
+    spinner
 }

@@ -41,6 +41,13 @@ impl<W: Write + Send> JsonLines<W> {
     }
 }
 
+impl<W> JsonLines<W> {
+    /// What is written to.
+    pub fn get_mut(&mut self) -> &mut W {
+        &mut self.out
+    }
+}
+
 impl<W: Write + Send> Sink for JsonLines<W> {
     fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
         self.summary.frames += 1;

@@ -1,0 +1,133 @@
+//! `dermis bench`: what the numerical work costs on this machine, one core. Criterion's benches in the repository measure
+//! the same with statistics, and against peers.
+
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use dermis::prepare::Prepared;
+use dermis::skin::Skin;
+use dermis::touches::TouchStage;
+use dermis_tomo::eit::{Drive, Driven, ForwardModel, Measure, Order, Protocol, ProtocolSpec};
+use dermis_tomo::inverse::{ImageBasis, LinearProblem, LiveOperator, Prior, Weighting};
+use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};
+
+use crate::exit::Outcome;
+
+const EXAMPLE: &str = "\
+Example:
+  dermis bench --seconds 0.2";
+
+/// Arguments of `dermis bench`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Time spent on each line.
+    #[arg(long, default_value_t = 1.0)]
+    seconds: f64,
+}
+
+impl Arguments {
+    /// Times everything and prints a table.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if !(self.seconds > 0.0 && self.seconds <= 600.0) {
+            let text = format!("--seconds {}: expected more than 0 and at most 600", self.seconds);
+            return Err(crate::exit::UsageError(text).into());
+        }
+        let time = |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
+        writeln!(out, "{:<58} {:>12} {:>12}", "one core", "median", "best")?;
+        for elements in [5_000, 20_000] {
+            let model = disc(elements)?;
+            let sigma = vec![1.0; model.body().mesh.element_count()];
+            let took = time(&mut || {
+                std::hint::black_box(model.solve(&sigma)?.jacobian());
+                Ok(())
+            })?;
+            line(out, &format!("{} elements, 16 electrodes: forward + Jacobian", sigma.len()), took)?;
+        }
+        self.images(out, &time)?;
+        self.frames(out, &time)?;
+        Ok(Outcome::Done)
+    }
+
+    fn images(&self, out: &mut dyn Write, time: &Timer<'_>) -> anyhow::Result<()> {
+        let model = disc(5_000)?;
+        let grid = PixelGrid::covering([-0.0625; 2], [0.0625; 2], 64).map_err(anyhow::Error::from)?;
+        let map = PixelMap::new(grid, &model.body().mesh)?;
+        let jacobian = model.solve(&vec![1.0; model.body().mesh.element_count()])?.jacobian_to_pixels(&map);
+        let basis = ImageBasis {
+            positions: map.inside_centres_m().into_iter().map(|p| [p[0], p[1], 0.0]).collect(),
+            neighbours: Vec::new(),
+        };
+        let operator = || -> anyhow::Result<_> {
+            let weighting = Weighting::Identity;
+            let prior = Prior::Noser { exponent: 0.5 }.matrix(jacobian.as_mat(), &weighting, &basis)?;
+            Ok(LinearProblem::new(jacobian.as_mat(), weighting, prior)?.operator(1e-2)?)
+        };
+        let took = time(&mut || {
+            std::hint::black_box(operator()?);
+            Ok(())
+        })?;
+        line(out, &format!("operator of 208 channels to {} pixels of 64 x 64", map.inside_count()), took)?;
+        let live = LiveOperator::new(&operator()?, 1.0);
+        let (frame, mut image) = (vec![1e-3_f32; live.channels()], vec![0.0_f32; live.unknowns()]);
+        let took = time(&mut || {
+            live.apply(std::hint::black_box(&frame), &mut image);
+            Ok(())
+        })?;
+        line(out, "frame of 208 channels to image", took)
+    }
+
+    fn frames(&self, out: &mut dyn Write, time: &Timer<'_>) -> anyhow::Result<()> {
+        let prepared = Prepared::new(Skin::open("healing-square")?)?;
+        let reference = prepared.reference_from(&prepared.voltages, None)?;
+        let mut imager = prepared.imager(&reference, &[])?;
+        let touched = prepared.signatures(&[[0.02, 0.01], [-0.02, -0.02]]);
+        let difference: Vec<f64> = (0..prepared.channels())
+            .map(|channel| 0.2 * (touched[channel] + touched[prepared.channels() + channel]))
+            .collect();
+        let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
+        let mut image = vec![f32::NAN; prepared.map.grid().len()];
+        let mut clock = 0;
+        let took = time(&mut || {
+            clock += 1_000_000;
+            imager.image(&difference, &mut image)?;
+            Ok(stage.process(clock, &image, None)?)
+        })?;
+        line(out, "frame of 208 channels to image to touches (64 x 64, two)", took)
+    }
+}
+
+type Timer<'a> = dyn Fn(&mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<(Duration, Duration)> + 'a;
+
+/// Median and best time of one call, over as many as fit into `budget` (at least three).
+fn median_of(work: &mut dyn FnMut() -> anyhow::Result<()>, budget: Duration) -> anyhow::Result<(Duration, Duration)> {
+    let started = Instant::now();
+    let mut times = Vec::new();
+    while times.len() < 3 || started.elapsed() < budget {
+        let start = Instant::now();
+        work()?;
+        times.push(start.elapsed());
+    }
+    times.sort_unstable();
+    Ok((times[times.len() / 2], times[0]))
+}
+
+fn line(out: &mut dyn Write, what: &str, (median, best): (Duration, Duration)) -> anyhow::Result<()> {
+    writeln!(out, "{what:<58} {:>9.1} us {:>9.1} us", median.as_secs_f64() * 1e6, best.as_secs_f64() * 1e6)?;
+    Ok(out.flush()?)
+}
+
+/// A disc of 125 mm with 16 electrodes, adjacent drive and measurement: 208 channels.
+fn disc(elements: usize) -> anyhow::Result<ForwardModel> {
+    let electrodes = Outline::rim_arcs(16, 0.01, 0.0, Direction::CounterClockwise);
+    let spec = SheetSpec::new(Outline::Disc { radius_m: 0.0625 }, electrodes, 2e-3).with_target_elements(elements)?;
+    let protocol = Protocol::generate(&ProtocolSpec {
+        electrode_count: 16,
+        drive: Drive::Adjacent,
+        measure: Measure::Adjacent,
+        order: Order::Absolute,
+        driven: Driven::Drop,
+        amplitude_a: 1e-3,
+    })?;
+    Ok(ForwardModel::new(spec.build(&[1e-3])?.0, protocol)?)
+}

@@ -1,0 +1,97 @@
+//! `dermis reconstruct`: recorded frames to images and touches.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use dermis::reconstruct::{Report, Request, reconstruct};
+use dermis::skin::Skin;
+use dermis_device::{FileSpec, Format};
+
+use super::progress_bar;
+use crate::exit::{Outcome, UsageError};
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis reconstruct --skin healing-square --baseline baseline.csv --frames frames.csv --touches t.csv --images i.npy
+  dermis reconstruct --skin golfball-tank --baseline phantom.csv#ref --frames phantom.csv#setup2 --touches t.csv
+
+The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
+frames have nothing to do with each other. t.csv has the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm,
+sigma_y_mm; a frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
+Missing channels are empty cells or NaN.";
+
+/// Arguments of `dermis reconstruct`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Built-in skin or skin file.
+    #[arg(long, value_name = "NAME|FILE")]
+    skin: String,
+    /// Frames of the untouched skin; #0..60 or #name after the file's name takes some of them.
+    #[arg(long, value_name = "FILE[#FRAMES]")]
+    baseline: FileSpec,
+    /// Frames to reconstruct.
+    #[arg(long, value_name = "FILE[#FRAMES]")]
+    frames: FileSpec,
+    /// Format of both files (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
+    #[arg(long)]
+    format: Option<Format>,
+    /// A calibration made by `dermis calibrate`.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// lambda, in place of the skin file's rule.
+    #[arg(long, value_name = "LAMBDA")]
+    hyperparameter: Option<f64>,
+    /// Where the table of touches goes.
+    #[arg(long, value_name = "FILE.csv")]
+    touches: Option<PathBuf>,
+    /// Where the images go.
+    #[arg(long, value_name = "FILE.npy")]
+    images: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// Reconstructs all frames and says how it went.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if self.touches.is_none() && self.images.is_none() {
+            return Err(UsageError("nothing asked for: give --touches, --images or both".into()).into());
+        }
+        let skin = Skin::open(&self.skin)?;
+        let request = Request {
+            skin,
+            baseline: self.baseline,
+            frames: self.frames,
+            format: self.format,
+            calibration: self.calibration,
+            hyperparameter: self.hyperparameter,
+            touches: self.touches,
+            images: self.images,
+        };
+        let bar = progress_bar("frames");
+        let report = reconstruct(&request, |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        print(&report?, out).context("writing the summary")?;
+        Ok(Outcome::Done)
+    }
+}
+
+fn print(report: &Report, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(out, "frames: {}", report.frames)?;
+    writeln!(out, "rows of touches: {}", report.touch_rows)?;
+    writeln!(out, "hyperparameter: {:.6e}", report.hyperparameter)?;
+    writeln!(out, "frames with missing channels: {}", report.frames_with_missing)?;
+    writeln!(out, "channel noise: {}", if report.noise_measured { "measured" } else { "assumed" })?;
+    writeln!(out, "correlation of the baseline with the homogeneous model: {:.4}", report.order.correlation)?;
+    if let Some(better) = &report.order.better {
+        writeln!(
+            out,
+            "the channels may be in another order: \"{}\" would give {:.4}",
+            better.description, better.correlation
+        )?;
+    }
+    Ok(())
+}

@@ -1,0 +1,357 @@
+//! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, the page's server
+//! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
+
+mod page_feed;
+mod source;
+
+use std::io::Write;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use crossbeam_channel::Receiver;
+use dermis::acquire::{Acquisition, Next};
+use dermis::calibrate::Calibration;
+use dermis::pipeline::Pipeline;
+use dermis::prepare::Prepared;
+use dermis::record::{Recorder, RecorderHandle, RecordingHead};
+use dermis::sink::{JsonLines, LinesFor, Sink};
+use dermis::skin::Skin;
+use dermis::twin_source::TwinCommand;
+use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Request, Token};
+use dermis_device::{Frame, HostStamp};
+
+use crate::exit::{Outcome, UsageError};
+use page_feed::PageFeed;
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis run
+  dermis run healing-square --no-open --port 8080
+  dermis run healing-square --headless --frames 100
+  dermis run --source recording.mcap --speed 0
+
+Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
+as `page: http://...`. Pages on other addresses than this machine's own need the token that is part of that address.";
+
+/// Frames that may wait between source and pipeline.
+const QUEUE: usize = 64;
+/// Frames that may wait for the disk.
+const RECORDER_QUEUE: usize = 1024;
+
+/// Arguments of `dermis run`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Built-in skin or skin file.
+    #[arg(default_value = "healing-square", value_name = "SKIN")]
+    skin: String,
+    /// Where frames come from: twin, or a file (a recording .mcap, or anything that `reconstruct` reads).
+    #[arg(long, default_value = "twin", value_name = "twin|FILE")]
+    source: String,
+    /// Pace of a file: 1 as recorded, 0 as fast as possible.
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// A calibration made by `dermis calibrate`.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// Record raw frames from the start.
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
+    /// No page; one JSON line a frame on stdout.
+    #[arg(long)]
+    headless: bool,
+    /// With --headless: lines only for frames with touches or events.
+    #[arg(long, requires = "headless")]
+    only_touches: bool,
+    /// Do not open a browser.
+    #[arg(long)]
+    no_open: bool,
+    /// Address of the page; any but this machine's own needs the token that is printed.
+    #[arg(long, default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    host: IpAddr,
+    /// Port of the page; 0 takes a free one.
+    #[arg(long, default_value_t = 7878)]
+    port: u16,
+    /// Further names under which browsers may ask for the page.
+    #[arg(long, value_name = "NAME")]
+    allow_host: Vec<String>,
+    /// Stop after so many frames.
+    #[arg(long, value_name = "N")]
+    frames: Option<u64>,
+}
+
+/// The run in progress.
+struct Run {
+    pipeline: Pipeline,
+    twin: Option<crossbeam_channel::Sender<TwinCommand>>,
+    recorder: Option<(PathBuf, RecorderHandle)>,
+    recorder_dropped: u64,
+    head: RecordingHead,
+    hub: Hub,
+    feed: PageFeed,
+}
+
+impl Arguments {
+    /// Runs until the source ends, the frames asked for are done, or the user interrupts.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let opened = source::open(&self.source, &self.skin, self.speed)?;
+        let skin_toml = opened.skin.to_toml();
+        let calibration = self.calibration.as_deref().map(Calibration::load).transpose()?;
+        let prepared = Prepared::new(opened.skin)?;
+        let labels = (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect();
+        let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
+        let head = RecordingHead { labels, ..RecordingHead::new(skin_toml, acquisition.layout().clone(), acquisition.name()) };
+        let pipeline = Pipeline::new(prepared, acquisition.layout(), calibration)?;
+        let hub = Hub::new();
+        let (commands, requests) = crossbeam_channel::bounded(256);
+        let server = if self.headless {
+            None
+        } else {
+            let scene = page_feed::scene(pipeline.prepared(), opened.twin.is_some());
+            let server = page::serve(self.address(), self.page_options()?, hub.clone(), scene, commands)?;
+            writeln!(out, "page: {}", server.url())?;
+            out.flush()?;
+            if !self.no_open {
+                source::open_browser(&server.url());
+            }
+            Some(server)
+        };
+        let feed = PageFeed::new(&pipeline);
+        let mut run = Run { pipeline, twin: opened.twin, recorder: None, recorder_dropped: 0, head, hub, feed };
+        if let Some(path) = &self.record {
+            run.start_recording(path)?;
+        }
+        let outcome = self.follow(&mut acquisition, &mut run, &requests, out);
+        run.stop_recording()?;
+        let counters = acquisition.counters();
+        drop(acquisition);
+        if let Some(server) = server {
+            server.shutdown();
+        }
+        outcome?;
+        let lost = counters.total() + run.recorder_dropped;
+        if lost > 0 {
+            tracing::error!(
+                dropped = counters.dropped,
+                lost = counters.lost,
+                damaged = counters.bad,
+                not_recorded = run.recorder_dropped,
+                "frames were lost"
+            );
+            return Ok(Outcome::DataLost);
+        }
+        Ok(Outcome::Done)
+    }
+
+    fn address(&self) -> SocketAddr {
+        SocketAddr::new(self.host, self.port)
+    }
+
+    fn page_options(&self) -> anyhow::Result<PageOptions> {
+        let token = if self.host.is_loopback() { None } else { Some(Token::random()?) };
+        Ok(PageOptions { token, allowed_hosts: self.allow_host.clone(), ..PageOptions::default() })
+    }
+
+    fn follow(
+        &self,
+        acquisition: &mut Acquisition,
+        run: &mut Run,
+        requests: &Receiver<Request>,
+        out: &mut dyn Write,
+    ) -> anyhow::Result<()> {
+        let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
+        let mut lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
+        let mut done = 0;
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let raised = interrupted.clone();
+        // Interrupted, the run ends as it would with its source, so that a recording is finished.
+        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let mut bar = (!self.headless).then(|| super::spinner("waiting for the baseline"));
+        while !interrupted.load(Ordering::Relaxed) {
+            for request in requests.try_iter() {
+                run.answer(request);
+            }
+            match acquisition.next(Duration::from_millis(100)).map_err(dermis::Error::from)? {
+                Next::Idle => continue,
+                Next::End => break,
+                Next::Frame(frame) => {
+                    run.process(&frame, acquisition, lines.as_mut())?;
+                    acquisition.recycle(frame);
+                }
+            }
+            if let Some(lines) = &mut lines {
+                out.write_all(lines.get_mut())?;
+                out.flush()?;
+                lines.get_mut().clear();
+            }
+            done += 1;
+            if let Some(bar) = &mut bar
+                && done % 25 == 0
+            {
+                bar.set_message(run.feed.status());
+            }
+            if self.frames.is_some_and(|most| done >= most) {
+                break;
+            }
+        }
+        run.feed.end();
+        run.hub.publish(run.feed.update())?;
+        Ok(())
+    }
+}
+
+impl Run {
+    fn process(
+        &mut self,
+        frame: &Frame,
+        acquisition: &Acquisition,
+        lines: Option<&mut JsonLines<Vec<u8>>>,
+    ) -> anyhow::Result<()> {
+        // Raw is on its way to the disk before anything is made of it.
+        if let Some((_, recorder)) = &self.recorder {
+            recorder.offer(frame);
+        }
+        let before = self.pipeline.baseline_records().len();
+        let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
+        if let Some((_, recorder)) = &self.recorder
+            && !(output.touches.is_empty() && output.events.is_empty())
+        {
+            recorder.offer_touches(output.wall_ns, output.sequence, output.time_ns, output.touches, output.events);
+        }
+        if let Some(lines) = lines {
+            lines.accept(&output)?;
+        }
+        self.feed.take(&output);
+        self.feed.count(acquisition.counters(), self.recorder.as_ref().map(|(path, handle)| (path.as_path(), handle.status())));
+        self.feed.describe(&self.pipeline);
+        self.hub.publish(self.feed.update())?;
+        if self.pipeline.baseline_records().len() > before {
+            self.new_baseline(frame.host_wall_ns);
+        }
+        Ok(())
+    }
+
+    fn new_baseline(&mut self, wall_ns: u64) {
+        let (baseline, noise) = self.pipeline.baseline();
+        self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
+        if let (Some((_, recorder)), Some(record)) = (&self.recorder, self.pipeline.baseline_records().last()) {
+            recorder.offer_baseline(wall_ns, record, baseline);
+        }
+        if let Some(reference) = self.pipeline.reference() {
+            let correlation = reference.order.correlation;
+            tracing::info!(correlation, "baseline taken");
+            if let Some(better) = &reference.order.better {
+                let text = format!(
+                    "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}",
+                    better.description, better.correlation, correlation
+                );
+                tracing::warn!("{text}");
+                self.hub.announce(Level::Warning, text);
+            }
+        }
+    }
+
+    fn answer(&mut self, request: Request) {
+        let reply = request.reply;
+        match request.command {
+            Command::Tare { force } => match self.pipeline.tare(force, "asked for in the page") {
+                Ok(frames) => reply.accept(format!("taring over {frames} frames")),
+                Err(error) => reply.refuse(format!("tare refused: {error}")),
+            },
+            Command::RecordStart => {
+                let path = PathBuf::from(format!("{}.mcap", timestamp()));
+                match self.start_recording(&path) {
+                    Ok(()) => reply.accept(format!("recording to {}", path.display())),
+                    Err(error) => reply.refuse(format!("not recording: {error}")),
+                }
+            }
+            Command::RecordStop => match self.stop_recording() {
+                Ok(Some(text)) => reply.accept(text),
+                Ok(None) => reply.refuse("nothing is being recorded"),
+                Err(error) => reply.refuse(format!("the recording failed: {error}")),
+            },
+            Command::Hyperparameter(value) => match self.pipeline.set_hyperparameter(value) {
+                Ok(()) => reply.accept(format!("hyperparameter {value:.3e}")),
+                Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
+            },
+            Command::Press(press) | Command::Move(press) => self.command_twin(TwinCommand::Press {
+                pointer: press.pointer_id,
+                position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
+                radius_m: press.radius_mm * 1e-3,
+                pressure_pa: press.pressure_kpa * 1e3,
+            }),
+            Command::Release { pointer_id } => self.command_twin(TwinCommand::Release { pointer: pointer_id }),
+            // Every channel is published; the page chooses among them.
+            Command::ChooseChannels(_) => {}
+            other => reply.refuse(format!("not supported here: {other:?}")),
+        }
+    }
+
+    fn command_twin(&self, command: TwinCommand) {
+        if let Some(twin) = &self.twin
+            && twin.try_send(command).is_err()
+        {
+            self.hub.announce(Level::Warning, "the twin is too slow for so many presses; one was dropped");
+        }
+    }
+
+    fn start_recording(&mut self, path: &Path) -> anyhow::Result<()> {
+        if let Some((path, _)) = &self.recorder {
+            return Err(UsageError(format!("already recording to {}", path.display())).into());
+        }
+        let recorder = Recorder::create(path, &self.head)?;
+        let handle = RecorderHandle::spawn(recorder, RECORDER_QUEUE)?;
+        if let Some(record) = self.pipeline.baseline_records().last() {
+            handle.offer_baseline(HostStamp::now().wall_ns, record, self.pipeline.baseline().0);
+        }
+        self.recorder = Some((path.to_path_buf(), handle));
+        Ok(())
+    }
+
+    fn stop_recording(&mut self) -> anyhow::Result<Option<String>> {
+        let Some((path, handle)) = self.recorder.take() else { return Ok(None) };
+        let summary = handle.finish().with_context(|| format!("finishing {}", path.display()))?;
+        self.recorder_dropped += summary.dropped;
+        Ok(Some(format!("{}: {} frames, {} dropped", path.display(), summary.frames, summary.dropped)))
+    }
+}
+
+/// A name for a recording: seconds since 1970, which sorts by time.
+fn timestamp() -> String {
+    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    format!("dermis-{seconds}")
+}
+
+/// Rate over the last second or so.
+#[derive(Debug)]
+struct Rate {
+    since: Instant,
+    frames: u32,
+    per_s: f32,
+}
+
+impl Rate {
+    fn new() -> Self {
+        Self { since: Instant::now(), frames: 0, per_s: 0.0 }
+    }
+
+    fn count(&mut self) -> f32 {
+        self.frames += 1;
+        let elapsed = self.since.elapsed().as_secs_f32();
+        if elapsed > 0.5 {
+            self.per_s = self.frames as f32 / elapsed;
+            self.since = Instant::now();
+            self.frames = 0;
+        }
+        self.per_s
+    }
+}
+
+/// The skin that a name or path stands for.
+fn skin(name: &str) -> anyhow::Result<Skin> {
+    Ok(Skin::open(name)?)
+}

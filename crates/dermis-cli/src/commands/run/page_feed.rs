@@ -1,0 +1,238 @@
+//! From what the pipeline knows to what the page shows.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use dermis::acquire::AcquisitionCounters;
+use dermis::pipeline::Pipeline;
+use dermis::prepare::Prepared;
+use dermis::record::RecorderStatus;
+use dermis::sink::Output;
+use dermis_cli::page::{
+    Counter, ElectrodeView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView,
+    Update,
+};
+use dermis_tomo::mesh::{Contact, Outline};
+use dermis_touch::{BaselineState, Touch, TouchEvent};
+
+use super::Rate;
+
+const MM: f64 = 1e3;
+/// Quantiles are looked up this often, in frames: they cost more than a frame's touches.
+const LATENCY_EVERY: u64 = 25;
+
+/// The update that is refilled for every frame.
+#[derive(Debug)]
+pub struct PageFeed {
+    update: Update,
+    rate: Rate,
+    skipped: f32,
+    tared_at_ns: Option<u64>,
+    records: usize,
+}
+
+impl PageFeed {
+    /// For a pipeline that has not seen a frame.
+    pub fn new(pipeline: &Pipeline) -> Self {
+        let mut update = Update::default();
+        let grid = pipeline.prepared().map.grid();
+        (update.image.rows, update.image.cols) = (grid.rows, grid.columns);
+        update.image.values = vec![f32::NAN; grid.len()];
+        update.latency = pipeline
+            .latencies()
+            .stages()
+            .map(|(stage, _)| StageLatency { stage: Cow::Borrowed(stage), ..StageLatency::default() })
+            .to_vec();
+        update.counters = ["frames", "dropped", "lost", "damaged", "not recorded"]
+            .map(|name| Counter { name: Cow::Borrowed(name), value: 0, is_loss: name != "frames" })
+            .to_vec();
+        update.state.baseline_age_s = f64::NAN;
+        Self { update, rate: Rate::new(), skipped: 0.0, tared_at_ns: None, records: 0 }
+    }
+
+    /// What the page is to show.
+    pub fn update(&self) -> &Update {
+        &self.update
+    }
+
+    /// Takes over one frame's results.
+    pub fn take(&mut self, output: &Output<'_>) {
+        let update = &mut self.update;
+        update.frame = output.sequence;
+        update.time_ns = output.time_ns;
+        update.image.values.copy_from_slice(output.image);
+        update.channels.values.clear();
+        update.channels.values.extend(output.raw.iter().map(|v| *v as f32));
+        update.touches.clear();
+        update.touches.extend(output.touches.iter().map(view));
+        let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_)));
+        update.touches.extend(ended.map(|event| TouchView { phase: TouchPhase::End, ..view(event.touch()) }));
+        update.fps = self.rate.count();
+    }
+
+    /// Takes over the losses and the state of the recording.
+    pub fn count(&mut self, lost: AcquisitionCounters, recording: Option<(&Path, RecorderStatus)>) {
+        let (not_recorded, state) = match &recording {
+            Some((_, status)) => (status.dropped, Some(status.written)),
+            None => (0, None),
+        };
+        let values = [self.update.counters[0].value + 1, lost.dropped, lost.lost, lost.bad, not_recorded];
+        self.update.counters.iter_mut().zip(values).for_each(|(counter, value)| counter.value = value);
+        self.update.state.recorded_frames = state.unwrap_or(0);
+        match recording {
+            Some((path, _)) if self.update.state.recording.is_none() => {
+                self.update.state.recording = Some(path.display().to_string());
+            }
+            None => self.update.state.recording = None,
+            _ => {}
+        }
+    }
+
+    /// Takes over what the pipeline is doing.
+    pub fn describe(&mut self, pipeline: &Pipeline) {
+        let state = &mut self.update.state;
+        state.tare = match pipeline.baseline_state() {
+            BaselineState::Starting { have, want } | BaselineState::Taring { have, want } => {
+                TareState::Taring { frames_left: want.saturating_sub(have) as u32 }
+            }
+            BaselineState::Ready => TareState::Tared,
+        };
+        if pipeline.baseline_records().len() != self.records {
+            self.records = pipeline.baseline_records().len();
+            self.tared_at_ns = Some(self.update.time_ns);
+        }
+        let age_ns = self.tared_at_ns.map(|since| self.update.time_ns.saturating_sub(since));
+        state.baseline_age_s = age_ns.map_or(f64::NAN, |ns| ns as f64 * 1e-9);
+        state.hyperparameter = pipeline.hyperparameter().unwrap_or(f64::NAN);
+        if pipeline.frames() % LATENCY_EVERY == 1 {
+            for (shown, (_, histogram)) in self.update.latency.iter_mut().zip(pipeline.latencies().stages()) {
+                shown.p50_us = histogram.quantile_us(0.5);
+                shown.p99_us = histogram.quantile_us(0.99);
+            }
+        }
+        self.skipped = self.update.counters[1].value as f32;
+    }
+
+    /// The source has ended.
+    pub fn end(&mut self) {
+        self.update.state.source = SourceState::Ended;
+    }
+
+    /// One line for the terminal.
+    pub fn status(&self) -> String {
+        let total = self.update.latency.last();
+        format!(
+            "{:.1} frames/s, {} touches, latency p50 {:.0} us, p99 {:.0} us, lost {}",
+            self.update.fps,
+            self.update.touches.len(),
+            total.map_or(f64::NAN, |stage| stage.p50_us),
+            total.map_or(f64::NAN, |stage| stage.p99_us),
+            self.update.counters.iter().filter(|counter| counter.is_loss).map(|counter| counter.value).sum::<u64>()
+        )
+    }
+}
+
+fn view(touch: &Touch) -> TouchView {
+    TouchView {
+        id: touch.id,
+        phase: match touch.phase {
+            dermis_touch::TouchPhase::Begin => TouchPhase::Begin,
+            dermis_touch::TouchPhase::Move => TouchPhase::Move,
+            dermis_touch::TouchPhase::End => TouchPhase::End,
+        },
+        x_mm: touch.position_m[0] * MM,
+        y_mm: touch.position_m[1] * MM,
+        amplitude: touch.amplitude,
+        area_mm2: touch.area_m2 * MM * MM,
+        sigma_x_mm: touch.covariance_m2[0][0].max(0.0).sqrt() * MM,
+        sigma_y_mm: touch.covariance_m2[1][1].max(0.0).sqrt() * MM,
+        force_n: None,
+    }
+}
+
+/// What does not change while the skin runs.
+pub fn scene(prepared: &Prepared, is_twin: bool) -> Scene {
+    let grid = prepared.map.grid();
+    let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
+    let lambda = typical_hyperparameter(prepared);
+    Scene {
+        skin: prepared.skin.name.clone(),
+        modality: "eit".into(),
+        is_twin,
+        outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
+        electrodes: electrodes(prepared),
+        grid: GridView {
+            rows: grid.rows,
+            cols: grid.columns,
+            x_min_mm: grid.left_m * MM,
+            x_max_mm: (grid.left_m + grid.columns as f64 * grid.pixel_m) * MM,
+            y_min_mm: (grid.top_m - grid.rows as f64 * grid.pixel_m) * MM,
+            y_max_mm: grid.top_m * MM,
+        },
+        channel_labels: (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect(),
+        channel_unit: "V".into(),
+        image_quantity: "relative conductivity change".into(),
+        image_unit: String::new(),
+        range_hint: Some([0.0, 0.05]),
+        hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
+        press: PressLimits::default(),
+    }
+}
+
+/// Middle of the slider: lambda by the skin file's own rule where that needs no data, else 1.
+fn typical_hyperparameter(prepared: &Prepared) -> f64 {
+    let reference = prepared.reference_from(&prepared.voltages, None);
+    reference.and_then(|r| prepared.imager(&r, &[])).map_or(1.0, |imager| imager.hyperparameter())
+}
+
+fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
+    match outline {
+        Outline::Disc { radius_m } => {
+            let corner = |k: usize| {
+                let angle = std::f64::consts::TAU * k as f64 / 120.0;
+                [radius_m * angle.cos(), radius_m * angle.sin()]
+            };
+            vec![(0..120).map(corner).collect()]
+        }
+        Outline::Rectangle { width_m, height_m } => {
+            let (x, y) = (0.5 * width_m, 0.5 * height_m);
+            vec![vec![[-x, -y], [x, -y], [x, y], [-x, y]]]
+        }
+        Outline::Polygon { outer, holes } => std::iter::once(outer).chain(holes).cloned().collect(),
+    }
+}
+
+/// Rim electrodes as the segment between their ends, pads as their bounding rectangle's corners, points as nothing.
+fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
+    let body = &prepared.body.mesh;
+    (0..body.electrodes.len())
+        .map(|index| {
+            let centre = body.electrode_centre(index);
+            let nodes: Vec<[f64; 3]> =
+                body.electrode_nodes(index).iter().map(|&node| body.mesh.nodes()[node as usize]).collect();
+            let outline_mm = match body.electrodes[index].contact {
+                Contact::Point(_) => Vec::new(),
+                Contact::Faces(_) => ends(&nodes),
+                Contact::Area(_) => corners(&nodes),
+            };
+            let number = index as u32 + 1;
+            ElectrodeView { number, position_mm: [centre[0] * MM, centre[1] * MM], outline_mm }
+        })
+        .collect()
+}
+
+/// The two nodes farthest from each other.
+fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
+    let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));
+    let farthest = pairs.max_by(|x, y| distance(x.0, x.1).total_cmp(&distance(y.0, y.1)));
+    farthest.map_or(Vec::new(), |(a, b)| vec![[a[0] * MM, a[1] * MM], [b[0] * MM, b[1] * MM]])
+}
+
+fn corners(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
+    let fold = |axis: usize| {
+        nodes.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), n| (l.min(n[axis] * MM), h.max(n[axis] * MM)))
+    };
+    let ((left, right), (bottom, top)) = (fold(0), fold(1));
+    vec![[left, bottom], [right, bottom], [right, top], [left, top]]
+}

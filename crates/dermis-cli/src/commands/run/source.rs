@@ -1,0 +1,76 @@
+//! Where the frames of a run come from, by what the user wrote.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::Context;
+use dermis::record::{Recording, Replay};
+use dermis::skin::Skin;
+use dermis::twin_source::{TwinCommand, TwinSource};
+use dermis_device::{Pacing, Playback, Repeat, Source, SourceSelector};
+
+use crate::exit::UsageError;
+
+/// A source and what goes with it.
+pub struct Opened {
+    /// The skin that the frames are of.
+    pub skin: Skin,
+    /// The frames.
+    pub source: Box<dyn Source>,
+    /// To press on it, if it is a twin.
+    pub twin: Option<crossbeam_channel::Sender<TwinCommand>>,
+    /// A file may be held up; an instrument may not.
+    pub wait: bool,
+}
+
+/// Opens what `--source` names.
+pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opened> {
+    if !(speed >= 0.0 && speed.is_finite()) {
+        return Err(UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")).into());
+    }
+    if selector == "twin" {
+        let skin = super::skin(skin_name)?;
+        let (source, twin) = TwinSource::new(&skin)?;
+        return Ok(Opened { skin, source: Box::new(source), twin: Some(twin), wait: false });
+    }
+    let pacing = |rate: Option<f64>| match (speed, rate) {
+        (0.0, _) => Pacing::Immediate,
+        (_, None) => Pacing::Recorded,
+        (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
+    };
+    match selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
+        SourceSelector::Twin { name } => open("twin", name.as_deref().unwrap_or(skin_name), speed),
+        SourceSelector::File(spec) if spec.path.extension().is_some_and(|extension| extension == "mcap") => {
+            let recording = Recording::open(&spec.path)?;
+            let file = spec.path.display().to_string();
+            let skin = Skin::parse(&recording.head().skin_toml, &file)?;
+            let replay = Replay::new(recording, pacing(None), Repeat::Once).map_err(dermis::Error::from)?;
+            Ok(Opened { skin, source: Box::new(replay), twin: None, wait: true })
+        }
+        SourceSelector::File(spec) => {
+            let skin = super::skin(skin_name)?;
+            let table = dermis_device::read(&spec, None).map_err(dermis::Error::from)?;
+            let rate = match table.times_s() {
+                Some(_) if speed == 1.0 => None,
+                _ => Some(skin.backend.frames_per_s.unwrap_or(20.0)),
+            };
+            let playback = Playback::new(table, pacing(rate), Repeat::Once).map_err(dermis::Error::from)?;
+            Ok(Opened { skin, source: Box::new(playback), twin: None, wait: true })
+        }
+        other => {
+            let text = format!("--source {other}: only twin and files can be opened by this version");
+            Err(UsageError(text).into())
+        }
+    }
+}
+
+/// Asks the desktop to show the page; without a desktop nothing happens.
+pub fn open_browser(url: &str) {
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    if Path::new("/usr/bin").join(opener).exists() {
+        let child = Command::new(opener).arg(url).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        if let Err(error) = child.context("starting a browser") {
+            tracing::info!("{error:#}");
+        }
+    }
+}

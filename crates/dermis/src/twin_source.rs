@@ -1,0 +1,133 @@
+//! A digital twin behind the same interface as hardware: frames at the instrument's rate, and people may press on it.
+
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, Sender};
+use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+use dermis_twin::{Frontend, HealingSquare, HealingSquareOptions, Twin, TwinError};
+
+use crate::Error;
+use crate::skin::Skin;
+
+/// What can be done to a running twin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TwinCommand {
+    /// Press, or go on pressing elsewhere or otherwise.
+    Press {
+        /// Who presses.
+        pointer: u64,
+        /// Where, metres.
+        position_m: [f64; 2],
+        /// Radius of the indenter, metres.
+        radius_m: f64,
+        /// Pressure under it, pascal.
+        pressure_pa: f64,
+    },
+    /// Stop pressing.
+    Release {
+        /// Who stops.
+        pointer: u64,
+    },
+}
+
+/// A twin as a [`Source`].
+#[derive(Debug)]
+pub struct TwinSource {
+    name: String,
+    layout: Layout,
+    twin: Twin<HealingSquare>,
+    commands: Receiver<TwinCommand>,
+    period: Duration,
+    started: Option<Instant>,
+    frames: u64,
+    lost: u64,
+    values: Vec<f64>,
+}
+
+/// Commands that may wait for the next frame.
+const QUEUE: usize = 256;
+
+impl TwinSource {
+    /// The twin of a skin, at the skin file's frame rate (50 frames/s where it gives none), with its demonstration script.
+    /// Commands go through the sender; while someone presses, the script waits.
+    ///
+    /// # Errors
+    /// A skin without twin, or one that cannot be made.
+    pub fn new(skin: &Skin) -> Result<(Self, Sender<TwinCommand>), Error> {
+        if skin.name != "healing-square" {
+            return Err(Error::Frames {
+                what: "twin".into(),
+                expected: "skin healing-square".into(),
+                got: format!("skin {}, which has none", skin.name),
+            });
+        }
+        let options =
+            HealingSquareOptions { script: Some(dermis_twin::scene::Script::demo()), ..HealingSquareOptions::default() };
+        let twin = Twin::healing_square(&options)?;
+        let (sender, commands) = crossbeam_channel::bounded(QUEUE);
+        let rate = skin.backend.frames_per_s.unwrap_or(50.0);
+        let source = Self {
+            name: format!("twin:{}", skin.name),
+            layout: Layout::Channels { count: twin.frontend().channel_count() },
+            twin,
+            commands,
+            period: Duration::from_secs_f64(1.0 / rate),
+            started: None,
+            frames: 0,
+            lost: 0,
+            values: Vec::new(),
+        };
+        Ok((source, sender))
+    }
+
+    fn obey(&mut self) -> Result<(), TwinError> {
+        for command in self.commands.try_iter() {
+            match command {
+                TwinCommand::Press { pointer, position_m: [x, y], radius_m, pressure_pa } => {
+                    self.twin.scene_mut().press(pointer, x, y, radius_m, pressure_pa)?;
+                }
+                TwinCommand::Release { pointer } => self.twin.scene_mut().release(pointer),
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Source for TwinSource {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError> {
+        let started = *self.started.get_or_insert_with(Instant::now);
+        let sequence = self.frames + self.lost;
+        let mut due = started + self.period.mul_f64(sequence as f64);
+        let now = Instant::now();
+        if due > now + timeout {
+            std::thread::sleep(timeout);
+            return Ok(SourceEvent::Idle);
+        }
+        // A machine too slow for the rate skips frames, as an instrument would overrun, and counts them.
+        let behind = now.saturating_duration_since(due).as_secs_f64() / self.period.as_secs_f64();
+        if behind > 4.0 {
+            self.lost += behind as u64;
+            due = now;
+        }
+        std::thread::sleep(due.saturating_duration_since(now));
+        let time_s = (self.frames + self.lost) as f64 * self.period.as_secs_f64();
+        let stepped = self.obey().and_then(|()| self.twin.step(time_s, &mut self.values).map(|_| ()));
+        stepped.map_err(|error| DeviceError::SourceFailed { name: self.name.clone(), reason: error.to_string() })?;
+        frame.refill(self.frames + self.lost, HostStamp::now(), &self.values, &[]);
+        frame.device_time_ns = Some((time_s * 1e9) as u64);
+        self.frames += 1;
+        Ok(SourceEvent::Frame)
+    }
+
+    fn counters(&self) -> Counters {
+        Counters { frames: self.frames, lost: self.lost, bad: 0 }
+    }
+}
