@@ -364,7 +364,7 @@ mod tests {
         let table = [
             ("[1, 1],", "[1, 1, 0, 0],", "nodes[2]: is a list of 4 values; expected 2 or 3 coordinates"),
             ("[1, 1],", "[1, \"1\"],", "nodes[2][1]: is \"1\"; expected a finite number"),
-            ("[1, 1],", "[1, NaN],", "line 2, column 38: is NaN; expected a finite number"),
+            ("[1, 1],", "[1, NaN],", "line 2, column 39: is NaN; expected a finite number"),
             ("[2, 1, 4]", "[2, 5, 4]", "elems[1][1]: is 5; expected a zero-based index of one of 5 nodes"),
             ("[2, 1, 4]", "[2, 1.5, 4]", "elems[1][1]: is 1.5; expected a zero-based index"),
             ("[2, 1, 4]", "[2, 1]", "elems[1]: holds 2 values; expected 3 node indices"),
