@@ -328,9 +328,8 @@ fn wrong_input_is_named() {
     assert!(matches!(short, Err(LocatorError::Length { field: "frames", .. })));
     let mut frames = vec![1.0; 6 * c];
     frames[c + 2] = f64::INFINITY;
-    assert!(
-        matches!(Examples::new(c, frames, at.clone()), Err(LocatorError::Value { field: "frames", index, .. }) if index == c + 2)
-    );
+    let infinite = Examples::new(c, frames, at.clone());
+    assert!(matches!(infinite, Err(LocatorError::Value { field: "frames", index, .. }) if index == c + 2));
     let mut lost = at.clone();
     lost[3][1] = f64::NAN;
     let lost = Examples::new(c, vec![1.0; 6 * c], lost);

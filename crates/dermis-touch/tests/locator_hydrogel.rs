@@ -141,7 +141,7 @@ impl Errors {
 
     fn print(&self, what: &str) {
         println!(
-            "{what}: median {:.2} mm, p90 {:.2} mm, within one sigma {:.2?}, depth off by {:.0} % (median), novelty p90 {:.2}",
+            "{what}: median {:.2} mm, p90 {:.2} mm, within one sigma {:.2?}, depth off by {:.0} %, novelty p90 {:.2}",
             self.median_mm(),
             self.p90_mm(),
             self.coverage(),

@@ -6,7 +6,7 @@
 //! and S the covariance between channels. Conditioning on the pokes gives a mean signature m(p) and a variance v(p) at
 //! every position of the map, and a new frame the log-likelihood L(p) = -[d(p)^2 / (v(p) + s) + C ln(v(p) + s)] / 2,
 //! with d the distance (in the metric of S) from the frame to the nearest positive multiple of m(p), and s the noise,
-//! larger for weaker touches. Position and covariance are the moments of exp(b L(p)); the temperature b < 1, which
+//! larger for weaker touches. Position and covariance are the moments of exp(b L(p)); the temperature b, which
 //! accounts for errors shared between channels, and a factor on sigma are chosen so that each example, left out, is
 //! predicted best and lies within one sigma in 68 % of cases. Where no poke was near, a second term of sigma grows with
 //! v; its size is found by locating each quarter of the skin from the others. Because the model runs from position to
