@@ -119,6 +119,7 @@ fn every_other<T: Clone>(list: &[T], first: usize) -> Vec<T> {
     list.iter().skip(first).step_by(2).cloned().collect()
 }
 
+/// Expected: 5.1 mm, p90 11.2 mm.
 #[test]
 fn touches_are_located_after_calibration_on_drift_alone() {
     let Some(data) = load() else { return };
@@ -129,6 +130,7 @@ fn touches_are_located_after_calibration_on_drift_alone() {
     assert!(median <= 11.0 && p90 <= 21.0, "{median} {p90}");
 }
 
+/// Expected: 4.3 mm, p90 9.5 mm, and 5.2 mm, 10.2 mm the other way round.
 #[test]
 fn touches_are_located_after_calibration_on_other_touches() {
     let Some(data) = load() else { return };
@@ -144,6 +146,7 @@ fn touches_are_located_after_calibration_on_other_touches() {
     }
 }
 
+/// Expected: 4.9 mm, p90 9.2 mm.
 #[test]
 fn few_frames_suffice() {
     let Some(data) = load() else { return };
@@ -154,7 +157,8 @@ fn few_frames_suffice() {
     assert!(median <= 11.0 && p90 <= 21.0, "{median} {p90}");
 }
 
-/// The image of the linear operator, and the centroid of what is above half its peak and connected to it.
+/// Expected: 5.1 mm, p90 11.3 mm (even touches) and 5.5 mm, 12.3 mm (drift). Relative hyperparameters of 5 to 20 differ
+/// by less than 1 mm. The image of the linear operator, and the centroid of what is above half its peak and connected to it.
 #[test]
 fn images_of_the_calibrated_operator_show_the_touches() {
     let Some(data) = load() else { return };
@@ -168,7 +172,7 @@ fn images_of_the_calibrated_operator_show_the_touches() {
         let weighting = calibration.weighting();
         let prior = Prior::Noser { exponent: 0.5 }.matrix(rows.as_ref(), &weighting, &basis).unwrap();
         let problem = LinearProblem::new(rows.as_ref(), weighting, prior).unwrap();
-        let operator = problem.operator(problem.choose(&Hyperparameter::Relative(30.0), &[]).unwrap()).unwrap();
+        let operator = problem.operator(problem.choose(&Hyperparameter::Relative(10.0), &[]).unwrap()).unwrap();
         let position = |frame: &Vec<f64>| {
             let image = operator.apply(&calibration.scaled(frame).unwrap()).unwrap();
             centroid(&image.iter().map(|change| -change).collect::<Vec<_>>(), centres, model.grid.pixel_m)
@@ -176,7 +180,7 @@ fn images_of_the_calibrated_operator_show_the_touches() {
         let touches = every_other(&changes.touches, 1);
         let (median, p90) = errors_mm(touches.iter().map(position), &every_other(&data.positions_m, 1));
         println!("images, calibrated on {name}: median {median:.2} mm, p90 {p90:.2} mm");
-        assert!(median <= 11.0 && p90 <= 21.0, "{median} {p90}");
+        assert!(median <= 8.0 && p90 <= 16.0, "{median} {p90}");
     }
 }
 

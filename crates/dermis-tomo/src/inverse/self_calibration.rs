@@ -100,6 +100,10 @@ pub struct SelfCalibration {
     weights: Vec<f64>,
     /// Weighted templates, places x channels.
     filter: Mat<f64>,
+    /// Their squares.
+    filter_squares: Mat<f64>,
+    /// Sum of the squares over all channels, one a place.
+    filter_norms: Mat<f64>,
     score: f64,
 }
 
@@ -147,6 +151,8 @@ impl SelfCalibration {
             signs,
             weights: live.into_iter().map(f64::from).collect(),
             filter: Mat::new(),
+            filter_squares: Mat::new(),
+            filter_norms: Mat::new(),
             score: 0.0,
         };
         let matched = calibration.matched_rows(templates);
@@ -193,6 +199,8 @@ impl SelfCalibration {
     fn set_filter(&mut self, matched: &Mat<f64>) {
         let weights = &self.weights;
         self.filter = Mat::from_fn(matched.nrows(), matched.ncols(), |place, c| weights[c] * matched[(place, c)]);
+        self.filter_squares = Mat::from_fn(matched.nrows(), matched.ncols(), |r, c| self.filter[(r, c)].powi(2));
+        self.filter_norms = &self.filter_squares * Mat::<f64>::full(matched.ncols(), 1, 1.0);
     }
 
     fn peaks(&self, batch: &Batch) -> Vec<Peak> {
@@ -205,12 +213,7 @@ impl SelfCalibration {
         let weighted = scale_rows(batch.values.as_ref(), &self.weights);
         let mut scores = &self.filter * &weighted;
         let square_norm = |column: faer::ColRef<'_, f64>| column.iter().map(|v| v * v).sum::<f64>();
-        let squares = Mat::from_fn(self.filter.nrows(), self.filter.ncols(), |r, c| self.filter[(r, c)].powi(2));
-        let template = if batch.complete {
-            &squares * Mat::<f64>::full(squares.ncols(), 1, 1.0)
-        } else {
-            &squares * &batch.present
-        };
+        let template = if batch.complete { self.filter_norms.clone() } else { &self.filter_squares * &batch.present };
         let norms = Norms { template, frame: weighted.col_iter().map(|column| square_norm(column).sqrt()).collect() };
         for frame in 0..scores.ncols() {
             for place in 0..scores.nrows() {
