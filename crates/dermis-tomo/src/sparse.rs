@@ -6,11 +6,13 @@ use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{self as dense, LltRegularization};
 use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
+use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 use faer::sparse::linalg::cholesky::{
-    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
+    factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
-use faer::{Conj, MatMut, Par, Side};
+use faer::{Conj, Mat, MatMut, Par, Side};
 use thiserror::Error;
 
 /// Why a system could not be factored.
@@ -40,6 +42,9 @@ pub enum Ordering<'a> {
     MinimumDegree,
     /// Nested dissection by coordinates: halve the widest extent, eliminate the separator last.
     Dissection(&'a [[f64; 3]]),
+    /// The same, but the listed unknowns come last of all, in their order: those whose columns of the inverse
+    /// [`SpdStructure::inverse_columns`] is to give.
+    DissectionWithLast(&'a [[f64; 3]], &'a [u32]),
 }
 
 /// The structure of a symmetric matrix and its symbolic Cholesky factorisation.
@@ -90,7 +95,8 @@ impl SpdStructure {
             .collect();
         let order = match ordering {
             Ordering::MinimumDegree => None,
-            Ordering::Dissection(coordinates) => Some(dissect(coordinates, &column_start, &rows)),
+            Ordering::Dissection(coordinates) => Some(dissect(coordinates, &[], &column_start, &rows)),
+            Ordering::DissectionWithLast(coordinates, last) => Some(dissect(coordinates, last, &column_start, &rows)),
         };
         let pattern = SymbolicSparseColMat::new_checked(size, size, column_start, None, rows);
         let parameters = CholeskySymbolicParams {
@@ -183,6 +189,54 @@ impl SpdStructure {
         Ok(())
     }
 
+    /// Columns of the inverse that belong to the given unknowns (size x unknowns): the fields of unit sources there.
+    /// Quick where [`Ordering::DissectionWithLast`] put them last, correct for any.
+    pub fn inverse_columns(&self, factor: &SpdFactor, unknowns: &[usize]) -> Mat<f64> {
+        self.inverse_part(factor, unknowns, Rows::All)
+    }
+
+    /// The rows of [`SpdStructure::inverse_columns`] for the same unknowns (unknowns x unknowns), without the others.
+    pub fn inverse_block(&self, factor: &SpdFactor, unknowns: &[usize]) -> Mat<f64> {
+        self.inverse_part(factor, unknowns, Rows::Same)
+    }
+
+    fn inverse_part(&self, factor: &SpdFactor, unknowns: &[usize], rows: Rows) -> Mat<f64> {
+        let size = self.size();
+        let pick = |columns: &Mat<f64>| match rows {
+            Rows::All => columns.clone(),
+            Rows::Same => Mat::from_fn(unknowns.len(), unknowns.len(), |row, column| columns[(unknowns[row], column)]),
+        };
+        let (SymbolicCholeskyRaw::Supernodal(symbolic), Some(order)) = (self.symbolic.raw(), self.symbolic.perm())
+        else {
+            let mut columns = Mat::zeros(size, unknowns.len());
+            unknowns.iter().enumerate().for_each(|(column, &unknown)| columns[(unknown, column)] = 1.0);
+            self.solve_in_place(factor, columns.as_mut());
+            return pick(&columns);
+        };
+        let (_, new_of_old) = order.arrays();
+        let place = |unknown: usize| new_of_old[unknown] as usize;
+        let first = unknowns.iter().map(|&unknown| place(unknown)).min().unwrap_or(size);
+        let supernodal = Supernodal { factor: SupernodalLltRef::new(symbolic, &factor.values), first };
+        let mut result = match rows {
+            Rows::All => Mat::zeros(size, unknowns.len()),
+            Rows::Same => Mat::zeros(unknowns.len(), unknowns.len()),
+        };
+        let mut x = vec![[0.0; WIDTH]; size];
+        for (chunk, sources) in unknowns.chunks(WIDTH).enumerate() {
+            x.fill([0.0; WIDTH]);
+            sources.iter().enumerate().for_each(|(column, &unknown)| x[place(unknown)][column] = 1.0);
+            supernodal.solve(&mut x, rows);
+            for column in 0..sources.len() {
+                let target = result.col_mut(chunk * WIDTH + column);
+                match rows {
+                    Rows::All => target.iter_mut().zip(new_of_old).for_each(|(to, &new)| *to = x[new as usize][column]),
+                    Rows::Same => target.iter_mut().zip(unknowns).for_each(|(to, &old)| *to = x[place(old)][column]),
+                }
+            }
+        }
+        result
+    }
+
     /// Solves in place for every column of `rhs` (size x n).
     pub fn solve_in_place(&self, factor: &SpdFactor, rhs: MatMut<'_, f64>) {
         let mut buffer = MemBuffer::new(self.symbolic.solve_in_place_scratch::<f64>(rhs.ncols(), Par::Seq));
@@ -195,16 +249,126 @@ impl SpdStructure {
     }
 }
 
+/// Which rows of columns of the inverse are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Rows {
+    All,
+    Same,
+}
+
+/// Right-hand sides handled together: their values at one unknown fill a few vector registers.
+const WIDTH: usize = 16;
+
+/// A numeric factor, for sources at unknowns from `first` on (in the order of elimination).
+struct Supernodal<'a> {
+    factor: SupernodalLltRef<'a, u32, f64>,
+    first: usize,
+}
+
+impl Supernodal<'_> {
+    /// Forward substitution where the sources are, backward substitution to the rows wanted.
+    fn solve(&self, x: &mut [[f64; WIDTH]], rows: Rows) {
+        pulp::Arch::new().dispatch(Substitution { factor: self, x, rows });
+    }
+
+    /// Entries of one column of a supernode: first those of its square block (the part above the diagonal has no
+    /// meaning), then those of its pattern.
+    #[inline(always)]
+    fn column(&self, supernode: usize, column: usize) -> &[f64] {
+        let begin = self.factor.symbolic().col_ptr_for_val()[supernode] as usize;
+        let rows = self.factor.supernode(supernode).val().nrows();
+        &self.factor.values()[begin + column * rows..][..rows]
+    }
+
+    #[inline(always)]
+    fn forward(&self, supernode: usize, x: &mut [[f64; WIDTH]]) {
+        let node = self.factor.supernode(supernode);
+        let (start, columns) = (node.start(), node.val().ncols());
+        for column in 0..columns {
+            let entries = self.column(supernode, column);
+            let value = x[start + column].map(|value| value / entries[column]);
+            x[start + column] = value;
+            for (row, &entry) in entries[..columns].iter().enumerate().skip(column + 1) {
+                subtract(&mut x[start + row], entry, &value);
+            }
+            for (&row, &entry) in node.pattern().iter().zip(&entries[columns..]) {
+                subtract(&mut x[row as usize], entry, &value);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn backward(&self, supernode: usize, x: &mut [[f64; WIDTH]], below: &mut Vec<[f64; WIDTH]>) {
+        let node = self.factor.supernode(supernode);
+        let (start, columns) = (node.start(), node.val().ncols());
+        below.clear();
+        below.extend(node.pattern().iter().map(|&row| x[row as usize]));
+        for column in (0..columns).rev() {
+            let entries = self.column(supernode, column);
+            let mut value = x[start + column];
+            for (known, &entry) in below.iter().zip(&entries[columns..]) {
+                subtract(&mut value, entry, known);
+            }
+            for (known, &entry) in x[start + column + 1..start + columns].iter().zip(&entries[column + 1..columns]) {
+                subtract(&mut value, entry, known);
+            }
+            x[start + column] = value.map(|value| value / entries[column]);
+        }
+    }
+}
+
+/// The loops of a solve, compiled for the vector instructions of the machine.
+struct Substitution<'a> {
+    factor: &'a Supernodal<'a>,
+    x: &'a mut [[f64; WIDTH]],
+    rows: Rows,
+}
+
+impl pulp::NullaryFnOnce for Substitution<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let begins = self.factor.factor.symbolic().supernode_begin();
+        let first = begins.partition_point(|&begin| begin as usize <= self.factor.first).saturating_sub(1);
+        let last = match self.rows {
+            Rows::All => 0,
+            Rows::Same => first,
+        };
+        for supernode in first..begins.len() {
+            self.factor.forward(supernode, self.x);
+        }
+        let mut below = Vec::new();
+        for supernode in (last..begins.len()).rev() {
+            self.factor.backward(supernode, self.x, &mut below);
+        }
+    }
+}
+
+#[inline(always)]
+fn subtract(from: &mut [f64; WIDTH], entry: f64, value: &[f64; WIDTH]) {
+    for lane in 0..WIDTH {
+        from[lane] -= entry * value[lane];
+    }
+}
+
 const LEAF: usize = 48;
 
 /// Nested dissection: forward and inverse permutation (new to old, old to new).
-fn dissect(coordinates: &[[f64; 3]], column_start: &[u32], rows: &[u32]) -> (Vec<u32>, Vec<u32>) {
+fn dissect(coordinates: &[[f64; 3]], last: &[u32], column_start: &[u32], rows: &[u32]) -> (Vec<u32>, Vec<u32>) {
     let size = coordinates.len();
     let adjacency = Adjacency::new(size, column_start, rows);
     let mut side = vec![0_u8; size];
     let mut order = Vec::with_capacity(size);
-    let mut nodes: Vec<u32> = (0..size as u32).collect();
+    let mut is_last = vec![false; size];
+    last.iter().for_each(|&unknown| is_last[unknown as usize] = true);
+    let mut nodes: Vec<u32> = (0..size as u32).filter(|&node| !is_last[node as usize]).collect();
     split(&mut nodes, coordinates, &adjacency, &mut side, &mut order);
+    for &unknown in last {
+        if std::mem::take(&mut is_last[unknown as usize]) {
+            order.push(unknown);
+        }
+    }
     let mut inverse = vec![0_u32; size];
     for (new, &old) in order.iter().enumerate() {
         inverse[old as usize] = new as u32;
@@ -338,6 +502,41 @@ mod tests {
                 structure.multiply(&values, &solution, &mut back);
                 // Residual relative to |A||x| (about 4e4 here): rounding only.
                 assert!((0..n * n).all(|i| (back[i] - rhs[(i, column)]).abs() < 1e-8));
+            }
+        }
+    }
+
+    #[test]
+    fn columns_of_the_inverse_solve_for_unit_sources() {
+        let n = 12;
+        let (coordinates, edges) = grid(n);
+        let mut positions = edges.clone();
+        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
+        positions.push((0, 0));
+        // More sources than are handled together, at the end of the elimination and scattered.
+        let sources: Vec<u32> = (0..20).map(|k| (k * 37 + 5) % (n * n) as u32).collect();
+        for ordering in [
+            Ordering::MinimumDegree,
+            Ordering::Dissection(&coordinates),
+            Ordering::DissectionWithLast(&coordinates, &sources),
+        ] {
+            let (structure, slots) = SpdStructure::new(n * n, &positions, ordering).unwrap();
+            let mut values = vec![0.0; structure.value_count()];
+            for (k, &slot) in slots.iter().enumerate() {
+                values[slot as usize] += if k < edges.len() { -1.0 } else { 1.0 };
+            }
+            let factor = structure.factor(&values).unwrap();
+            let unknowns: Vec<usize> = sources.iter().map(|&source| source as usize).collect();
+            let mut expected = Mat::zeros(n * n, unknowns.len());
+            unknowns.iter().enumerate().for_each(|(column, &unknown)| expected[(unknown, column)] = 1.0);
+            structure.solve_in_place(&factor, expected.as_mut());
+            let columns = structure.inverse_columns(&factor, &unknowns);
+            let block = structure.inverse_block(&factor, &unknowns);
+            for column in 0..unknowns.len() {
+                // Values up to about 150 (the grid is grounded at a corner): rounding only.
+                assert!((0..n * n).all(|row| (columns[(row, column)] - expected[(row, column)]).abs() < 1e-9));
+                let same = |row: usize| (block[(row, column)] - expected[(unknowns[row], column)]).abs() < 1e-9;
+                assert!((0..unknowns.len()).all(same));
             }
         }
     }

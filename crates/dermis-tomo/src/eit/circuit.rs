@@ -195,12 +195,19 @@ impl ReadoutCircuit {
         let count = admittance.nrows();
         let connected = [(lines.sink, self.load.sink), (lines.plus, self.load.plus), (lines.minus, self.load.minus)];
         let mut loaded = admittance.clone();
+        let mut to_ground = 0.0;
         for electrode in 0..count {
             let mut load = None;
             for (_, value) in connected.iter().filter(|line| line.0 == electrode) {
                 load = Some(load.unwrap_or(0.0) + value);
             }
-            loaded[(electrode, electrode)] += conductance * load.unwrap_or(self.idle);
+            let load = conductance * load.unwrap_or(self.idle);
+            loaded[(electrode, electrode)] += load;
+            to_ground += load;
+        }
+        // Rounding may leave the skin's own, singular matrix barely positive definite.
+        if to_ground == 0.0 {
+            return None;
         }
         let mut sides = Mat::<f64>::zeros(count, 2);
         sides[(lines.source, 0)] += lines.current;

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::circuit::CircuitError;
-use super::protocol::{Pattern, Protocol};
+use super::protocol::{Measurement, Pattern, Protocol};
 use super::system::{ElementGeometry, System};
 use crate::mesh::{Contact, ElectrodedMesh};
-use crate::sparse::SparseError;
+use crate::sparse::{SparseError, SpdFactor};
 
 /// Why a forward problem could not be posed or solved.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -96,26 +96,41 @@ impl ForwardModel {
     /// # Errors
     /// Wrong count, values not positive and finite, or a system that is singular.
     pub fn solve(&self, conductivity: &[f64]) -> Result<Solution<'_>, EitError> {
-        self.check_conductivity(conductivity)?;
-        let mut values = Vec::with_capacity(self.system.structure.value_count());
-        self.system.assemble(conductivity, &mut values);
-        let factor = self.system.factor(&values)?;
-        let electrodes = self.body.electrodes.len();
-        let mut fields = Mat::zeros(self.system.structure.size(), electrodes - 1);
-        for (column, unknown) in self.system.electrode_unknowns[..electrodes - 1].iter().enumerate() {
-            // Only the last electrode may lack an unknown; a repeated point electrode shares one.
-            if let Some(unknown) = unknown {
-                fields[(*unknown, column)] = 1.0;
+        let factor = self.factor(conductivity)?;
+        let (sources, unknowns) = self.sources();
+        let columns = self.system.structure.inverse_columns(&factor, &unknowns);
+        let fields = if sources.len() == self.body.electrodes.len() - 1 {
+            columns
+        } else {
+            // The reference shares a point electrode's node, where a source has no field against it.
+            let mut fields = Mat::zeros(columns.nrows(), self.body.electrodes.len() - 1);
+            for (&source, column) in sources.iter().zip(columns.col_iter()) {
+                fields.col_mut(source).copy_from(column);
             }
-        }
-        self.system.structure.solve_in_place(&factor, fields.as_mut());
-        let impedance = Mat::from_fn(electrodes, electrodes, |row, column| {
-            match (self.system.electrode_unknowns[row], column + 1 < electrodes) {
-                (Some(unknown), true) => fields[(unknown, column)],
-                _ => 0.0,
-            }
-        });
+            fields
+        };
+        let impedance = self.impedance(|row, column| fields[(row, column)]);
         Ok(Solution { model: self, fields, impedance })
+    }
+
+    /// One voltage a channel for one conductivity, volts: [`Solution::voltages`] without the fields inside the body,
+    /// which makes it quicker.
+    ///
+    /// # Errors
+    /// As [`ForwardModel::solve`].
+    pub fn voltages(&self, conductivity: &[f64]) -> Result<Vec<f64>, EitError> {
+        let factor = self.factor(conductivity)?;
+        let (sources, unknowns) = self.sources();
+        let block = self.system.structure.inverse_block(&factor, &unknowns);
+        let mut place = vec![None; self.system.structure.size()];
+        unknowns.iter().enumerate().for_each(|(k, &unknown)| place[unknown] = Some(k));
+        let mut column_of = vec![None; self.body.electrodes.len()];
+        sources.iter().enumerate().for_each(|(k, &electrode)| column_of[electrode] = Some(k));
+        let impedance = self.impedance(|row, column| match (place[row], column_of[column]) {
+            (Some(row), Some(column)) => block[(row, column)],
+            _ => 0.0,
+        });
+        Ok(self.channels(&impedance))
     }
 
     /// Voltages of many conductivities, in parallel over the samples.
@@ -123,7 +138,47 @@ impl ForwardModel {
     /// # Errors
     /// As [`ForwardModel::solve`], of the first sample that failed.
     pub fn voltages_of_many(&self, conductivities: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, EitError> {
-        conductivities.par_iter().map(|sigma| Ok(self.solve(sigma)?.voltages())).collect()
+        conductivities.par_iter().map(|sigma| self.voltages(sigma)).collect()
+    }
+
+    fn factor(&self, conductivity: &[f64]) -> Result<SpdFactor, EitError> {
+        self.check_conductivity(conductivity)?;
+        let mut values = Vec::with_capacity(self.system.structure.value_count());
+        self.system.assemble(conductivity, &mut values);
+        self.system.factor(&values)
+    }
+
+    /// Electrodes but the last that have an unknown (all, unless one shares its node with a point reference), and it.
+    fn sources(&self) -> (Vec<usize>, Vec<usize>) {
+        let unknowns = &self.system.electrode_unknowns;
+        unknowns[..unknowns.len() - 1].iter().enumerate().filter_map(|(k, unknown)| Some((k, (*unknown)?))).unzip()
+    }
+
+    /// Transfer impedances from the field at an electrode's unknown (first) of a source electrode (second).
+    fn impedance(&self, field: impl Fn(usize, usize) -> f64) -> Mat<f64> {
+        let electrodes = self.body.electrodes.len();
+        Mat::from_fn(electrodes, electrodes, |row, column| {
+            match (self.system.electrode_unknowns[row], column + 1 < electrodes) {
+                (Some(unknown), true) => field(unknown, column),
+                _ => 0.0,
+            }
+        })
+    }
+
+    /// `v[m] = meas[m] . U(stim of m)`.
+    fn channels(&self, impedance: &Mat<f64>) -> Vec<f64> {
+        let potentials: Vec<Vec<f64>> = self
+            .protocol
+            .stimulations()
+            .iter()
+            .map(|stimulation| electrode_potentials(impedance, stimulation))
+            .collect();
+        let read = |channel: &Measurement| {
+            let potential = &potentials[channel.stimulation as usize];
+            let pattern = &self.protocol.patterns()[channel.pattern as usize];
+            pattern.entries().iter().map(|&(electrode, weight)| weight * potential[electrode as usize]).sum()
+        };
+        self.protocol.measurements().iter().map(read).collect()
     }
 
     fn check_conductivity(&self, conductivity: &[f64]) -> Result<(), EitError> {
@@ -152,32 +207,12 @@ impl Solution<'_> {
 
     /// One voltage a channel, volts: `v[m] = meas[m] . U(stim of m)`.
     pub fn voltages(&self) -> Vec<f64> {
-        let protocol = &self.model.protocol;
-        let potentials: Vec<Vec<f64>> =
-            (0..protocol.stimulations().len()).map(|stimulation| self.electrode_potentials(stimulation)).collect();
-        protocol
-            .measurements()
-            .iter()
-            .map(|channel| {
-                let potential = &potentials[channel.stimulation as usize];
-                let pattern = &protocol.patterns()[channel.pattern as usize];
-                pattern.entries().iter().map(|&(electrode, weight)| weight * potential[electrode as usize]).sum()
-            })
-            .collect()
+        self.model.channels(&self.impedance)
     }
 
     /// Electrode potentials in volts during one stimulation, shifted so that they add to zero.
     pub fn electrode_potentials(&self, stimulation: usize) -> Vec<f64> {
-        let count = self.impedance.nrows();
-        let mut potential = vec![0.0; count];
-        for &(electrode, current) in self.model.protocol.stimulations()[stimulation].entries() {
-            for (row, value) in potential.iter_mut().enumerate() {
-                *value += current * self.impedance[(row, electrode as usize)];
-            }
-        }
-        let mean = potential.iter().sum::<f64>() / count as f64;
-        potential.iter_mut().for_each(|value| *value -= mean);
-        potential
+        electrode_potentials(&self.impedance, &self.model.protocol.stimulations()[stimulation])
     }
 
     /// Node potentials in volts during one stimulation, against the last electrode.
@@ -209,6 +244,20 @@ impl Solution<'_> {
         }
         self.model.system.node_unknowns.iter().map(|unknown| unknown.map_or(0.0, |u| unknowns[u])).collect()
     }
+}
+
+/// Potentials of the electrodes for a stimulation, shifted so that they add to zero.
+fn electrode_potentials(impedance: &Mat<f64>, stimulation: &Pattern) -> Vec<f64> {
+    let count = impedance.nrows();
+    let mut potential = vec![0.0; count];
+    for &(electrode, current) in stimulation.entries() {
+        for (row, value) in potential.iter_mut().enumerate() {
+            *value += current * impedance[(row, electrode as usize)];
+        }
+    }
+    let mean = potential.iter().sum::<f64>() / count as f64;
+    potential.iter_mut().for_each(|value| *value -= mean);
+    potential
 }
 
 /// The pattern with its mean over all electrodes removed, where it does not add to zero.

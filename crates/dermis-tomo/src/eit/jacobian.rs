@@ -2,12 +2,19 @@
 //! `J[m,k] = dv[m]/dsigma[k] = - int_k grad u_stim . grad u_meas`, with `u_meas` the field of the measuring pattern
 //! driven as unit current (Geselowitz, IEEE Trans. Biomed. Eng. 18, 1971; sign as EIDORS).
 
-use super::forward::Solution;
-use super::protocol::Pattern;
-use crate::mesh::PixelMap;
+use std::collections::HashMap;
 
-/// Elements handled together: long enough for vector instructions, short enough for the caches.
+use pulp::{Arch, NullaryFnOnce};
+
+use super::forward::Solution;
+use super::protocol::{Pattern, Protocol};
+use super::system::ElementGeometry;
+use crate::mesh::{Mesh, PixelMap};
+
+/// Elements handled together: long enough for vector instructions, short enough for the first-level cache.
 const BLOCK: usize = 128;
+/// Distance between the rows of a block: not a power of two, so that rows do not compete for the same cache lines.
+const STRIDE: usize = BLOCK + 8;
 
 /// A dense matrix of sensitivities, row-major: `rows` channels x `columns` elements or pixels.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,119 +42,226 @@ impl Jacobian {
 impl Solution<'_> {
     /// Sensitivity of every channel to the conductivity of every element.
     pub fn jacobian(&self) -> Jacobian {
+        let fields = Fields::new(self);
         let (rows, columns) = (self.model.protocol.channel_count(), self.model.body.mesh.element_count());
         let mut values = vec![0.0; rows * columns];
-        self.for_each_block(|first, block| {
-            for channel in 0..rows {
-                let target = &mut values[channel * columns + first..][..block.len];
-                block.sensitivity(channel, target);
-            }
-        });
+        Arch::new().dispatch(ToElements { fields: &fields, columns, values: &mut values });
         Jacobian { rows, columns, values }
     }
 
     /// Sensitivity of every channel to the conductivity of every inside pixel of a grid: the element sensitivities
     /// shared out by area of overlap, without forming them all.
     pub fn jacobian_to_pixels(&self, map: &PixelMap) -> Jacobian {
-        let (rows, columns) = (self.model.protocol.channel_count(), map.inside_count());
-        // Transposed while summing, so that the scatter of one element writes contiguous runs of channels.
-        let mut by_pixel = vec![0.0; rows * columns];
-        let mut sensitivities = vec![0.0; BLOCK * rows];
-        let mut line = vec![0.0; BLOCK];
-        self.for_each_block(|first, block| {
-            for channel in 0..rows {
-                block.sensitivity(channel, &mut line[..block.len]);
-                for (k, value) in line[..block.len].iter().enumerate() {
-                    sensitivities[k * rows + channel] = *value;
-                }
+        let fields = Fields::new(self);
+        let mut by_pixel = vec![0.0; fields.pairs.len() * map.inside_count()];
+        Arch::new().dispatch(ToPixels { fields: &fields, map, by_pixel: &mut by_pixel });
+        fields.channels_of_pairs(&by_pixel, map.inside_count())
+    }
+}
+
+/// Loop over blocks of elements, compiled for the vector instructions of the machine.
+struct ToElements<'a> {
+    fields: &'a Fields<'a>,
+    columns: usize,
+    /// Channels x elements.
+    values: &'a mut [f64],
+}
+
+impl NullaryFnOnce for ToElements<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let mut gradients = self.fields.block();
+        for first in (0..self.columns).step_by(BLOCK) {
+            let len = BLOCK.min(self.columns - first);
+            self.fields.gradients(first, len, &mut gradients);
+            for (channel, &(pair, factor)) in self.fields.channels.iter().enumerate() {
+                let target = &mut self.values[channel * self.columns + first..][..len];
+                self.fields.sensitivity(pair, factor, &gradients, target);
             }
-            for k in 0..block.len {
-                let source = &sensitivities[k * rows..(k + 1) * rows];
-                for (pixel, weight) in map.overlaps_of_element(first + k) {
-                    let target = &mut by_pixel[pixel * rows..(pixel + 1) * rows];
+        }
+    }
+}
+
+/// The same into pixels. Pairs of fields, not channels: reciprocal channels share one. Pixel by pixel, so that what an
+/// element adds goes to contiguous runs.
+struct ToPixels<'a> {
+    fields: &'a Fields<'a>,
+    map: &'a PixelMap,
+    /// Pixels x pairs.
+    by_pixel: &'a mut [f64],
+}
+
+impl NullaryFnOnce for ToPixels<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let (elements, pairs) = (self.fields.mesh.element_count(), self.fields.pairs.len());
+        let mut gradients = self.fields.block();
+        let mut lines = vec![0.0; pairs * BLOCK];
+        let mut by_element = vec![0.0; pairs * BLOCK];
+        for first in (0..elements).step_by(BLOCK) {
+            let len = BLOCK.min(elements - first);
+            self.fields.gradients(first, len, &mut gradients);
+            for (pair, line) in lines.chunks_exact_mut(BLOCK).enumerate() {
+                self.fields.sensitivity(pair as u32, 1.0, &gradients, &mut line[..len]);
+            }
+            transpose(&lines, pairs, BLOCK, &mut by_element);
+            for (k, source) in by_element.chunks_exact(pairs).take(len).enumerate() {
+                for (pixel, weight) in self.map.overlaps_of_element(first + k) {
+                    let target = &mut self.by_pixel[pixel * pairs..(pixel + 1) * pairs];
                     target.iter_mut().zip(source).for_each(|(sum, value)| *sum += weight * value);
                 }
             }
-        });
-        let mut values = vec![0.0; rows * columns];
-        transpose(&by_pixel, columns, rows, &mut values);
-        Jacobian { rows, columns, values }
+        }
+    }
+}
+
+/// Two fields whose gradients are multiplied, the smaller index first.
+type Pair = (u32, u32);
+
+/// The distinct fields behind a protocol, and how its channels are made of them.
+struct Fields<'a> {
+    mesh: &'a Mesh,
+    geometry: &'a ElementGeometry,
+    /// Potentials, node after node; `count` fields each.
+    potentials: Vec<f64>,
+    count: usize,
+    /// The distinct pairs of fields that channels multiply.
+    pairs: Vec<Pair>,
+    /// For each channel its pair and what their product is multiplied with.
+    channels: Vec<(u32, f64)>,
+}
+
+impl<'a> Fields<'a> {
+    fn new(solution: &'a Solution<'_>) -> Self {
+        let mut patterns = Distinct::default();
+        let (pairs, channels) = patterns.pairs_of(&solution.model.protocol);
+        let (mesh, count) = (&solution.model.body.mesh, patterns.list.len());
+        let mut potentials = vec![0.0; mesh.nodes().len() * count];
+        for (field, pattern) in patterns.list.iter().enumerate() {
+            let of_nodes = solution.pattern_potentials(pattern);
+            potentials.iter_mut().skip(field).step_by(count).zip(of_nodes).for_each(|(to, from)| *to = from);
+        }
+        Self { mesh, geometry: &solution.model.geometry, potentials, count, pairs, channels }
     }
 
-    fn for_each_block(&self, mut visit: impl FnMut(usize, &Block<'_>)) {
-        let protocol = &self.model.protocol;
-        let patterns: Vec<&Pattern> = protocol.stimulations().iter().chain(protocol.patterns()).collect();
-        let potentials: Vec<Vec<f64>> = patterns.iter().map(|pattern| self.pattern_potentials(pattern)).collect();
-        let mesh = &self.model.body.mesh;
-        let dimension = mesh.dimension();
-        let mut gradients = vec![0.0; patterns.len() * dimension * BLOCK];
-        for first in (0..mesh.element_count()).step_by(BLOCK) {
-            let len = BLOCK.min(mesh.element_count() - first);
-            for (pattern, potential) in potentials.iter().enumerate() {
-                let target = &mut gradients[pattern * dimension * BLOCK..(pattern + 1) * dimension * BLOCK];
-                for k in 0..len {
-                    scaled_gradient(mesh.element(first + k), self.model.geometry.root(first + k), potential, target, k);
+    /// Memory for the gradients of one block: fields x dimension x [`STRIDE`].
+    fn block(&self) -> Vec<f64> {
+        vec![0.0; self.count * self.mesh.dimension() * STRIDE]
+    }
+
+    /// `C' du` of every field in elements `first..first + len`: its dot products are `measure * grad . grad`.
+    #[inline(always)]
+    fn gradients(&self, first: usize, len: usize, target: &mut [f64]) {
+        for k in 0..len {
+            let (cell, root) = (self.mesh.element(first + k), self.geometry.root(first + k));
+            let at = |corner: usize| &self.potentials[cell[corner] as usize * self.count..][..self.count];
+            let (base, a, b) = (at(0), at(1), at(2));
+            if cell.len() == 3 {
+                for (field, rows) in target.chunks_exact_mut(2 * STRIDE).enumerate() {
+                    let (d0, d1) = (a[field] - base[field], b[field] - base[field]);
+                    rows[k] = root[0] * d0 + root[1] * d1;
+                    rows[STRIDE + k] = root[2] * d1;
+                }
+            } else {
+                let c = at(3);
+                for (field, rows) in target.chunks_exact_mut(3 * STRIDE).enumerate() {
+                    let (d0, d1, d2) = (a[field] - base[field], b[field] - base[field], c[field] - base[field]);
+                    rows[k] = root[0] * d0 + root[1] * d1 + root[3] * d2;
+                    rows[STRIDE + k] = root[2] * d1 + root[4] * d2;
+                    rows[2 * STRIDE + k] = root[5] * d2;
                 }
             }
-            let stimulations = protocol.stimulations().len();
-            visit(first, &Block { protocol, gradients: &gradients, dimension, stimulations, len });
         }
     }
-}
 
-struct Block<'a> {
-    protocol: &'a super::protocol::Protocol,
-    /// patterns x dimension x BLOCK
-    gradients: &'a [f64],
-    dimension: usize,
-    stimulations: usize,
-    len: usize,
-}
-
-impl Block<'_> {
-    fn sensitivity(&self, channel: usize, target: &mut [f64]) {
-        let measurement = self.protocol.measurements()[channel];
-        let component =
-            |pattern: usize, axis: usize| &self.gradients[(pattern * self.dimension + axis) * BLOCK..][..self.len];
-        let (drive, read) = (measurement.stimulation as usize, self.stimulations + measurement.pattern as usize);
-        let (dx, rx, dy, ry) = (component(drive, 0), component(read, 0), component(drive, 1), component(read, 1));
-        if self.dimension == 2 {
-            for k in 0..self.len {
-                target[k] = -(dx[k] * rx[k] + dy[k] * ry[k]);
+    /// `-factor * measure * grad . grad` of one pair over a block.
+    #[inline(always)]
+    fn sensitivity(&self, pair: u32, factor: f64, gradients: &[f64], target: &mut [f64]) {
+        let (drive, read) = self.pairs[pair as usize];
+        let dimension = self.mesh.dimension();
+        let len = target.len();
+        let row = |field: u32, axis: usize| &gradients[(field as usize * dimension + axis) * STRIDE..][..len];
+        let (dx, rx, dy, ry) = (row(drive, 0), row(read, 0), row(drive, 1), row(read, 1));
+        if dimension == 2 {
+            for k in 0..len {
+                target[k] = -factor * (dx[k] * rx[k] + dy[k] * ry[k]);
             }
         } else {
-            let (dz, rz) = (component(drive, 2), component(read, 2));
-            for k in 0..self.len {
-                target[k] = -(dx[k] * rx[k] + dy[k] * ry[k] + dz[k] * rz[k]);
+            let (dz, rz) = (row(drive, 2), row(read, 2));
+            for k in 0..len {
+                target[k] = -factor * (dx[k] * rx[k] + dy[k] * ry[k] + dz[k] * rz[k]);
             }
         }
     }
+
+    /// From pixels x pairs to channels x pixels.
+    fn channels_of_pairs(&self, by_pixel: &[f64], pixels: usize) -> Jacobian {
+        let (rows, pairs) = (self.channels.len(), self.pairs.len());
+        let mut values = vec![0.0; rows * pixels];
+        for first in (0..pixels).step_by(BLOCK) {
+            let block = &by_pixel[first * pairs..pairs * pixels.min(first + BLOCK)];
+            for (channel, &(pair, factor)) in self.channels.iter().enumerate() {
+                let source = block.iter().skip(pair as usize).step_by(pairs);
+                let target = &mut values[channel * pixels + first..(channel + 1) * pixels];
+                target.iter_mut().zip(source).for_each(|(to, from)| *to = factor * from);
+            }
+        }
+        Jacobian { rows, columns: pixels, values }
+    }
 }
 
-/// `C' du`: its dot products are `measure * grad . grad`.
-#[inline]
-fn scaled_gradient(cell: &[u32], root: &[f64], potential: &[f64], target: &mut [f64], k: usize) {
-    let base = potential[cell[0] as usize];
-    let d0 = potential[cell[1] as usize] - base;
-    let d1 = potential[cell[2] as usize] - base;
-    if cell.len() == 3 {
-        target[k] = root[0] * d0 + root[1] * d1;
-        target[BLOCK + k] = root[2] * d1;
-    } else {
-        let d2 = potential[cell[3] as usize] - base;
-        target[k] = root[0] * d0 + root[1] * d1 + root[3] * d2;
-        target[BLOCK + k] = root[2] * d1 + root[4] * d2;
-        target[2 * BLOCK + k] = root[5] * d2;
+/// Patterns that are not multiples of each other, each with the weight 1 on its first electrode.
+#[derive(Default)]
+struct Distinct {
+    list: Vec<Pattern>,
+    known: HashMap<Vec<(u32, u64)>, u32>,
+}
+
+impl Distinct {
+    /// Index of a pattern's direction, and the factor between the two.
+    fn add(&mut self, pattern: &Pattern) -> (u32, f64) {
+        let scale = pattern.entries().first().map_or(1.0, |entry| entry.1);
+        let unit: Vec<(u32, f64)> = pattern.entries().iter().map(|&(e, weight)| (e, weight / scale)).collect();
+        let key = unit.iter().map(|&(electrode, weight)| (electrode, weight.to_bits())).collect();
+        let index = *self.known.entry(key).or_insert_with(|| {
+            self.list.push(Pattern::new(unit));
+            self.list.len() as u32 - 1
+        });
+        (index, scale)
+    }
+
+    /// The distinct pairs of a protocol, and for each channel its pair and factor.
+    fn pairs_of(&mut self, protocol: &Protocol) -> (Vec<Pair>, Vec<(u32, f64)>) {
+        let drives: Vec<(u32, f64)> = protocol.stimulations().iter().map(|pattern| self.add(pattern)).collect();
+        let reads: Vec<(u32, f64)> = protocol.patterns().iter().map(|pattern| self.add(pattern)).collect();
+        let mut pairs = Vec::new();
+        let mut known: HashMap<Pair, u32> = HashMap::new();
+        let mut channel = |drive: (u32, f64), read: (u32, f64)| {
+            let pair = (drive.0.min(read.0), drive.0.max(read.0));
+            let index = *known.entry(pair).or_insert_with(|| {
+                pairs.push(pair);
+                pairs.len() as u32 - 1
+            });
+            (index, drive.1 * read.1)
+        };
+        let channels = protocol.measurements().iter();
+        let channels = channels.map(|m| channel(drives[m.stimulation as usize], reads[m.pattern as usize])).collect();
+        (pairs, channels)
     }
 }
 
 /// `rows x columns` to `columns x rows`, in tiles.
+#[inline(always)]
 fn transpose(from: &[f64], rows: usize, columns: usize, to: &mut [f64]) {
     const TILE: usize = 16;
     for row0 in (0..rows).step_by(TILE) {
         for column0 in (0..columns).step_by(TILE) {
-            for row in row0..(row0 + TILE).min(rows) {
-                for column in column0..(column0 + TILE).min(columns) {
+            for column in column0..(column0 + TILE).min(columns) {
+                for row in row0..(row0 + TILE).min(rows) {
                     to[column * rows + row] = from[row * columns + column];
                 }
             }

@@ -88,11 +88,14 @@ pub(crate) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
 }
 
+/// What the channels of a drive are sorted by.
+type SortKey = fn(&Protocol, u32) -> i64;
+
 /// From simple to involved, so that of equally good ones the simplest wins. The first is the stated order itself.
 fn hypotheses(protocol: &Protocol) -> Vec<(String, Vec<u32>)> {
     let groups = channels_by_stimulation(protocol);
     let mut list = Vec::new();
-    let orders: [(&str, fn(&Protocol, u32) -> i64); 4] = [
+    let orders: [(&str, SortKey); 4] = [
         ("", |_, channel| channel as i64),
         ("measurements sorted by absolute electrode number", |p, c| first_electrode(p, c)),
         ("measurements rotating from the drive pair", |p, c| {
@@ -171,8 +174,7 @@ impl Protocol {
             .map(|channel| {
                 let (drive, read) = (self.stimulation_of(channel), self.pattern_of(channel));
                 let &other = known.get(&(unsigned(read).0, unsigned(drive).0))?;
-                let (other_drive, other_read) =
-                    (self.stimulation_of(other as usize), self.pattern_of(other as usize));
+                let (other_drive, other_read) = (self.stimulation_of(other as usize), self.pattern_of(other as usize));
                 let ratio = first(drive) * first(read) / (first(other_drive) * first(other_read));
                 (other as usize != channel).then_some((other, ratio))
             })

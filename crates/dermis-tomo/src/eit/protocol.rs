@@ -403,7 +403,7 @@ fn ring_pairs(name: &'static str, count: usize, offset: usize) -> Result<Vec<(u3
 }
 
 fn half(name: &'static str, count: usize) -> Result<usize, ProtocolError> {
-    if count < 4 || count % 2 != 0 {
+    if count < 4 || !count.is_multiple_of(2) {
         return Err(ProtocolError::TooFewElectrodes { pattern: name, needed: 4, even: true, got: count });
     }
     Ok(count / 2)

@@ -59,7 +59,10 @@ impl System {
         let positions: Vec<(u32, u32)> =
             entries.positions.iter().copied().filter(|p| p.0 != DROPPED && p.1 != DROPPED).collect();
         let coordinates = unknown_coordinates(body, &node_unknowns, &electrode_unknowns, size);
-        let (structure, kept_slots) = SpdStructure::new(size, &positions, Ordering::Dissection(&coordinates))?;
+        // Sources and readings are at the electrodes: eliminated last, they need only a short substitution.
+        let last: Vec<u32> = electrode_unknowns.iter().flatten().map(|&unknown| unknown as u32).collect();
+        let ordering = Ordering::DissectionWithLast(&coordinates, &last);
+        let (structure, kept_slots) = SpdStructure::new(size, &positions, ordering)?;
         let mut kept = kept_slots.into_iter();
         let slots: Vec<u32> = entries
             .positions

@@ -56,12 +56,12 @@ impl GreitSpec {
             let edge = 0.25 * self.desired_radius_m;
             1.0 / (1.0 + ((distance - self.desired_radius_m) / edge).min(50.0).exp())
         });
-        let data = &problem.whitened * &targets;
+        let data = problem.whitened() * &targets;
         let covariance = &data * data.transpose();
         let cross = &desired * data.transpose();
         let centre = self.central_target(basis);
         let signal: Vec<f64> = (0..data.nrows())
-            .map(|row| (0..basis.len()).map(|p| problem.whitened[(row, p)] * centre[p]).sum())
+            .map(|row| (0..basis.len()).map(|p| problem.whitened()[(row, p)] * centre[p]).sum())
             .collect();
         let trace: f64 = (0..covariance.nrows()).map(|k| covariance[(k, k)]).sum::<f64>();
         let scale = trace / covariance.nrows() as f64;
@@ -123,7 +123,12 @@ fn figure(covariance: &Mat<f64>, cross: &Mat<f64>, signal: &[f64], mu: f64) -> R
     Ok(signal_mean / (image_mean / noise))
 }
 
-fn assemble(problem: &LinearProblem, covariance: &Mat<f64>, cross: &Mat<f64>, mu: f64) -> Result<Operator, InverseError> {
+fn assemble(
+    problem: &LinearProblem,
+    covariance: &Mat<f64>,
+    cross: &Mat<f64>,
+    mu: f64,
+) -> Result<Operator, InverseError> {
     let (white, mut precision) = white_matrix(covariance, cross, mu)?;
     let noise_deviation = (0..white.nrows()).map(|row| white.row(row).squared_norm_l2().sqrt()).collect();
     let mut transposed = white.transpose().to_owned();

@@ -138,8 +138,7 @@ impl Hyperparameter {
                 let spectrum = problem.spectrum()?;
                 let components: Vec<_> = problem.whiten_all(data)?.iter().map(|d| spectrum.components(d)).collect();
                 let count = (components.len() * problem.channels()) as f64;
-                let residual =
-                    |l: f64| components.iter().map(|c| spectrum.residual_squared(c, l)).sum::<f64>() / count;
+                let residual = |l: f64| components.iter().map(|c| spectrum.residual_squared(c, l)).sum::<f64>() / count;
                 // From the smoothest on, the first that explains the data; the sharpest if none does.
                 let candidates = spectrum.candidates();
                 let found = candidates.iter().find(|&&lambda| residual(lambda) <= factor);
@@ -163,7 +162,8 @@ fn l_curve_corner(spectrum: &Spectrum, data: &[Vec<f64>]) -> Result<f64, Inverse
     // Curvature by central differences over the (even) steps of log lambda.
     let curvature = |k: usize| {
         let (a, b, c) = (points[k - 2], points[k], points[k + 2]);
-        let (d1, d2) = (((c.0 - a.0) / 4.0, (c.1 - a.1) / 4.0), ((a.0 - 2.0 * b.0 + c.0) / 4.0, (a.1 - 2.0 * b.1 + c.1) / 4.0));
+        let (d1, d2) =
+            (((c.0 - a.0) / 4.0, (c.1 - a.1) / 4.0), ((a.0 - 2.0 * b.0 + c.0) / 4.0, (a.1 - 2.0 * b.1 + c.1) / 4.0));
         (d1.0 * d2.1 - d1.1 * d2.0) / (d1.0 * d1.0 + d1.1 * d1.1).powf(1.5).max(1e-12)
     };
     let corner = (2..points.len() - 2).max_by(|&a, &b| curvature(a).abs().total_cmp(&curvature(b).abs()));
@@ -196,7 +196,11 @@ impl LinearProblem {
     /// `W^1/2 dv`, checked.
     pub(super) fn whiten_frame(&self, frame: &[f64]) -> Result<Vec<f64>, InverseError> {
         if frame.len() != self.channels() {
-            return Err(InverseError::Size { what: "channels of the frame", expected: self.channels(), got: frame.len() });
+            return Err(InverseError::Size {
+                what: "channels of the frame",
+                expected: self.channels(),
+                got: frame.len(),
+            });
         }
         super::check_finite("channel", frame)?;
         let mut column = Mat::from_fn(frame.len(), 1, |row, _| frame[row]);
@@ -206,7 +210,11 @@ impl LinearProblem {
 
     fn whiten_all(&self, data: &[Vec<f64>]) -> Result<Vec<Vec<f64>>, InverseError> {
         if data.is_empty() {
-            return Err(InverseError::Size { what: "frames for the choice of the hyperparameter", expected: 1, got: 0 });
+            return Err(InverseError::Size {
+                what: "frames for the choice of the hyperparameter",
+                expected: 1,
+                got: 0,
+            });
         }
         data.iter().map(|frame| self.whiten_frame(frame)).collect()
     }
@@ -215,9 +223,9 @@ impl LinearProblem {
         match &self.gram {
             Some(gram) => Ok((0..gram.nrows()).map(|k| gram[(k, k)]).sum()),
             None => {
-                let spread = self.prior.solve(self.whitened.transpose())?;
+                let spread = self.prior.solve(self.whitened().transpose())?;
                 Ok((0..self.channels())
-                    .map(|k| (0..self.unknowns()).map(|p| self.whitened[(k, p)] * spread[(p, k)]).sum::<f64>())
+                    .map(|k| (0..self.unknowns()).map(|p| self.whitened()[(k, p)] * spread[(p, k)]).sum::<f64>())
                     .sum())
             }
         }

@@ -2,7 +2,9 @@
 //! `P J'(J P J' + lambda^2 W^-1)^-1` with `P = R^-1`: the same operator, the second cheaper where channels are fewer
 //! than unknowns.
 
-use faer::{Mat, MatRef, Scale, Side, linalg::solvers::Solve};
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::linalg::solvers::Solve;
+use faer::{Accum, Mat, MatRef, Par, Scale, Side};
 
 use super::{Hyperparameter, InverseError, PriorMatrix, Spectrum, Weighting, check_finite};
 
@@ -12,12 +14,10 @@ const MODEL_SPACE_LIMIT: usize = 1500;
 /// Jacobian, weights and prior, before a hyperparameter is chosen.
 #[derive(Debug)]
 pub struct LinearProblem {
-    /// Channels x unknowns.
-    pub(super) jacobian: Mat<f64>,
     pub(super) weighting: Weighting,
     pub(super) prior: PriorMatrix,
-    /// `W^1/2 J`.
-    pub(super) whitened: Mat<f64>,
+    /// `(W^1/2 J)'`, unknowns x channels: what one channel sees lies together, as in [`crate::eit::Jacobian`].
+    sensitivities: Mat<f64>,
     /// `P (W^1/2 J)'`, unknowns x channels; `None` where the model form is used.
     pub(super) spread: Option<Mat<f64>>,
     /// `W^1/2 J P J' W^1/2'`, channels x channels, with `spread`.
@@ -44,33 +44,44 @@ impl LinearProblem {
     /// Sizes that disagree, values that are not finite, negative weights, or a prior that cannot be inverted.
     pub fn new(jacobian: MatRef<'_, f64>, weighting: Weighting, prior: PriorMatrix) -> Result<Self, InverseError> {
         if prior.size() != jacobian.ncols() {
-            return Err(InverseError::Size { what: "size of the prior", expected: jacobian.ncols(), got: prior.size() });
+            return Err(InverseError::Size {
+                what: "size of the prior",
+                expected: jacobian.ncols(),
+                got: prior.size(),
+            });
         }
         weighting.check(jacobian.nrows())?;
-        for column in 0..jacobian.ncols() {
-            let values: Vec<f64> = jacobian.col(column).iter().copied().collect();
-            check_finite("Jacobian", &values)?;
+        for (channel, row) in jacobian.row_iter().enumerate() {
+            if let Some(value) = row.iter().find(|value| !value.is_finite()) {
+                let (what, index) = ("Jacobian", Some(channel));
+                return Err(InverseError::Value { what, index, value: *value, expected: "finite" });
+            }
         }
-        let mut whitened = jacobian.to_owned();
-        weighting.whiten(whitened.as_mut());
+        let mut sensitivities = jacobian.transpose().to_owned();
+        weighting.whiten(sensitivities.transpose_mut());
         let model_space = prior.is_singular() && jacobian.ncols() <= MODEL_SPACE_LIMIT;
         let (mut spread, mut gram) = (None, None);
         if !model_space {
-            let p = prior.solve(whitened.transpose())?;
-            gram = Some(symmetric_product(&whitened, &p));
+            let p = prior.solve(sensitivities.as_ref())?;
+            gram = Some(symmetric_product(sensitivities.transpose(), p.as_ref()));
             spread = Some(p);
         }
-        Ok(Self { jacobian: jacobian.to_owned(), weighting, prior, whitened, spread, gram })
+        Ok(Self { weighting, prior, sensitivities, spread, gram })
     }
 
     /// Number of channels.
     pub fn channels(&self) -> usize {
-        self.jacobian.nrows()
+        self.sensitivities.ncols()
     }
 
     /// Number of unknowns.
     pub fn unknowns(&self) -> usize {
-        self.jacobian.ncols()
+        self.sensitivities.nrows()
+    }
+
+    /// `W^1/2 J`, channels x unknowns.
+    pub(super) fn whitened(&self) -> MatRef<'_, f64> {
+        self.sensitivities.transpose()
     }
 
     /// Chooses the hyperparameter by the rule given; `data` (difference data of example frames) is needed by the rules
@@ -90,8 +101,8 @@ impl LinearProblem {
         match &self.gram {
             Some(gram) => Spectrum::new(gram.as_ref()),
             None => {
-                let spread = self.prior.solve(self.whitened.transpose())?;
-                Spectrum::new(symmetric_product(&self.whitened, &spread).as_ref())
+                let spread = self.prior.solve(self.sensitivities.as_ref())?;
+                Spectrum::new(symmetric_product(self.whitened(), spread.as_ref()).as_ref())
             }
         }
     }
@@ -120,52 +131,39 @@ impl LinearProblem {
         for k in 0..system.nrows() {
             system[(k, k)] += lambda * lambda;
         }
-        let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
-            what: "the data-space system",
-            hint: "raise the hyperparameter",
-        })?;
+        let factor = system
+            .llt(Side::Lower)
+            .map_err(|_| InverseError::Singular { what: "the data-space system", hint: "raise the hyperparameter" })?;
         let mut precision = factor.solve(Mat::<f64>::identity(system.nrows(), system.nrows()));
         // Operator in whitened data, then W^1/2 from the right: (W^1/2' X')'.
-        let white = spread * &precision;
-        let noise_deviation = row_norms(white.as_ref());
-        let mut transposed = white.transpose().to_owned();
-        self.weighting.whiten_adjoint(transposed.as_mut());
+        let mut matrix = spread * &precision;
+        let noise_deviation = row_norms(matrix.as_ref());
+        self.weighting.whiten_adjoint(matrix.transpose_mut());
         self.weighting.whiten_adjoint(precision.as_mut());
         let mut other_side = precision.transpose().to_owned();
         self.weighting.whiten_adjoint(other_side.as_mut());
-        Ok(Operator {
-            matrix: transposed.transpose().to_owned(),
-            data_precision: other_side,
-            hyperparameter: lambda,
-            noise_deviation,
-        })
+        Ok(Operator { matrix, data_precision: other_side, hyperparameter: lambda, noise_deviation })
     }
 
     fn model_space(&self, lambda: f64) -> Result<Operator, InverseError> {
-        let mut system = self.whitened.transpose() * &self.whitened;
+        let mut system = &self.sensitivities * self.whitened();
         system += Scale(lambda * lambda) * self.prior.dense()?;
         let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
             what: "the model-space system",
             hint: "raise the hyperparameter or add some identity to the prior",
         })?;
-        let white = factor.solve(self.whitened.transpose());
-        let noise_deviation = row_norms(white.as_ref());
+        let mut matrix = factor.solve(&self.sensitivities);
+        let noise_deviation = row_norms(matrix.as_ref());
         // (JPJ' + l^2)^-1 = (1 - J Op) / l^2 in whitened data (Woodbury), which holds for singular R as well.
-        let mut precision = Scale(-1.0 / (lambda * lambda)) * (&self.whitened * &white);
+        let mut precision = Scale(-1.0 / (lambda * lambda)) * (self.whitened() * &matrix);
         for k in 0..precision.nrows() {
             precision[(k, k)] += 1.0 / (lambda * lambda);
         }
-        let mut transposed = white.transpose().to_owned();
-        self.weighting.whiten_adjoint(transposed.as_mut());
+        self.weighting.whiten_adjoint(matrix.transpose_mut());
         self.weighting.whiten_adjoint(precision.as_mut());
         let mut other_side = precision.transpose().to_owned();
         self.weighting.whiten_adjoint(other_side.as_mut());
-        Ok(Operator {
-            matrix: transposed.transpose().to_owned(),
-            data_precision: other_side,
-            hyperparameter: lambda,
-            noise_deviation,
-        })
+        Ok(Operator { matrix, data_precision: other_side, hyperparameter: lambda, noise_deviation })
     }
 
     /// Posterior standard deviation of every unknown: square roots of the diagonal of `(J'WJ + lambda^2 R)^-1`, the
@@ -192,12 +190,11 @@ impl LinearProblem {
             };
             return Ok((0..self.unknowns()).map(|k| variance(k).sqrt() / hyperparameter).collect());
         }
-        let mut system = self.whitened.transpose() * &self.whitened;
+        let mut system = &self.sensitivities * self.whitened();
         system += Scale(hyperparameter * hyperparameter) * self.prior.dense()?;
-        let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
-            what: "the model-space system",
-            hint: "raise the hyperparameter",
-        })?;
+        let factor = system
+            .llt(Side::Lower)
+            .map_err(|_| InverseError::Singular { what: "the model-space system", hint: "raise the hyperparameter" })?;
         let covariance = factor.solve(Mat::<f64>::identity(self.unknowns(), self.unknowns()));
         Ok((0..self.unknowns()).map(|k| covariance[(k, k)].max(0.0).sqrt()).collect())
     }
@@ -235,14 +232,23 @@ impl Operator {
     }
 }
 
-/// `A B` for a product known to be symmetric; made exactly so.
-fn symmetric_product(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
-    let mut product = a * b;
+/// `A B` for a product known to be symmetric: only one triangle is computed.
+fn symmetric_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
+    let mut product = Mat::zeros(a.nrows(), b.ncols());
+    triangular::matmul(
+        product.as_mut(),
+        BlockStructure::TriangularLower,
+        Accum::Replace,
+        a,
+        BlockStructure::Rectangular,
+        b,
+        BlockStructure::Rectangular,
+        1.0,
+        Par::Seq,
+    );
     for column in 0..product.ncols() {
         for row in 0..column {
-            let mean = 0.5 * (product[(row, column)] + product[(column, row)]);
-            product[(row, column)] = mean;
-            product[(column, row)] = mean;
+            product[(row, column)] = product[(column, row)];
         }
     }
     product

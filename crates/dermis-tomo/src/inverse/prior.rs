@@ -123,18 +123,19 @@ fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseEr
     if !(0.0..=2.0).contains(&exponent) {
         return Err(InverseError::Value { what: "NOSER exponent", index: None, value: exponent, expected: "0 to 2" });
     }
-    let diagonal: Vec<f64> = (0..jacobian.ncols()).map(|k| jacobian.col(k).squared_norm_l2().powf(exponent)).collect();
+    let mut diagonal = vec![0.0; jacobian.ncols()];
+    for row in jacobian.row_iter() {
+        diagonal.iter_mut().zip(row.iter()).for_each(|(sum, value)| *sum += value * value);
+    }
+    diagonal.iter_mut().for_each(|value| *value = value.powf(exponent));
     let largest = diagonal.iter().copied().fold(0.0, f64::max);
     // An unknown that no channel sees would have no prior at all; hold it as firmly as the least visible others.
     Ok(diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect())
 }
 
 fn laplace(basis: &ImageBasis) -> PriorMatrix {
-    let entries = basis
-        .neighbours
-        .iter()
-        .flat_map(|&[a, b]| [(a, a, 2.0), (b, b, 2.0), (a.max(b), a.min(b), -2.0)])
-        .collect();
+    let entries =
+        basis.neighbours.iter().flat_map(|&[a, b]| [(a, a, 2.0), (b, b, 2.0), (a.max(b), a.min(b), -2.0)]).collect();
     PriorMatrix::Sparse { size: basis.len(), entries, positions: basis.positions.clone() }
 }
 
@@ -260,7 +261,9 @@ impl PriorMatrix {
     /// A covariance that cannot be inverted.
     pub fn dense(&self) -> Result<Mat<f64>, InverseError> {
         Ok(match self {
-            PriorMatrix::Diagonal(values) => Mat::from_fn(values.len(), values.len(), |r, c| if r == c { values[r] } else { 0.0 }),
+            PriorMatrix::Diagonal(values) => {
+                Mat::from_fn(values.len(), values.len(), |r, c| if r == c { values[r] } else { 0.0 })
+            }
             PriorMatrix::Sparse { size, entries, .. } => {
                 let mut matrix = Mat::zeros(*size, *size);
                 for &(row, column, value) in entries {
@@ -291,9 +294,16 @@ impl PriorMatrix {
     /// # Errors
     /// R not positive definite.
     pub fn solve(&self, b: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
-        let singular = |_| InverseError::Singular { what: "the prior", hint: "add some identity or NOSER to the mixture" };
+        let singular =
+            |_| InverseError::Singular { what: "the prior", hint: "add some identity or NOSER to the mixture" };
         Ok(match self {
-            PriorMatrix::Diagonal(values) => Mat::from_fn(b.nrows(), b.ncols(), |row, column| b[(row, column)] / values[row]),
+            PriorMatrix::Diagonal(values) => {
+                let mut x = b.to_owned();
+                for column in x.col_iter_mut() {
+                    column.iter_mut().zip(values).for_each(|(entry, value)| *entry /= value);
+                }
+                x
+            }
             PriorMatrix::Covariance(covariance) => covariance * b,
             PriorMatrix::Dense(matrix) => {
                 let factor = matrix.llt(Side::Lower).map_err(|_| singular(()))?;

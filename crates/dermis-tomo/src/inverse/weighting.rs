@@ -66,7 +66,11 @@ impl Weighting {
     ///
     /// # Errors
     /// Lists of different length, a floor that is not positive, or voltages that are not finite.
-    pub fn from_reciprocity(voltages: &[f64], partner: &[Option<(u32, f64)>], floor: f64) -> Result<Self, InverseError> {
+    pub fn from_reciprocity(
+        voltages: &[f64],
+        partner: &[Option<(u32, f64)>],
+        floor: f64,
+    ) -> Result<Self, InverseError> {
         if voltages.len() != partner.len() {
             return Err(InverseError::Size {
                 what: "reciprocal partners",
@@ -117,14 +121,14 @@ impl Weighting {
     }
 
     /// `W^1/2 A` in place: rows are channels.
-    pub(super) fn whiten(&self, mut a: MatMut<'_, f64>) {
+    pub(super) fn whiten(&self, a: MatMut<'_, f64>) {
         match self {
             Weighting::Identity => {}
             Weighting::Diagonal(weights) => {
-                for column in 0..a.ncols() {
-                    for (row, weight) in weights.iter().enumerate() {
-                        a[(row, column)] *= weight.sqrt();
-                    }
+                // One channel after the other: rows are contiguous in the matrices that this is called for.
+                for (row, weight) in a.row_iter_mut().zip(weights) {
+                    let root = weight.sqrt();
+                    row.iter_mut().for_each(|value| *value *= root);
                 }
             }
             Weighting::Full(factor) => factor.solve_lower(a),
