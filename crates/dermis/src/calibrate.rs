@@ -1,6 +1,8 @@
 //! Calibrated skins: pokes at known positions make a measured Jacobian, on which images are made, and a locator, which
 //! places single touches with an honest sigma. With few pokes the locator leans on the physics, with many on the pokes.
 
+mod self_calibrated;
+
 use std::path::Path;
 
 use dermis_tomo::inverse::{Hyperparameter, LinearProblem, MeasuredJacobian};
@@ -21,7 +23,7 @@ const VERSION: u32 = 1;
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
 /// Positions of the locator's map lie at most this far apart, relative to half the shorter side.
 const MAP_SPACING: f64 = 0.04;
-/// Above this novelty a frame is not a single touch that was learnt, and the image's own positions stand.
+/// Above this novelty a frame is doubted to be a single touch, and several contacts of the image stand against it.
 const MOST_NOVELTY: f64 = 3.0;
 
 /// What a poke's load was measured as.
@@ -69,25 +71,38 @@ pub struct CalibratedImager {
     pub placement: Option<PlacementFinder>,
 }
 
-/// A locator with its scratch.
+/// Finds the place of the single touch of a frame.
 #[derive(Clone, Debug)]
-pub struct PlacementFinder {
-    locator: Locator,
-    scratch: LocatorScratch,
-    smallest_amplitude: f64,
+pub enum PlacementFinder {
+    /// A locator learnt from pokes.
+    Learnt {
+        /// The locator.
+        locator: Locator,
+        /// Its memory.
+        scratch: LocatorScratch,
+        /// Root mean square of the noise-weighted frame below which there is no touch.
+        smallest_amplitude: f64,
+    },
+    /// The matched filter of a skin calibrated without labels.
+    Matched(self_calibrated::MatchedFinder),
 }
 
 impl PlacementFinder {
-    /// Where the single touch of a frame is, `None` where the frame is too weak or unlike any single touch.
+    /// Where the single touch of a frame is, `None` where the frame is too weak.
     ///
     /// # Errors
     /// A frame of another length, or without enough channels.
     pub fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
-        let located = self.locator.predict_into(difference, &mut self.scratch)?;
-        if located.amplitude < self.smallest_amplitude || located.novelty > MOST_NOVELTY {
+        let (locator, scratch, smallest_amplitude) = match self {
+            PlacementFinder::Learnt { locator, scratch, smallest_amplitude } => (locator, scratch, *smallest_amplitude),
+            PlacementFinder::Matched(finder) => return finder.place(difference),
+        };
+        let located = locator.predict_into(difference, scratch)?;
+        if located.amplitude < smallest_amplitude {
             return Ok(None);
         }
         Ok(Some(Placement {
+            doubtful: located.novelty > MOST_NOVELTY,
             position_m: [located.x_m, located.y_m],
             covariance_m2: [
                 [located.sigma_x_m.powi(2), located.covariance_xy_m2],
@@ -103,12 +118,7 @@ impl Prepared {
     ///
     /// # Errors
     /// Counts that disagree, positions off the skin, or pokes from which nothing can be learnt.
-    pub fn calibrate(
-        &self,
-        baselines: &[Vec<f64>],
-        frames: &[Vec<f64>],
-        pokes: &Pokes,
-    ) -> Result<Calibration, Error> {
+    pub fn calibrate(&self, baselines: &[Vec<f64>], frames: &[Vec<f64>], pokes: &Pokes) -> Result<Calibration, Error> {
         check_frames("poke", frames, self.channels())?;
         self.check_pokes(frames.len(), pokes)?;
         let reference = self.reference(baselines)?;
@@ -118,9 +128,8 @@ impl Prepared {
             .enumerate()
             .map(|(index, frame)| reference.difference(frame, paired.then(|| baselines[index].as_slice())))
             .collect();
-        let mut examples =
-            Examples::new(self.channels(), differences.concat(), pokes.positions_m.clone())?
-                .with_channel_noise(reference.noise.clone())?;
+        let mut examples = Examples::new(self.channels(), differences.concat(), pokes.positions_m.clone())?
+            .with_channel_noise(reference.noise.clone())?;
         if let Some((_, loads)) = &pokes.loads {
             examples = examples.with_loads(loads.clone())?;
         }
@@ -184,6 +193,9 @@ impl Prepared {
         data: &[Vec<f64>],
     ) -> Result<CalibratedImager, Error> {
         let Some(calibration) = calibration else {
+            if let Some(calibrated) = self.self_calibrated(&reference, data)? {
+                return Ok(calibrated);
+            }
             let imager = self.imager(&reference, data)?;
             return Ok(CalibratedImager { imager, reference, placement: None });
         };
@@ -194,10 +206,10 @@ impl Prepared {
         let problem = LinearProblem::new(measured.jacobian.as_mat(), weighting, prior)?;
         let lambda = problem.choose(&Hyperparameter::Relative(0.1), data)?;
         let imager = self.imager_from(problem, lambda, &reference.noise, 1.0)?;
-        let placement = PlacementFinder {
+        let placement = PlacementFinder::Learnt {
             scratch: calibration.locator.scratch(),
             locator: calibration.locator.clone(),
-            smallest_amplitude: self.skin.touch.hold_sigma,
+            smallest_amplitude: self.skin.touch.hold_sigma.min(0.5 * calibration.weakest_amplitude()?),
         };
         Ok(CalibratedImager { imager, reference, placement: Some(placement) })
     }
@@ -207,6 +219,17 @@ impl Calibration {
     /// How well each poke is located by the others.
     pub fn leave_one_out(&self) -> &LeaveOneOut {
         self.locator.leave_one_out()
+    }
+
+    /// Amplitude of the weakest poke, in units of the noise that the calibration saw. Where baselines lie far apart in time
+    /// that noise holds drift, and a threshold in its units alone would pass over light touches.
+    fn weakest_amplitude(&self) -> Result<f64, Error> {
+        let mut scratch = self.locator.scratch();
+        let mut weakest = f64::INFINITY;
+        for frame in &self.frames {
+            weakest = weakest.min(self.locator.predict_into(frame, &mut scratch)?.amplitude);
+        }
+        Ok(weakest)
     }
 
     /// Number of pokes.
@@ -273,9 +296,8 @@ impl Calibration {
     pub fn load(path: &Path) -> Result<Self, Error> {
         let bytes = dermis_device::instruments::read_bytes(path)?;
         let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
-        let calibration: Self = serde_json::from_slice(&bytes).map_err(|error| {
-            content(format!("line {}, column {}", error.line(), error.column()), error.to_string())
-        })?;
+        let calibration: Self = serde_json::from_slice(&bytes)
+            .map_err(|error| content(format!("line {}, column {}", error.line(), error.column()), error.to_string()))?;
         if calibration.version != VERSION {
             let reason = format!("{}, expected {VERSION}", calibration.version);
             return Err(content("version".into(), reason));

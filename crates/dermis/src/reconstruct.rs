@@ -10,6 +10,7 @@ use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration};
 use crate::channels::ChannelReader;
 use crate::prepare::Prepared;
+use crate::reference::Reference;
 use crate::sink::{ImageStack, Output, Sink, TouchTable};
 use crate::skin::{HyperparameterChoice, Skin};
 use crate::touches::TouchStage;
@@ -57,7 +58,8 @@ pub struct Report {
 /// Rate at which frames without times are taken to come, where the skin file gives none.
 const DEFAULT_FRAMES_PER_S: f64 = 20.0;
 
-/// Reconstructs all frames; `progress` is told frames done and frames in all.
+/// Reconstructs all frames; `progress` is told how much is done and how much there is in all: frames, or Gauss-Newton
+/// steps where the skin file asks for them.
 ///
 /// # Errors
 /// Files that cannot be read or do not fit the skin, a calibration of another skin, outputs that cannot be written. No
@@ -85,10 +87,25 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let paired = frames.len() > 1 && baselines.len() == frames.len();
     let reference = prepared.reference(&baselines)?;
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
-    let differences: Vec<Vec<f64>> =
-        frames.iter().enumerate().map(|(index, frame)| reference.difference(frame, own(index))).collect();
+    let differences_to = |reference: &Reference| -> Vec<Vec<f64>> {
+        frames.iter().enumerate().map(|(index, frame)| reference.difference(frame, own(index))).collect()
+    };
+    let data = differences_to(&reference);
     let CalibratedImager { mut imager, reference, mut placement } =
-        prepared.calibrated_imager(calibration.as_ref(), reference, &differences)?;
+        prepared.calibrated_imager(calibration.as_ref(), reference, &data)?;
+    // A calibration may have scaled the channels anew.
+    let differences = differences_to(&reference);
+    let refinement = prepared.skin.imaging.refinement.filter(|_| calibration.is_none());
+    let refined = match &refinement {
+        Some(refinement) => {
+            let (mut done, all) = (0, refinement.steps * frames.len());
+            prepared.refine(refinement, &reference, &imager, &differences, || {
+                done += 1;
+                progress(done, all);
+            })?
+        }
+        None => Vec::new(),
+    };
     let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
     let grid = prepared.map.grid();
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
@@ -105,7 +122,10 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     for (index, difference) in differences.iter().enumerate() {
         let seconds = frame_table.times_s().map_or(index as f64 / rate, |times| times[index] - times[0]);
         let time_ns = (seconds.max(0.0) * 1e9) as u64;
-        imager.image(difference, &mut image)?;
+        match refined.get(index) {
+            Some(refined) => image.copy_from_slice(refined),
+            None => imager.image(difference, &mut image)?,
+        }
         let place = match &mut placement {
             Some(finder) => finder.place(difference)?,
             None => None,
@@ -114,6 +134,9 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             stage.forget(time_ns);
         }
         stage.process(time_ns, &image, place)?;
+        if let Some(refinement) = &refinement {
+            refinement.threshold(&mut image);
+        }
         touches.clear();
         touches.extend(stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).copied());
         touch_rows += touches.len();
@@ -130,7 +153,9 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             events: stage.events(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
-        progress(index + 1, frames.len());
+        if refinement.is_none() {
+            progress(index + 1, frames.len());
+        }
     }
     for sink in &mut sinks {
         sink.finish()?;

@@ -25,6 +25,8 @@ pub struct Reference {
     pub noise_measured: bool,
     /// Full noise covariance in model volts (row-major), where enough frames were given.
     pub covariance: Option<Vec<f64>>,
+    /// Differences of successive baseline frames, as measured: what drift and noise look like.
+    pub successive: Vec<Vec<f64>>,
     /// Does the baseline look like the model?
     pub order: OrderReport,
 }
@@ -52,7 +54,10 @@ impl Prepared {
             .collect();
         let covariance = if frames.len() >= 2 * FEWEST_FOR_NOISE { covariance(frames, &scale)? } else { None };
         let order = self.diagnose(&baseline);
-        Ok(Reference { baseline, scale, noise, noise_measured, covariance, order })
+        let difference =
+            |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
+        let successive = frames.windows(2).map(difference).collect();
+        Ok(Reference { baseline, scale, noise, noise_measured, covariance, successive, order })
     }
 
     /// Makes a reference from a baseline and the standard deviation of its noise, both as measured (`None` or NaN where
@@ -100,6 +105,11 @@ impl Prepared {
         }
         Ok(match self.skin.imaging.gain {
             GainMatch::Global => channels.map(|channel| global * sign(channel)).collect(),
+            GainMatch::GlobalWithOffset => {
+                let signed = |channel: usize| sign(channel) * baseline[channel];
+                let factor = slope(model, &channels.clone().map(signed).collect::<Vec<_>>()).unwrap_or(global);
+                channels.map(|channel| factor * sign(channel)).collect()
+            }
             GainMatch::Drive => {
                 let measurements = self.protocol.measurements();
                 let per_drive: Vec<f64> = (0..self.protocol.stimulations().len() as u32)
@@ -140,6 +150,15 @@ pub(crate) fn check_frames(what: &str, frames: &[Vec<f64>], channels: usize) -> 
         }),
         None => Ok(()),
     }
+}
+
+/// 1/g of the regression `measured = g model + b` over the channels that are present.
+fn slope(model: &[f64], measured: &[f64]) -> Option<f64> {
+    let present = || model.iter().zip(measured).filter(|(_, v)| v.is_finite());
+    let (mean_model, mean) = (finite_mean(present().map(|(f, _)| *f)), finite_mean(present().map(|(_, v)| *v)));
+    let square: f64 = present().map(|(f, _)| (f - mean_model).powi(2)).sum();
+    let cross: f64 = present().map(|(f, v)| (f - mean_model) * (v - mean)).sum();
+    (cross != 0.0).then_some(square / cross).filter(|factor| factor.is_finite())
 }
 
 fn finite_mean(values: impl Iterator<Item = f64>) -> f64 {

@@ -1,8 +1,8 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
 use dermis_touch::{
-    Contact, ContactFinder, ContactParams, ContactSigns, ImageGeometry, PixelNoise, Touch, TouchEvent, Tracker,
-    TrackerParams,
+    Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, ImageGeometry, PixelNoise,
+    Touch, TouchEvent, Tracker, TrackerParams,
 };
 
 use crate::Error;
@@ -15,6 +15,8 @@ pub struct Placement {
     pub position_m: [f64; 2],
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
+    /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
+    pub doubtful: bool,
 }
 
 /// Contact finder and tracker of a skin, with their memory.
@@ -81,13 +83,46 @@ impl TouchStage {
     /// An image of another size, or a time before the last one.
     pub fn process(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
-        if let (Some(placement), Some(strongest)) = (placement, self.contacts.first_mut()) {
-            strongest.centroid_m = placement.position_m;
-            strongest.covariance_m2 = placement.covariance_m2;
+        let several = self.contacts.len() > 1;
+        if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
             self.contacts.truncate(1);
+            if self.contacts.is_empty() {
+                self.contacts.extend(self.contact_at(placement.position_m, image));
+            }
+            if let Some(only) = self.contacts.first_mut() {
+                only.centroid_m = placement.position_m;
+                only.covariance_m2 = placement.covariance_m2;
+                // The calibration has judged the whole frame; the image's threshold has nothing to add.
+                only.strength = ContactStrength::Strong;
+            }
         }
         self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
         Ok(())
+    }
+
+    /// A contact where a calibration sees a touch that the image's own threshold passed over: one pixel, with the image's
+    /// value there.
+    fn contact_at(&self, position_m: [f64; 2], image: &[f32]) -> Option<Contact> {
+        let geometry = self.finder.geometry();
+        let column = ((position_m[0] - geometry.left_m) / geometry.pixel_m).floor();
+        let row = ((geometry.top_m - position_m[1]) / geometry.pixel_m).floor();
+        let inside = column >= 0.0 && row >= 0.0 && column < geometry.columns as f64 && row < geometry.rows as f64;
+        let pixel = if inside { row as usize * geometry.columns + column as usize } else { return None };
+        let value = image.get(pixel).copied().filter(|value| value.is_finite() && *value != 0.0)?;
+        let area_m2 = geometry.pixel_m * geometry.pixel_m;
+        let amplitude = f64::from(value.abs());
+        Some(Contact {
+            peak_m: position_m,
+            peak_value: amplitude,
+            centroid_m: position_m,
+            area_m2,
+            amplitude,
+            volume: amplitude * area_m2,
+            covariance_m2: [[0.0; 2]; 2],
+            significance: amplitude / f64::from(self.noise[pixel]),
+            sign: ContactSign::Positive,
+            strength: ContactStrength::Strong,
+        })
     }
 
     /// The contacts of the last image, strongest first.
