@@ -1,8 +1,10 @@
 //! Difference data to images: the skin's operator for a reference, with missing channels filled in and the noise that
 //! reaches each pixel.
 
+mod refine;
+
 use dermis_tomo::inverse::{
-    Hyperparameter, LinearProblem, LiveOperator, MissingChannels, Operator, Weighting,
+    Hyperparameter, LinearProblem, LiveOperator, MissingChannels, Operator, PriorMatrix, Weighting,
 };
 use faer::MatRef;
 
@@ -45,7 +47,7 @@ impl Prepared {
     /// Weights that the reference cannot give, or a hyperparameter that cannot be found.
     pub fn imager(&self, reference: &Reference, data: &[Vec<f64>]) -> Result<Imager, Error> {
         let weighting = self.weighting(reference)?;
-        let prior = self.prior().matrix(self.jacobian.as_mat(), &weighting, &self.basis)?;
+        let prior = self.prior_matrix(&weighting)?;
         let problem = LinearProblem::new(self.jacobian.as_mat(), weighting, prior)?;
         let rule = match &self.skin.imaging.hyperparameter {
             HyperparameterChoice::Number(value) => Hyperparameter::Number(*value),
@@ -122,17 +124,32 @@ impl Prepared {
         })
     }
 
+    /// The prior of the skin file. Priors that look at the sensitivity of pixels are shown that of a small spot: the pixel
+    /// and those beside it, per area. A single pixel may be cut by the rim or lie under an electrode, where no channel
+    /// sees anything; it must not be allowed larger values for that.
+    pub(crate) fn prior_matrix(&self, weighting: &Weighting) -> Result<PriorMatrix, Error> {
+        let (jacobian, areas) = (self.jacobian.as_mat(), self.map.pixel_measures());
+        let (mut spots, mut spot_areas) = (jacobian.to_owned(), areas.to_vec());
+        for &[a, b] in &self.basis.neighbours {
+            for (pixel, beside) in [(a as usize, b as usize), (b as usize, a as usize)] {
+                spot_areas[pixel] += areas[beside];
+                spots.col_mut(pixel).iter_mut().zip(jacobian.col(beside).iter()).for_each(|(sum, j)| *sum += j);
+            }
+        }
+        let pixel_area = self.map.grid().pixel_m.powi(2);
+        for (mut spot, area) in spots.col_iter_mut().zip(&spot_areas) {
+            spot.iter_mut().for_each(|value| *value *= pixel_area / area);
+        }
+        Ok(self.prior().matrix(spots.as_ref(), weighting, &self.basis)?)
+    }
+
     /// Difference data of a small touch in the middle of the skin, for the noise figure.
     fn central_touch(&self) -> Vec<f64> {
         let (low, high) = self.body.outline.bounds_m();
         let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
         let radius = 0.05 * (high[0] - low[0]).min(high[1] - low[1]);
-        let touched: Vec<bool> = self
-            .basis
-            .positions
-            .iter()
-            .map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]) <= radius)
-            .collect();
+        let touched: Vec<bool> =
+            self.basis.positions.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]) <= radius).collect();
         (0..self.channels())
             .map(|c| self.jacobian.row(c).iter().zip(&touched).map(|(j, t)| if *t { 0.1 * j } else { 0.0 }).sum())
             .collect()
@@ -198,9 +215,9 @@ impl Imager {
 
     fn image_with(&mut self, difference: &[f64], image: &mut [f32], scratch: &mut Scratch) -> Result<(), Error> {
         scratch.absent.clear();
-        scratch.absent.extend(
-            difference.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32),
-        );
+        scratch
+            .absent
+            .extend(difference.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32));
         scratch.filled.clear();
         scratch.filled.extend_from_slice(difference);
         if !scratch.absent.is_empty() {

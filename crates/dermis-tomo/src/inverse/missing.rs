@@ -11,12 +11,15 @@ use super::{InverseError, Operator};
 #[derive(Clone, Debug)]
 pub struct MissingChannels {
     missing: Vec<u32>,
-    /// missing x channels; columns of missing channels are zero.
+    present: Vec<u32>,
+    /// missing x present.
     fill: Mat<f64>,
 }
 
 impl MissingChannels {
-    /// Prepares the filling for a set of missing channels, in any order, repetitions allowed.
+    /// Prepares the filling for a set of missing channels, in any order, repetitions allowed. The work is that of
+    /// factoring a matrix of the missing channels and solving it for the present ones, so that it never exceeds that of
+    /// the full operator, however many are missing.
     ///
     /// # Errors
     /// A channel that does not exist, all channels missing, or a numerically singular block.
@@ -26,26 +29,28 @@ impl MissingChannels {
         missing.sort_unstable();
         missing.dedup();
         if let Some(&channel) = missing.iter().find(|&&channel| channel as usize >= channels) {
-            return Err(InverseError::Size { what: "missing channel index", expected: channels, got: channel as usize });
+            return Err(InverseError::Size {
+                what: "missing channel index",
+                expected: channels,
+                got: channel as usize,
+            });
         }
         if missing.len() == channels {
             return Err(InverseError::NoChannels { channels });
         }
+        let present: Vec<u32> = (0..channels as u32).filter(|c| missing.binary_search(c).is_err()).collect();
         let precision = &operator.data_precision;
-        let at = |k: usize| missing[k] as usize;
-        let block = Mat::from_fn(missing.len(), missing.len(), |row, column| precision[(at(row), at(column))]);
-        let mut fill = Mat::from_fn(missing.len(), channels, |row, column| -precision[(at(row), column)]);
-        for &channel in &missing {
-            fill.col_mut(channel as usize).fill(0.0);
-        }
+        let entry = |row: u32, column: u32| precision[(row as usize, column as usize)];
+        let block = Mat::from_fn(missing.len(), missing.len(), |row, column| entry(missing[row], missing[column]));
+        let mut fill = Mat::from_fn(missing.len(), present.len(), |row, column| -entry(missing[row], present[column]));
         if !missing.is_empty() {
             let factor = block.llt(Side::Lower).map_err(|_| InverseError::Singular {
                 what: "the block of the missing channels",
                 hint: "raise the hyperparameter",
             })?;
-            fill = factor.solve(&fill);
+            factor.solve_in_place(&mut fill);
         }
-        Ok(Self { missing, fill })
+        Ok(Self { missing, present, fill })
     }
 
     /// The missing channels, sorted.
@@ -58,27 +63,45 @@ impl MissingChannels {
         for &channel in &self.missing {
             frame[channel as usize] = 0.0;
         }
-        // Column by column, as the matrix is stored; the columns of the missing channels are zero, so that what is
-        // written back does not depend on the order.
-        let mut filled = [0.0; 64];
-        for (chunk_index, chunk) in self.missing.chunks(filled.len()).enumerate() {
-            let first = chunk_index * filled.len();
-            let sums = &mut filled[..chunk.len()];
-            sums.fill(0.0);
-            for (column, &value) in frame.iter().enumerate() {
-                if value != 0.0 && !self.is_missing(column) {
-                    for (row, sum) in sums.iter_mut().enumerate() {
-                        *sum += self.fill[(first + row, column)] * value;
-                    }
-                }
-            }
-            for (channel, sum) in chunk.iter().zip(sums.iter()) {
-                frame[*channel as usize] = *sum;
+        // Column by column, as the matrix is stored.
+        for (column, &channel) in self.present.iter().enumerate() {
+            let value = frame[channel as usize];
+            for (&target, &weight) in self.missing.iter().zip(self.fill.col(column).iter()) {
+                frame[target as usize] += weight * value;
             }
         }
     }
+}
 
-    fn is_missing(&self, channel: usize) -> bool {
-        self.missing.binary_search(&(channel as u32)).is_ok()
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::inverse::{LinearProblem, PriorMatrix, Weighting};
+
+    #[test]
+    fn filling_in_gives_the_image_of_the_remaining_channels_however_many_are_missing() {
+        let value = |row: usize, column: usize| ((row * 7 + column * column * 3 + row * column) as f64).sin();
+        let jacobian = Mat::from_fn(20, 9, value);
+        let weights: Vec<f64> = (0..20).map(|k| 1.0 + k as f64).collect();
+        let prior = || PriorMatrix::Diagonal((1..10).map(f64::from).collect());
+        let full = LinearProblem::new(jacobian.as_ref(), Weighting::Diagonal(weights.clone()), prior()).unwrap();
+        let operator = full.operator(0.7).unwrap();
+        let frame: Vec<f64> = (0..20).map(|k| (k as f64 * 1.3).cos()).collect();
+        for count in [1, 10, 19] {
+            // 7 and 20 have no common factor: all different, and scattered.
+            let missing: Vec<u32> = (0..count).map(|k| (k * 7 % 20) as u32).collect();
+            let mut filled = frame.clone();
+            missing.iter().for_each(|&channel| filled[channel as usize] = f64::NAN);
+            MissingChannels::new(&operator, &missing).unwrap().fill_in(&mut filled);
+            let found = operator.apply(&filled).unwrap();
+            let present: Vec<usize> = (0..20).filter(|&channel| !missing.contains(&(channel as u32))).collect();
+            let rows = Mat::from_fn(present.len(), 9, |row, column| jacobian[(present[row], column)]);
+            let some = Weighting::Diagonal(present.iter().map(|&channel| weights[channel]).collect());
+            let data: Vec<f64> = present.iter().map(|&channel| frame[channel]).collect();
+            let expected = LinearProblem::new(rows.as_ref(), some, prior()).unwrap().operator(0.7).unwrap();
+            for (a, b) in found.iter().zip(expected.apply(&data).unwrap()) {
+                assert!((a - b).abs() < 1e-10, "{count} missing: {a} {b}");
+            }
+        }
     }
 }

@@ -10,6 +10,7 @@ mod linear;
 mod live;
 mod measured;
 mod missing;
+mod nonlinear;
 mod prior;
 mod self_calibration;
 mod total_variation;
@@ -21,6 +22,7 @@ pub use linear::{LinearProblem, Operator};
 pub use live::LiveOperator;
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
+pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use self_calibration::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,
@@ -64,6 +66,9 @@ pub enum InverseError {
         /// What may help.
         hint: &'static str,
     },
+    /// The forward model failed at an iterate of a nonlinear inversion.
+    #[error("forward model: {0}")]
+    Forward(#[from] crate::eit::EitError),
     /// Every channel is missing.
     #[error("all {channels} channels are missing")]
     NoChannels {

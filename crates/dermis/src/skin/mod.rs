@@ -13,6 +13,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
+/// More Gauss-Newton steps than this are a typing error.
+const MOST_REFINEMENT_STEPS: usize = 50;
+
 /// A whole skin file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -319,6 +322,9 @@ pub struct Imaging {
     pub gain: GainMatch,
     /// Which change of conductivity is shown as positive.
     pub polarity: Polarity,
+    /// Steps that refine offline images of large contrasts; live images are linear in any case.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refinement: Option<Refinement>,
 }
 
 impl Default for Imaging {
@@ -331,7 +337,37 @@ impl Default for Imaging {
             weights: WeightChoice::default(),
             gain: GainMatch::default(),
             polarity: Polarity::default(),
+            refinement: None,
         }
+    }
+}
+
+/// Gauss-Newton steps in `y = log(sigma / sigma at rest)`, for contrasts too large for one linear step (tanks with metal
+/// and plastic). Refined images show y, not the relative change of conductivity.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Refinement {
+    /// Steps, the first of which is the linear image.
+    pub steps: usize,
+    /// A step that would change any pixel by more than this (in y) is shortened as a whole.
+    #[serde(default = "Refinement::default_largest_step")]
+    pub largest_step: f64,
+    /// Pixels are held within plus and minus this y.
+    #[serde(default = "Refinement::default_limit")]
+    pub limit: f64,
+    /// With a threshold t, images are written as `sign(y) clip(|y| - t, 0, 1)`: 0 in the background, 1 in strong
+    /// inclusions. Touches are found on y itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub soft_threshold: Option<f64>,
+}
+
+impl Refinement {
+    fn default_largest_step() -> f64 {
+        1.5
+    }
+
+    fn default_limit() -> f64 {
+        3.0
     }
 }
 
@@ -439,6 +475,9 @@ pub enum GainMatch {
     /// One factor for the whole frame (unknown gain or conductivity).
     #[default]
     Global,
+    /// One factor for the whole frame, found by regression with an intercept: the instrument adds an offset, which cancels
+    /// in differences but would bend the factor.
+    GlobalWithOffset,
     /// One factor a drive (drive amplitudes differ).
     Drive,
     /// One factor a channel: normalised differences, v/v0 - 1.
@@ -570,19 +609,44 @@ impl Skin {
             let value = format!("{} with hold_sigma = {}", touch.begin_sigma, touch.hold_sigma);
             return Err(refused(file, "touch.begin_sigma", value, "begin_sigma >= hold_sigma > 0"));
         }
-        for (field, value) in [
-            ("touch.relative_size", touch.relative_size),
-            ("touch.position_floor_mm", touch.position_floor_mm),
-        ] {
+        for (field, value) in
+            [("touch.relative_size", touch.relative_size), ("touch.position_floor_mm", touch.position_floor_mm)]
+        {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(refused(file, field, value, "a positive number"));
             }
+        }
+        if let Some(refinement) = &self.imaging.refinement {
+            self.check_refinement(refinement, file)?;
         }
         if !(touch.drift_time_constant_s >= 0.0 && touch.drift_time_constant_s.is_finite()) {
             return Err(refused(file, "touch.drift_time_constant_s", touch.drift_time_constant_s, "0 or more"));
         }
         if !(touch.assumed_noise_share > 0.0 && touch.assumed_noise_share < 1.0) {
             return Err(refused(file, "touch.assumed_noise_share", touch.assumed_noise_share, "between 0 and 1"));
+        }
+        Ok(())
+    }
+}
+
+impl Skin {
+    fn check_refinement(&self, refinement: &Refinement, file: &str) -> Result<(), Error> {
+        if !(1..=MOST_REFINEMENT_STEPS).contains(&refinement.steps) {
+            let expected = format!("1 to {MOST_REFINEMENT_STEPS}");
+            return Err(refused(file, "imaging.refinement.steps", refinement.steps, &expected));
+        }
+        for (field, value) in [
+            ("imaging.refinement.largest_step", refinement.largest_step),
+            ("imaging.refinement.limit", refinement.limit),
+            ("imaging.refinement.soft_threshold", refinement.soft_threshold.unwrap_or(1.0)),
+        ] {
+            if !(value > 0.0 && value.is_finite()) {
+                return Err(refused(file, field, value, "a positive number"));
+            }
+        }
+        if self.backend.circuit.is_some() {
+            let expected = "no refinement with backend.circuit: its model is linearised about the resting skin";
+            return Err(refused(file, "imaging.refinement.steps", refinement.steps, expected));
         }
         Ok(())
     }

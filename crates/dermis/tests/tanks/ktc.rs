@@ -1,0 +1,134 @@
+//! The Kuopio tank: images against the photographed truth, with all electrodes and without some.
+
+use std::path::Path;
+
+use super::{Outcome, chosen, measured, run, run_with, write_frames};
+use dermis::skin::Skin;
+
+const FRAMES: &str = "train1,train2,train3,train4";
+
+/// Truth of a phantom, 256 x 256: 0 background, 1 resistive, 2 conductive, as 0, -1, +1.
+fn truth(directory: &Path, phantom: usize) -> Vec<f64> {
+    let text = std::fs::read_to_string(directory.join(format!("truth_train{phantom}.csv"))).unwrap();
+    let label = |cell: &str| match cell.trim().parse::<f64>().unwrap() as i64 {
+        1 => -1.0,
+        2 => 1.0,
+        _ => 0.0,
+    };
+    text.lines().flat_map(|line| line.split(',').map(label).collect::<Vec<_>>()).collect()
+}
+
+/// Correlation of every image with its truth over the pixels of the truth inside the tank.
+fn correlations(directory: &Path, outcome: &Outcome) -> Vec<f64> {
+    (0..4)
+        .map(|frame| {
+            let truth = truth(directory, frame + 1);
+            assert_eq!(truth.len(), 256 * 256);
+            let centre = |k: usize| (2.0 * k as f64 + 1.0) / 256.0 - 1.0;
+            let (mut found, mut expected) = (Vec::new(), Vec::new());
+            for row in 0..256 {
+                for column in 0..256 {
+                    let (x, y) = (centre(column), -centre(row));
+                    if x.hypot(y) < 1.0 {
+                        found.push(outcome.images.at(frame, x, y));
+                        expected.push(truth[row * 256 + column]);
+                    }
+                }
+            }
+            correlation(&found, &expected)
+        })
+        .collect()
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let product =
+        |a: &[f64], ma: f64, b: &[f64], mb: f64| a.iter().zip(b).map(|(x, y)| (x - ma) * (y - mb)).sum::<f64>();
+    product(a, ma, b, mb) / (product(a, ma, a, ma) * product(b, mb, b, mb)).sqrt()
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn assert_no_holes(outcome: &Outcome) {
+    for frame in 0..outcome.images.frames.len() {
+        assert_eq!(outcome.images.holes(frame), 0, "NaN inside the tank in frame {frame}");
+    }
+}
+
+// Measured: 0.928, 0.943, 0.940, 0.749; mean 0.890.
+#[test]
+fn refined_images_show_the_phantoms() {
+    let Some(directory) = measured("ktc") else { return };
+    let file = directory.join("voltages.csv");
+    let outcome = run("ktc-tank", chosen(&file, "ref"), chosen(&file, FRAMES));
+    let found = correlations(&directory, &outcome);
+    println!("ktc refined {found:.3?} mean {:.4}, order {:.4}", mean(&found), outcome.report.order.correlation);
+    assert_no_holes(&outcome);
+    assert!(outcome.report.order.correlation > 0.99 && outcome.report.order.better.is_none());
+    assert!(mean(&found) >= 0.86, "{found:.3?}");
+}
+
+// Measured: 0.827, 0.886, 0.870, 0.767; mean 0.838.
+#[test]
+fn linear_images_are_good_enough_too() {
+    let Some(directory) = measured("ktc") else { return };
+    let file = directory.join("voltages.csv");
+    let mut skin = Skin::open("ktc-tank").unwrap();
+    skin.imaging.refinement = None;
+    let outcome = run_with(skin, chosen(&file, "ref"), chosen(&file, FRAMES));
+    let found = correlations(&directory, &outcome);
+    println!("ktc linear {found:.3?} mean {:.4}", mean(&found));
+    assert_no_holes(&outcome);
+    assert!(mean(&found) >= 0.80, "{found:.3?}");
+}
+
+/// As the challenge does it: every channel that drives or reads a lost electrode (numbered from 1) is missing.
+fn without_electrodes(directory: &Path, lost: &[u32], refined: bool) -> (Vec<f64>, usize) {
+    let mut skin = Skin::open("ktc-tank").unwrap();
+    if !refined {
+        skin.imaging.refinement = None;
+    }
+    let protocol = skin.protocol().unwrap();
+    let table = dermis_device::read(&chosen(&directory.join("voltages.csv"), ""), None).unwrap();
+    let gone: Vec<bool> = (0..protocol.channel_count())
+        .map(|channel| {
+            lost.iter()
+                .any(|&e| protocol.channel_touches(channel, e - 1) || protocol.stimulation_of(channel).touches(e - 1))
+        })
+        .collect();
+    let frames: Vec<Vec<f64>> = (0..5)
+        .map(|k| table.row(k).unwrap().iter().zip(&gone).map(|(v, gone)| if *gone { f64::NAN } else { *v }).collect())
+        .collect();
+    let folder = tempfile::tempdir().unwrap();
+    let (baseline, rest) = (folder.path().join("b.csv"), folder.path().join("f.csv"));
+    write_frames(&baseline, &frames[..1]);
+    write_frames(&rest, &frames[1..]);
+    let outcome = run_with(skin, chosen(&baseline, ""), chosen(&rest, ""));
+    assert_eq!(outcome.report.frames_with_missing, 4);
+    assert_no_holes(&outcome);
+    (correlations(directory, &outcome), gone.iter().filter(|gone| !**gone).count())
+}
+
+// Measured means, refined (linear): level 5 consecutive 0.846 (0.805), scattered 0.883 (0.826); level 7 consecutive 0.796
+// (0.780), scattered 0.866 (0.822).
+#[test]
+fn lost_electrodes_leave_images() {
+    let Some(directory) = measured("ktc") else { return };
+    let consecutive = |count: u32| (1..=count).collect::<Vec<_>>();
+    let scattered_8 = vec![2, 5, 11, 12, 18, 23, 27, 30];
+    let scattered_12 = vec![2, 4, 7, 10, 12, 15, 19, 20, 24, 26, 30, 32];
+    for (name, lost, refined) in [
+        ("level 5, consecutive", consecutive(8), true),
+        ("level 5, scattered", scattered_8, true),
+        ("level 7, consecutive", consecutive(12), true),
+        ("level 7, scattered", scattered_12, true),
+        ("level 7, consecutive", consecutive(12), false),
+    ] {
+        let (found, rows) = without_electrodes(&directory, &lost, refined);
+        println!("ktc {name}, refined {refined}, {rows} rows: {found:.3?} mean {:.4}", mean(&found));
+        assert!(mean(&found) >= 0.70, "{name}: {found:.3?}");
+    }
+}
