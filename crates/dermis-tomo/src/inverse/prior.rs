@@ -51,7 +51,8 @@ pub enum Prior {
         correlation_length_m: f64,
     },
     /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`, scaled
-    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed.
+    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed. Sensitivities below a thousandth of their mean count
+    /// as that: what hardly any channel sees stays small.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,
@@ -109,7 +110,7 @@ impl Prior {
                 let mut whitened = jacobian.to_owned();
                 weighting.check(jacobian.nrows())?;
                 weighting.whiten(whitened.as_mut());
-                let diagonal = noser(whitened.as_ref(), *exponent)?;
+                let diagonal = balance(whitened.as_ref(), *exponent)?;
                 let mean = diagonal.iter().sum::<f64>() / size as f64;
                 let scale: Vec<f64> = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
                 Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, Some(&scale))?))
@@ -119,10 +120,27 @@ impl Prior {
     }
 }
 
-fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
+/// Least sensitivity `(J'WJ)_kk` that [`Prior::GaussianNoser`] evens out, relative to the mean: pixels over pads and outside
+/// them are hardly seen, and allowed values to match they would be filled by noise and model error.
+const VISIBILITY_FLOOR: f64 = 1e-3;
+
+/// `diag(J'J)^exponent`, with the sensitivity held above that floor.
+fn balance(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
+    check_exponent(exponent)?;
+    let sensitivity = noser(jacobian, 1.0)?;
+    let least = VISIBILITY_FLOOR * sensitivity.iter().sum::<f64>() / sensitivity.len().max(1) as f64;
+    Ok(sensitivity.into_iter().map(|d| d.max(least).powf(exponent)).collect())
+}
+
+fn check_exponent(exponent: f64) -> Result<(), InverseError> {
     if !(0.0..=2.0).contains(&exponent) {
         return Err(InverseError::Value { what: "NOSER exponent", index: None, value: exponent, expected: "0 to 2" });
     }
+    Ok(())
+}
+
+fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
+    check_exponent(exponent)?;
     let mut diagonal = vec![0.0; jacobian.ncols()];
     for row in jacobian.row_iter() {
         diagonal.iter_mut().zip(row.iter()).for_each(|(sum, value)| *sum += value * value);
