@@ -2,6 +2,7 @@
 //! the live image ([`dermis_tomo::inverse::NonlinearProblem`]), frames in parallel.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::sync::mpsc;
 
 use dermis_tomo::inverse::{GaussNewton, NonlinearProblem, ReducedChannels};
@@ -70,10 +71,9 @@ fn reduced_channels(
 ) -> Result<HashMap<Vec<u32>, ReducedChannels>, Error> {
     let mut known = HashMap::new();
     for frame in differences {
-        let missing = absent(frame);
-        if !known.contains_key(&missing) {
-            let reduced = problem.reduce(&missing)?;
-            known.insert(missing, reduced);
+        if let Entry::Vacant(place) = known.entry(absent(frame)) {
+            let reduced = problem.reduce(place.key())?;
+            place.insert(reduced);
         }
     }
     Ok(known)
@@ -81,15 +81,4 @@ fn reduced_channels(
 
 fn absent(frame: &[f64]) -> Vec<u32> {
     frame.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32).collect()
-}
-
-impl Refinement {
-    /// `sign(y) clip(|y| - t, 0, 1)` with the file's threshold t, if it has one.
-    pub fn threshold(&self, image: &mut [f32]) {
-        if let Some(threshold) = self.soft_threshold {
-            for value in image.iter_mut() {
-                *value = value.signum() * (value.abs() - threshold as f32).clamp(0.0, 1.0);
-            }
-        }
-    }
 }

@@ -3,18 +3,17 @@
 
 mod build;
 mod builtin;
+mod refinement;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use refinement::Refinement;
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
-
-/// More Gauss-Newton steps than this are a typing error.
-const MOST_REFINEMENT_STEPS: usize = 50;
 
 /// A whole skin file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -342,35 +341,6 @@ impl Default for Imaging {
     }
 }
 
-/// Gauss-Newton steps in `y = log(sigma / sigma at rest)`, for contrasts too large for one linear step (tanks with metal
-/// and plastic). Refined images show y, not the relative change of conductivity.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Refinement {
-    /// Steps, the first of which is the linear image.
-    pub steps: usize,
-    /// A step that would change any pixel by more than this (in y) is shortened as a whole.
-    #[serde(default = "Refinement::default_largest_step")]
-    pub largest_step: f64,
-    /// Pixels are held within plus and minus this y.
-    #[serde(default = "Refinement::default_limit")]
-    pub limit: f64,
-    /// With a threshold t, images are written as `sign(y) clip(|y| - t, 0, 1)`: 0 in the background, 1 in strong
-    /// inclusions. Touches are found on y itself.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub soft_threshold: Option<f64>,
-}
-
-impl Refinement {
-    fn default_largest_step() -> f64 {
-        1.5
-    }
-
-    fn default_limit() -> f64 {
-        3.0
-    }
-}
-
 /// Priors by name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -617,36 +587,13 @@ impl Skin {
             }
         }
         if let Some(refinement) = &self.imaging.refinement {
-            self.check_refinement(refinement, file)?;
+            refinement.check(self, file)?;
         }
         if !(touch.drift_time_constant_s >= 0.0 && touch.drift_time_constant_s.is_finite()) {
             return Err(refused(file, "touch.drift_time_constant_s", touch.drift_time_constant_s, "0 or more"));
         }
         if !(touch.assumed_noise_share > 0.0 && touch.assumed_noise_share < 1.0) {
             return Err(refused(file, "touch.assumed_noise_share", touch.assumed_noise_share, "between 0 and 1"));
-        }
-        Ok(())
-    }
-}
-
-impl Skin {
-    fn check_refinement(&self, refinement: &Refinement, file: &str) -> Result<(), Error> {
-        if !(1..=MOST_REFINEMENT_STEPS).contains(&refinement.steps) {
-            let expected = format!("1 to {MOST_REFINEMENT_STEPS}");
-            return Err(refused(file, "imaging.refinement.steps", refinement.steps, &expected));
-        }
-        for (field, value) in [
-            ("imaging.refinement.largest_step", refinement.largest_step),
-            ("imaging.refinement.limit", refinement.limit),
-            ("imaging.refinement.soft_threshold", refinement.soft_threshold.unwrap_or(1.0)),
-        ] {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(refused(file, field, value, "a positive number"));
-            }
-        }
-        if self.backend.circuit.is_some() {
-            let expected = "no refinement with backend.circuit: its model is linearised about the resting skin";
-            return Err(refused(file, "imaging.refinement.steps", refinement.steps, expected));
         }
         Ok(())
     }

@@ -14,7 +14,7 @@ use dermis::skin::Skin;
 use dermis_device::FileSpec;
 
 /// A file or directory of the measured data, if it is there.
-pub fn measured(path: &str) -> Option<PathBuf> {
+pub(crate) fn measured(path: &str) -> Option<PathBuf> {
     let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(path);
     if data.exists() {
         return Some(data);
@@ -25,44 +25,44 @@ pub fn measured(path: &str) -> Option<PathBuf> {
 
 /// One row of a table of touches.
 #[derive(Clone, Copy, Debug)]
-pub struct Row {
-    pub frame: usize,
-    pub id: u64,
-    pub x_mm: f64,
-    pub y_mm: f64,
-    pub amplitude: f64,
+pub(crate) struct Row {
+    pub(crate) frame: usize,
+    pub(crate) id: u64,
+    pub(crate) x_mm: f64,
+    pub(crate) y_mm: f64,
+    pub(crate) amplitude: f64,
 }
 
 /// Images of a reconstruction.
-pub struct Images {
-    pub rows: usize,
-    pub columns: usize,
-    pub frames: Vec<Vec<f64>>,
+pub(crate) struct Images {
+    pub(crate) rows: usize,
+    pub(crate) columns: usize,
+    pub(crate) frames: Vec<Vec<f64>>,
 }
 
-pub struct Outcome {
-    pub report: Report,
-    pub touches: Vec<Row>,
-    pub images: Images,
+pub(crate) struct Outcome {
+    pub(crate) report: Report,
+    pub(crate) touches: Vec<Row>,
+    pub(crate) images: Images,
 }
 
 /// The chosen frames of a file.
-pub fn chosen(path: &Path, select: &str) -> FileSpec {
+pub(crate) fn chosen(path: &Path, select: &str) -> FileSpec {
     FileSpec { path: path.to_path_buf(), select: select.parse().unwrap() }
 }
 
 /// Writes frames as comma-separated rows, missing values as `nan`.
-pub fn write_frames(path: &Path, frames: &[Vec<f64>]) {
+pub(crate) fn write_frames(path: &Path, frames: &[Vec<f64>]) {
     let line = |frame: &Vec<f64>| frame.iter().map(f64::to_string).collect::<Vec<_>>().join(",").to_lowercase() + "\n";
     std::fs::write(path, frames.iter().map(line).collect::<String>()).unwrap();
 }
 
 /// Reconstructs with a built-in skin and reads back what was written.
-pub fn run(skin: &str, baseline: FileSpec, frames: FileSpec) -> Outcome {
+pub(crate) fn run(skin: &str, baseline: FileSpec, frames: FileSpec) -> Outcome {
     run_with(Skin::open(skin).unwrap(), baseline, frames)
 }
 
-pub fn run_with(skin: Skin, baseline: FileSpec, frames: FileSpec) -> Outcome {
+pub(crate) fn run_with(skin: Skin, baseline: FileSpec, frames: FileSpec) -> Outcome {
     let folder = tempfile::tempdir().unwrap();
     let (touches, images) = (folder.path().join("t.csv"), folder.path().join("i.npy"));
     let request = Request {
@@ -97,7 +97,7 @@ fn read_images(path: &Path) -> Images {
 impl Images {
     /// Bilinear value at a place given from -1 to 1 across the image, y up; pixels outside the skin count as the nearest
     /// one inside.
-    pub fn at(&self, frame: usize, x: f64, y: f64) -> f64 {
+    pub(crate) fn at(&self, frame: usize, x: f64, y: f64) -> f64 {
         let column = 0.5 * (x + 1.0) * self.columns as f64 - 0.5;
         let row = 0.5 * (1.0 - y) * self.rows as f64 - 0.5;
         let (right, down) = (column - column.floor(), row - row.floor());
@@ -130,7 +130,7 @@ impl Images {
     }
 
     /// Number of pixels with their centre inside the inscribed disc that hold no number.
-    pub fn holes(&self, frame: usize) -> usize {
+    pub(crate) fn holes(&self, frame: usize) -> usize {
         let centre = |k: usize, count: usize| (2.0 * k as f64 + 1.0) / count as f64 - 1.0;
         let inside =
             |k: &usize| centre(k % self.columns, self.columns).hypot(centre(k / self.columns, self.rows)) < 1.0;

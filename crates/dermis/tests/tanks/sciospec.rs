@@ -28,6 +28,9 @@ fn the_cup_is_followed_from_the_frame_it_enters() {
     assert!((220..=230).contains(&last.frame), "{last:?}");
     assert!(touches.iter().all(|touch| touch.id == first.id), "one cup, one identity");
     assert_eq!(touches.len(), last.frame - first.frame + 1, "seen in every frame");
+    // The cup insulates: what it takes away is all the conductivity, 1 in relative terms, give or take the resolution.
+    let deepest = touches.iter().map(|touch| touch.amplitude).fold(0.0, f64::max);
+    assert!((0.8..2.0).contains(&deepest), "{deepest}");
     // 50 ms apart in a tank of which the disc of 200 mm is a picture: a hand moves it by a few percent of the radius.
     assert!(largest < 12.0, "{largest}");
     // Once around: the angle passes through all quadrants.
