@@ -1,18 +1,25 @@
 //! Sparse symmetric positive definite systems with one structure and many values: the symbolic factorisation is made
-//! once, each set of values costs a numeric one (supernodal Cholesky by `faer`, sequential inside: parallelism belongs
-//! to the samples around it).
+//! once (by `faer`), each set of values costs a numeric one (multifrontal, sequential inside: parallelism belongs to the
+//! samples around it).
 
+mod dissection;
+mod multifrontal;
+mod substitution;
+
+use dissection::dissect;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{self as dense, LltRegularization};
 use faer::perm::PermRef;
-use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
     factorize_symbolic_cholesky,
 };
+use faer::sparse::linalg::{SupernodalThreshold, SymbolicSupernodalParams};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
+use multifrontal::Fronts;
+use substitution::{Rows, Supernodal, WIDTH};
 use thiserror::Error;
 
 /// Why a system could not be factored.
@@ -47,11 +54,16 @@ pub enum Ordering<'a> {
     DissectionWithLast(&'a [[f64; 3]], &'a [u32]),
 }
 
+/// Supernodes are merged when together they have at most so many columns and less than this share of zeros: larger
+/// blocks than `faer`'s default, as fronts of a few columns cost more in moving than in computing.
+const RELAXATION: [(usize, f64); 4] = [(16, 1.0), (48, 0.5), (96, 0.2), (usize::MAX, 0.1)];
+
 /// The structure of a symmetric matrix and its symbolic Cholesky factorisation.
 #[derive(Debug)]
 pub struct SpdStructure {
     pattern: SymbolicSparseColMat<u32>,
     symbolic: SymbolicCholesky<u32>,
+    fronts: Option<Fronts>,
 }
 
 /// Numeric factor; see [`SpdStructure::factor`].
@@ -100,6 +112,7 @@ impl SpdStructure {
         };
         let pattern = SymbolicSparseColMat::new_checked(size, size, column_start, None, rows);
         let parameters = CholeskySymbolicParams {
+            supernodal_params: SymbolicSupernodalParams { relax: Some(&RELAXATION) },
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()
         };
@@ -114,7 +127,8 @@ impl SpdStructure {
             ),
         }
         .map_err(refuse)?;
-        Ok((Self { pattern, symbolic }, slots))
+        let fronts = Fronts::new(&pattern, &symbolic);
+        Ok((Self { pattern, symbolic, fronts }, slots))
     }
 
     /// Rows of the matrix.
@@ -170,6 +184,10 @@ impl SpdStructure {
     /// # Errors
     /// [`SparseError::NotPositiveDefinite`].
     pub fn refactor(&self, values: &[f64], factor: &mut SpdFactor) -> Result<(), SparseError> {
+        let refuse = |pivot: usize| SparseError::NotPositiveDefinite { pivot, size: self.size() };
+        if let (Some(fronts), SymbolicCholeskyRaw::Supernodal(symbolic)) = (&self.fronts, self.symbolic.raw()) {
+            return fronts.factor(symbolic, values, &mut factor.values).map_err(refuse);
+        }
         let scratch = self.symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
         let mut buffer = MemBuffer::new(scratch);
         self.symbolic
@@ -182,10 +200,7 @@ impl SpdStructure {
                 MemStack::new(&mut buffer),
                 Default::default(),
             )
-            .map_err(|dense::LltError::NonPositivePivot { index }| SparseError::NotPositiveDefinite {
-                pivot: index,
-                size: self.size(),
-            })?;
+            .map_err(|dense::LltError::NonPositivePivot { index }| refuse(index))?;
         Ok(())
     }
 
@@ -247,213 +262,6 @@ impl SpdStructure {
             MemStack::new(&mut buffer),
         );
     }
-}
-
-/// Which rows of columns of the inverse are wanted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Rows {
-    All,
-    Same,
-}
-
-/// Right-hand sides handled together: their values at one unknown fill a few vector registers.
-const WIDTH: usize = 16;
-
-/// A numeric factor, for sources at unknowns from `first` on (in the order of elimination).
-struct Supernodal<'a> {
-    factor: SupernodalLltRef<'a, u32, f64>,
-    first: usize,
-}
-
-impl Supernodal<'_> {
-    /// Forward substitution where the sources are, backward substitution to the rows wanted.
-    fn solve(&self, x: &mut [[f64; WIDTH]], rows: Rows) {
-        pulp::Arch::new().dispatch(Substitution { factor: self, x, rows });
-    }
-
-    /// Entries of one column of a supernode: first those of its square block (the part above the diagonal has no
-    /// meaning), then those of its pattern.
-    #[inline(always)]
-    fn column(&self, supernode: usize, column: usize) -> &[f64] {
-        let begin = self.factor.symbolic().col_ptr_for_val()[supernode] as usize;
-        let rows = self.factor.supernode(supernode).val().nrows();
-        &self.factor.values()[begin + column * rows..][..rows]
-    }
-
-    #[inline(always)]
-    fn forward(&self, supernode: usize, x: &mut [[f64; WIDTH]]) {
-        let node = self.factor.supernode(supernode);
-        let (start, columns) = (node.start(), node.val().ncols());
-        for column in 0..columns {
-            let entries = self.column(supernode, column);
-            let value = x[start + column].map(|value| value / entries[column]);
-            x[start + column] = value;
-            for (row, &entry) in entries[..columns].iter().enumerate().skip(column + 1) {
-                subtract(&mut x[start + row], entry, &value);
-            }
-            for (&row, &entry) in node.pattern().iter().zip(&entries[columns..]) {
-                subtract(&mut x[row as usize], entry, &value);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn backward(&self, supernode: usize, x: &mut [[f64; WIDTH]], below: &mut Vec<[f64; WIDTH]>) {
-        let node = self.factor.supernode(supernode);
-        let (start, columns) = (node.start(), node.val().ncols());
-        below.clear();
-        below.extend(node.pattern().iter().map(|&row| x[row as usize]));
-        for column in (0..columns).rev() {
-            let entries = self.column(supernode, column);
-            let mut value = x[start + column];
-            for (known, &entry) in below.iter().zip(&entries[columns..]) {
-                subtract(&mut value, entry, known);
-            }
-            for (known, &entry) in x[start + column + 1..start + columns].iter().zip(&entries[column + 1..columns]) {
-                subtract(&mut value, entry, known);
-            }
-            x[start + column] = value.map(|value| value / entries[column]);
-        }
-    }
-}
-
-/// The loops of a solve, compiled for the vector instructions of the machine.
-struct Substitution<'a> {
-    factor: &'a Supernodal<'a>,
-    x: &'a mut [[f64; WIDTH]],
-    rows: Rows,
-}
-
-impl pulp::NullaryFnOnce for Substitution<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        let begins = self.factor.factor.symbolic().supernode_begin();
-        let first = begins.partition_point(|&begin| begin as usize <= self.factor.first).saturating_sub(1);
-        let last = match self.rows {
-            Rows::All => 0,
-            Rows::Same => first,
-        };
-        for supernode in first..begins.len() {
-            self.factor.forward(supernode, self.x);
-        }
-        let mut below = Vec::new();
-        for supernode in (last..begins.len()).rev() {
-            self.factor.backward(supernode, self.x, &mut below);
-        }
-    }
-}
-
-#[inline(always)]
-fn subtract(from: &mut [f64; WIDTH], entry: f64, value: &[f64; WIDTH]) {
-    for lane in 0..WIDTH {
-        from[lane] -= entry * value[lane];
-    }
-}
-
-const LEAF: usize = 48;
-
-/// Nested dissection: forward and inverse permutation (new to old, old to new).
-fn dissect(coordinates: &[[f64; 3]], last: &[u32], column_start: &[u32], rows: &[u32]) -> (Vec<u32>, Vec<u32>) {
-    let size = coordinates.len();
-    let adjacency = Adjacency::new(size, column_start, rows);
-    let mut side = vec![0_u8; size];
-    let mut order = Vec::with_capacity(size);
-    let mut is_last = vec![false; size];
-    last.iter().for_each(|&unknown| is_last[unknown as usize] = true);
-    let mut nodes: Vec<u32> = (0..size as u32).filter(|&node| !is_last[node as usize]).collect();
-    split(&mut nodes, coordinates, &adjacency, &mut side, &mut order);
-    for &unknown in last {
-        if std::mem::take(&mut is_last[unknown as usize]) {
-            order.push(unknown);
-        }
-    }
-    let mut inverse = vec![0_u32; size];
-    for (new, &old) in order.iter().enumerate() {
-        inverse[old as usize] = new as u32;
-    }
-    (order, inverse)
-}
-
-struct Adjacency {
-    start: Vec<u32>,
-    others: Vec<u32>,
-}
-
-impl Adjacency {
-    fn new(size: usize, column_start: &[u32], rows: &[u32]) -> Self {
-        let pairs = || {
-            (0..size).flat_map(|column| {
-                let range = column_start[column] as usize..column_start[column + 1] as usize;
-                rows[range].iter().map(move |&row| (column as u32, row)).filter(|pair| pair.0 != pair.1)
-            })
-        };
-        let mut start = vec![0_u32; size + 1];
-        for (a, b) in pairs() {
-            start[a as usize + 1] += 1;
-            start[b as usize + 1] += 1;
-        }
-        for node in 0..size {
-            start[node + 1] += start[node];
-        }
-        let mut fill = start.clone();
-        let mut others = vec![0_u32; start[size] as usize];
-        for (a, b) in pairs() {
-            for (from, to) in [(a, b), (b, a)] {
-                others[fill[from as usize] as usize] = to;
-                fill[from as usize] += 1;
-            }
-        }
-        Self { start, others }
-    }
-
-    fn of(&self, node: u32) -> &[u32] {
-        &self.others[self.start[node as usize] as usize..self.start[node as usize + 1] as usize]
-    }
-}
-
-fn split(nodes: &mut [u32], xyz: &[[f64; 3]], adjacency: &Adjacency, side: &mut [u8], order: &mut Vec<u32>) {
-    if nodes.len() <= LEAF {
-        order.extend_from_slice(nodes);
-        return;
-    }
-    let extent = |axis: usize| {
-        let values = nodes.iter().map(|&node| xyz[node as usize][axis]);
-        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        high - low
-    };
-    let extents = [extent(0), extent(1), extent(2)];
-    let axis = (0..3).max_by(|&a, &b| extents[a].total_cmp(&extents[b])).unwrap_or(0);
-    let middle = nodes.len() / 2;
-    nodes.select_nth_unstable_by(middle, |&a, &b| {
-        xyz[a as usize][axis].total_cmp(&xyz[b as usize][axis]).then(a.cmp(&b))
-    });
-    for (position, &node) in nodes.iter().enumerate() {
-        side[node as usize] = if position < middle { 1 } else { 2 };
-    }
-    // The separator: nodes of the left half that touch the right one.
-    let mut left = Vec::with_capacity(middle);
-    let mut separator = Vec::new();
-    for &node in &nodes[..middle] {
-        if adjacency.of(node).iter().any(|&other| side[other as usize] == 2) {
-            separator.push(node);
-        } else {
-            left.push(node);
-        }
-    }
-    let mut right = nodes[middle..].to_vec();
-    for &node in nodes.iter() {
-        side[node as usize] = 0;
-    }
-    if left.is_empty() {
-        order.extend_from_slice(&right);
-        order.extend_from_slice(&separator);
-        return;
-    }
-    split(&mut left, xyz, adjacency, side, order);
-    split(&mut right, xyz, adjacency, side, order);
-    order.extend_from_slice(&separator);
 }
 
 #[cfg(test)]

@@ -1,0 +1,107 @@
+//! Forward and backward substitution for sources at a few unknowns, sixteen right-hand sides together: the values of all
+//! of them at one unknown lie side by side.
+
+use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
+
+/// Which rows of columns of the inverse are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rows {
+    All,
+    Same,
+}
+
+/// Right-hand sides handled together: their values at one unknown fill a few vector registers.
+pub(super) const WIDTH: usize = 16;
+
+/// A numeric factor, for sources at unknowns from `first` on (in the order of elimination).
+pub(super) struct Supernodal<'a> {
+    pub(super) factor: SupernodalLltRef<'a, u32, f64>,
+    pub(super) first: usize,
+}
+
+impl Supernodal<'_> {
+    /// Forward substitution where the sources are, backward substitution to the rows wanted.
+    pub(super) fn solve(&self, x: &mut [[f64; WIDTH]], rows: Rows) {
+        pulp::Arch::new().dispatch(Substitution { factor: self, x, rows });
+    }
+
+    /// Entries of one column of a supernode: first those of its square block (the part above the diagonal has no
+    /// meaning), then those of its pattern.
+    #[inline(always)]
+    fn column(&self, supernode: usize, column: usize) -> &[f64] {
+        let begin = self.factor.symbolic().col_ptr_for_val()[supernode] as usize;
+        let rows = self.factor.supernode(supernode).val().nrows();
+        &self.factor.values()[begin + column * rows..][..rows]
+    }
+
+    #[inline(always)]
+    fn forward(&self, supernode: usize, x: &mut [[f64; WIDTH]]) {
+        let node = self.factor.supernode(supernode);
+        let (start, columns) = (node.start(), node.val().ncols());
+        for column in 0..columns {
+            let entries = self.column(supernode, column);
+            let value = x[start + column].map(|value| value / entries[column]);
+            x[start + column] = value;
+            for (row, &entry) in entries[..columns].iter().enumerate().skip(column + 1) {
+                subtract(&mut x[start + row], entry, &value);
+            }
+            for (&row, &entry) in node.pattern().iter().zip(&entries[columns..]) {
+                subtract(&mut x[row as usize], entry, &value);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn backward(&self, supernode: usize, x: &mut [[f64; WIDTH]], below: &mut Vec<[f64; WIDTH]>) {
+        let node = self.factor.supernode(supernode);
+        let (start, columns) = (node.start(), node.val().ncols());
+        below.clear();
+        below.extend(node.pattern().iter().map(|&row| x[row as usize]));
+        for column in (0..columns).rev() {
+            let entries = self.column(supernode, column);
+            let mut value = x[start + column];
+            for (known, &entry) in below.iter().zip(&entries[columns..]) {
+                subtract(&mut value, entry, known);
+            }
+            for (known, &entry) in x[start + column + 1..start + columns].iter().zip(&entries[column + 1..columns]) {
+                subtract(&mut value, entry, known);
+            }
+            x[start + column] = value.map(|value| value / entries[column]);
+        }
+    }
+}
+
+/// The loops of a solve, compiled for the vector instructions of the machine.
+struct Substitution<'a> {
+    factor: &'a Supernodal<'a>,
+    x: &'a mut [[f64; WIDTH]],
+    rows: Rows,
+}
+
+impl pulp::NullaryFnOnce for Substitution<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let begins = self.factor.factor.symbolic().supernode_begin();
+        let first = begins.partition_point(|&begin| begin as usize <= self.factor.first).saturating_sub(1);
+        let last = match self.rows {
+            Rows::All => 0,
+            Rows::Same => first,
+        };
+        for supernode in first..begins.len() {
+            self.factor.forward(supernode, self.x);
+        }
+        let mut below = Vec::new();
+        for supernode in (last..begins.len()).rev() {
+            self.factor.backward(supernode, self.x, &mut below);
+        }
+    }
+}
+
+#[inline(always)]
+fn subtract(from: &mut [f64; WIDTH], entry: f64, value: &[f64; WIDTH]) {
+    for lane in 0..WIDTH {
+        from[lane] -= entry * value[lane];
+    }
+}
