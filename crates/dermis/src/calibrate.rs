@@ -75,16 +75,18 @@ pub struct CalibratedImager {
 #[derive(Clone, Debug)]
 pub enum PlacementFinder {
     /// A locator learnt from pokes.
-    Learnt {
-        /// The locator.
-        locator: Locator,
-        /// Its memory.
-        scratch: LocatorScratch,
-        /// Root mean square of the noise-weighted frame below which there is no touch.
-        smallest_amplitude: f64,
-    },
+    Learnt(Box<LearntFinder>),
     /// The matched filter of a skin calibrated without labels.
-    Matched(self_calibrated::MatchedFinder),
+    Matched(Box<self_calibrated::MatchedFinder>),
+}
+
+/// A locator with its memory.
+#[derive(Clone, Debug)]
+pub struct LearntFinder {
+    locator: Locator,
+    scratch: LocatorScratch,
+    /// Root mean square of the noise-weighted frame below which there is no touch.
+    smallest_amplitude: f64,
 }
 
 impl PlacementFinder {
@@ -93,12 +95,17 @@ impl PlacementFinder {
     /// # Errors
     /// A frame of another length, or without enough channels.
     pub fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
-        let (locator, scratch, smallest_amplitude) = match self {
-            PlacementFinder::Learnt { locator, scratch, smallest_amplitude } => (locator, scratch, *smallest_amplitude),
-            PlacementFinder::Matched(finder) => return finder.place(difference),
-        };
-        let located = locator.predict_into(difference, scratch)?;
-        if located.amplitude < smallest_amplitude {
+        match self {
+            PlacementFinder::Learnt(finder) => finder.place(difference),
+            PlacementFinder::Matched(finder) => finder.place(difference),
+        }
+    }
+}
+
+impl LearntFinder {
+    fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        let located = self.locator.predict_into(difference, &mut self.scratch)?;
+        if located.amplitude < self.smallest_amplitude {
             return Ok(None);
         }
         Ok(Some(Placement {
@@ -206,11 +213,11 @@ impl Prepared {
         let problem = LinearProblem::new(measured.jacobian.as_mat(), weighting, prior)?;
         let lambda = problem.choose(&Hyperparameter::Relative(0.1), data)?;
         let imager = self.imager_from(problem, lambda, &reference.noise, 1.0)?;
-        let placement = PlacementFinder::Learnt {
+        let placement = PlacementFinder::Learnt(Box::new(LearntFinder {
             scratch: calibration.locator.scratch(),
             locator: calibration.locator.clone(),
             smallest_amplitude: self.skin.touch.hold_sigma.min(0.5 * calibration.weakest_amplitude()?),
-        };
+        }));
         Ok(CalibratedImager { imager, reference, placement: Some(placement) })
     }
 }

@@ -35,7 +35,11 @@ impl MeasuredJacobian {
     ) -> Result<Self, InverseError> {
         let (pokes, channels) = (frames.len(), frames.first().map_or(0, Vec::len));
         if pokes < 3 || lengths_m.is_empty() {
-            return Err(InverseError::Size { what: "pokes for a measured Jacobian (at least)", expected: 3, got: pokes });
+            return Err(InverseError::Size {
+                what: "pokes for a measured Jacobian (at least)",
+                expected: 3,
+                got: pokes,
+            });
         }
         if pokes_m.len() != pokes {
             return Err(InverseError::Size { what: "positions of pokes", expected: pokes, got: pokes_m.len() });
@@ -61,7 +65,8 @@ impl MeasuredJacobian {
         let cross = Mat::from_fn(pokes, targets_m.len(), |p, t| kernel(pokes_m[p], targets_m[t], length_m));
         let product = coefficients.transpose() * &cross;
         let columns = targets_m.len();
-        let values = (0..channels).flat_map(|c| (0..columns).map(move |t| (c, t))).map(|(c, t)| product[(c, t)]).collect();
+        let values =
+            (0..channels).flat_map(|c| (0..columns).map(move |t| (c, t))).map(|(c, t)| product[(c, t)]).collect();
         Ok(Self { jacobian: Jacobian { rows: channels, columns, values }, length_m, leave_one_out })
     }
 }
@@ -73,9 +78,8 @@ fn kernel(a: [f64; 2], b: [f64; 2], length: f64) -> f64 {
 /// Leave-one-out error by `r_i = alpha_i / (K^-1)_ii`, and the coefficients alpha.
 fn fit(data: &Mat<f64>, pokes_m: &[[f64; 2]], length: f64) -> Result<(f64, Mat<f64>), InverseError> {
     let pokes = pokes_m.len();
-    let gram = Mat::from_fn(pokes, pokes, |a, b| {
-        kernel(pokes_m[a], pokes_m[b], length) + if a == b { NOISE } else { 0.0 }
-    });
+    let gram =
+        Mat::from_fn(pokes, pokes, |a, b| kernel(pokes_m[a], pokes_m[b], length) + if a == b { NOISE } else { 0.0 });
     let factor = gram.llt(Side::Lower).map_err(|_| InverseError::Singular {
         what: "the kernel matrix of the pokes",
         hint: "give a positive correlation length",

@@ -335,8 +335,10 @@ impl PriorMatrix {
                 for (slot, entry) in slots.iter().zip(entries) {
                     values[*slot as usize] += entry.2;
                 }
-                let trace: f64 = entries.iter().filter(|e| e.0 == e.1).map(|e| e.2).sum();
-                structure.add_to_diagonal(&mut values, SPARSE_RIDGE * trace / *size as f64);
+                if self.is_singular() {
+                    let trace: f64 = entries.iter().filter(|e| e.0 == e.1).map(|e| e.2).sum();
+                    structure.add_to_diagonal(&mut values, SPARSE_RIDGE * trace / *size as f64);
+                }
                 let factor = structure.factor(&values).map_err(|_| singular(()))?;
                 let mut x = b.to_owned();
                 structure.solve_in_place(&factor, x.as_mut());

@@ -107,7 +107,7 @@ impl Prepared {
             smallest_amplitude: self.skin.touch.hold_sigma,
             variance_m2,
         };
-        Ok(Some(CalibratedImager { imager, reference, placement: Some(PlacementFinder::Matched(finder)) }))
+        Ok(Some(CalibratedImager { imager, reference, placement: Some(PlacementFinder::Matched(Box::new(finder))) }))
     }
 
     /// Inside pixels with no outside pixel, and no edge of the grid, within `margin_m`.
