@@ -1,7 +1,7 @@
 //! The live pipeline: frame, channels, baseline, image, touches. Typed stages called one after another; after start-up
 //! nothing is allocated per frame. It knows neither where frames come from nor where results go.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, Layout};
 use dermis_touch::{
@@ -71,6 +71,8 @@ pub struct Pipeline {
     difference: Vec<f64>,
     image: Vec<f32>,
     latencies: StageLatencies,
+    /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
+    timed_from_ns: u64,
     frames: u64,
 }
 
@@ -100,6 +102,7 @@ impl Pipeline {
             difference: Vec::new(),
             image: vec![f32::NAN; prepared.map.grid().len()],
             latencies: StageLatencies::default(),
+            timed_from_ns: 0,
             frames: 0,
             calibration,
             prepared,
@@ -119,7 +122,6 @@ impl Pipeline {
     pub fn process(&mut self, frame: &Frame, now_ns: u64) -> Result<Output<'_>, Error> {
         let start = Instant::now();
         self.frames += 1;
-        self.latencies.queue.record(std::time::Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns)));
         self.reader.read(&frame.values, &frame.imaginary, &mut self.channels)?;
         let time_ns = frame.host_monotonic_ns;
         self.baseline.observe(time_ns, &self.channels)?;
@@ -146,10 +148,13 @@ impl Pipeline {
         let change = self.baseline.learn(load);
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.renew()?;
+            self.timed_from_ns = now_ns.saturating_add(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX));
         }
-        let elapsed = start.elapsed();
-        let waited = std::time::Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
-        self.latencies.total.record(elapsed + waited);
+        let waited = Duration::from_nanos(now_ns.saturating_sub(time_ns));
+        if time_ns >= self.timed_from_ns {
+            self.latencies.queue.record(waited);
+            self.latencies.total.record(waited + start.elapsed());
+        }
         let grid = self.prepared.map.grid();
         let (touches, events) = match &self.ready {
             Some(ready) => (ready.touches.touches(), ready.touches.events()),
@@ -171,8 +176,7 @@ impl Pipeline {
 
     /// A new baseline stands: match it to the model and, the first time, build the operator.
     fn renew(&mut self) -> Result<(), Error> {
-        let reference =
-            self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?;
+        let reference = self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?;
         if let Some(ready) = &mut self.ready {
             let lambda = ready.imager.hyperparameter();
             ready.imager.set_hyperparameter(lambda, &reference.noise)?;

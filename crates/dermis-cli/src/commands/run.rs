@@ -103,9 +103,9 @@ impl Arguments {
         let calibration = self.calibration.as_deref().map(Calibration::load).transpose()?;
         let prepared = Prepared::new(opened.skin)?;
         let labels = (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect();
-        let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
-        let head = RecordingHead { labels, ..RecordingHead::new(skin_toml, acquisition.layout().clone(), acquisition.name()) };
-        let pipeline = Pipeline::new(prepared, acquisition.layout(), calibration)?;
+        let layout = opened.source.layout().clone();
+        let head = RecordingHead { labels, ..RecordingHead::new(skin_toml, layout.clone(), opened.source.name()) };
+        let pipeline = Pipeline::new(prepared, &layout, calibration)?;
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {
@@ -125,6 +125,8 @@ impl Arguments {
         if let Some(path) = &self.record {
             run.start_recording(path)?;
         }
+        // Last of all, so that no frame waits for anything above.
+        let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let outcome = self.follow(&mut acquisition, &mut run, &requests, out);
         run.stop_recording()?;
         let counters = acquisition.counters();
@@ -226,7 +228,10 @@ impl Run {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
-        self.feed.count(acquisition.counters(), self.recorder.as_ref().map(|(path, handle)| (path.as_path(), handle.status())));
+        self.feed.count(
+            acquisition.counters(),
+            self.recorder.as_ref().map(|(path, handle)| (path.as_path(), handle.status())),
+        );
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
         if self.pipeline.baseline_records().len() > before {

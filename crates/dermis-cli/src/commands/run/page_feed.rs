@@ -173,7 +173,7 @@ pub fn scene(prepared: &Prepared, is_twin: bool) -> Scene {
         channel_unit: "V".into(),
         image_quantity: "relative conductivity change".into(),
         image_unit: String::new(),
-        range_hint: Some([0.0, 0.05]),
+        range_hint: Some([0.0, 0.5]),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
         press: PressLimits::default(),
     }
