@@ -92,7 +92,7 @@ fn forward_and_jacobian(c: &mut Criterion) -> Outcome {
 }
 
 fn tetrahedra(c: &mut Criterion) -> Outcome {
-    let model = ForwardModel::new(cylinder(5e-3, 20)?, protocol()?)?;
+    let model = ForwardModel::new(cylinder(4.65e-3, 20)?, protocol()?)?;
     let sigma = random_inclusions(model.body(), 1);
     println!("cylinder of {} tetrahedra", sigma.len());
     let mut group = c.benchmark_group("solid");
