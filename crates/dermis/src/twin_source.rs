@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, HealingSquare, HealingSquareOptions, Twin, TwinError};
 
 use crate::Error;
@@ -46,6 +47,8 @@ pub struct TwinSource {
 
 /// Commands that may wait for the next frame.
 const QUEUE: usize = 256;
+/// Frames without any touch at the start, for a baseline; then the demonstration begins.
+const REST_FRAMES: u64 = crate::pipeline::TARE_FRAMES as u64 + 4;
 
 impl TwinSource {
     /// The twin of a skin, at the skin file's frame rate (50 frames/s where it gives none), with its demonstration script.
@@ -61,9 +64,7 @@ impl TwinSource {
                 got: format!("skin {}, which has none", skin.name),
             });
         }
-        let options =
-            HealingSquareOptions { script: Some(dermis_twin::scene::Script::demo()), ..HealingSquareOptions::default() };
-        let twin = Twin::healing_square(&options)?;
+        let twin = Twin::healing_square(&HealingSquareOptions::default())?;
         let (sender, commands) = crossbeam_channel::bounded(QUEUE);
         let rate = skin.backend.frames_per_s.unwrap_or(50.0);
         let source = Self {
@@ -81,6 +82,9 @@ impl TwinSource {
     }
 
     fn obey(&mut self) -> Result<(), TwinError> {
+        if self.frames == REST_FRAMES {
+            self.twin.scene_mut().set_script(Some(Script::demo()))?;
+        }
         for command in self.commands.try_iter() {
             match command {
                 TwinCommand::Press { pointer, position_m: [x, y], radius_m, pressure_pa } => {

@@ -171,7 +171,12 @@ fn tare_is_refused_under_load_and_a_held_press_keeps_its_value() {
     bench.run(SETTLE);
     assert!(bench.pipeline.tare(false, "test").is_err(), "a tare under load must be refused");
     let mean_of = |bench: &mut Bench| {
-        let sum: f64 = (0..10).map(|_| { bench.run(1); bench.touches[0].amplitude }).sum();
+        let sum: f64 = (0..10)
+            .map(|_| {
+                bench.run(1);
+                bench.touches[0].amplitude
+            })
+            .sum();
         sum / 10.0
     };
     let early = mean_of(&mut bench);

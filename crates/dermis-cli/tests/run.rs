@@ -1,0 +1,89 @@
+//! `dermis run` as a script sees it: lines, recordings, replays, exit codes.
+
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn run(directory: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_dermis"))
+        .arg("run")
+        .args(arguments)
+        .current_dir(directory)
+        .output()
+        .expect("the command starts")
+}
+
+fn lines(output: &Output) -> Vec<Value> {
+    let text = String::from_utf8(output.stdout.clone()).expect("UTF-8");
+    text.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e}: {line}"))).collect()
+}
+
+fn message(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Done, or, on a machine too slow for the twin's rate, done with a loss that was counted and said.
+fn assert_done(output: &Output) {
+    let text = message(output);
+    match output.status.code() {
+        Some(0) => assert!(!text.contains("frames were lost"), "{text}"),
+        Some(3) => assert!(text.contains("frames were lost") && text.contains("lost="), "{text}"),
+        other => panic!("exit code {other:?}: {text}"),
+    }
+}
+
+/// The same touches in the same frames. A replay as fast as possible stamps frames with its own clock, by which drift is
+/// followed and touches are predicted: positions may differ by less than half a millimetre, which is a third of a pixel.
+fn assert_same_touches(replay: &[Value], live: &[Value]) {
+    assert_eq!(replay.len(), live.len());
+    for (replay, live) in replay.iter().zip(live) {
+        assert_eq!(replay["sequence"], live["sequence"]);
+        let list = |line: &Value| line["touches"].as_array().cloned().unwrap_or_default();
+        let (again, first) = (list(replay), list(live));
+        assert_eq!(again.len(), first.len(), "{replay} {live}");
+        for (again, first) in again.iter().zip(&first) {
+            assert_eq!((&again["id"], &again["phase"]), (&first["id"], &first["phase"]), "{replay} {live}");
+            for key in ["x_mm", "y_mm"] {
+                let number = |touch: &Value| touch[key].as_f64().unwrap_or(f64::NAN);
+                assert!((number(again) - number(first)).abs() < 0.5, "{key}: {replay} {live}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_twin_prints_one_line_a_frame_and_its_recording_replays_the_same_touches() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let live = run(desk.path(), &["--headless", "--frames", "100", "--record", "x.mcap"]);
+    assert_done(&live);
+    let live = lines(&live);
+    assert_eq!(live.len(), 100);
+    let touched = live.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
+    // The demonstration begins after the baseline's frames and presses from its first second on, 25 frames later.
+    assert!(touched > 20, "only {touched} of 100 lines have touches");
+
+    let replay = run(desk.path(), &["--source", "x.mcap", "--speed", "0", "--headless"]);
+    // What the live run lost is missing from its recording too, and said again.
+    assert_done(&replay);
+    assert_same_touches(&lines(&replay), &live);
+}
+
+#[test]
+fn a_port_in_use_is_a_failure_that_names_the_port() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = taken.local_addr().expect("an address").port().to_string();
+    let output = run(desk.path(), &["--no-open", "--port", &port, "--frames", "1"]);
+    assert_eq!(output.status.code(), Some(1), "{}", message(&output));
+    assert!(message(&output).contains(&port), "{}", message(&output));
+}
+
+#[test]
+fn an_unknown_skin_is_bad_usage() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let output = run(desk.path(), &["no-such-skin", "--headless", "--frames", "1"]);
+    assert_eq!(output.status.code(), Some(2), "{}", message(&output));
+    assert!(message(&output).contains("no-such-skin"), "{}", message(&output));
+}
