@@ -91,6 +91,18 @@ impl Prepared {
         })
     }
 
+    /// True where neither weights nor hyperparameter are taken from measurements, so that the operator can be built before
+    /// there are any.
+    pub(crate) fn operator_needs_no_baseline(&self) -> bool {
+        let imaging = &self.skin.imaging;
+        let weights = matches!(imaging.weights, WeightChoice::Identity | WeightChoice::FloorAndShare { .. });
+        let rule = matches!(
+            imaging.hyperparameter,
+            HyperparameterChoice::Number(_) | HyperparameterChoice::Relative(_) | HyperparameterChoice::NoiseFigure(_)
+        );
+        weights && rule && self.skin.backend.circuit.is_none()
+    }
+
     pub(crate) fn weighting(&self, reference: &Reference) -> Result<Weighting, Error> {
         let largest = self.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
         let from_variances = |variances: Vec<f64>| Weighting::Diagonal(variances.iter().map(|v| 1.0 / v).collect());
@@ -137,7 +149,7 @@ impl Prepared {
             }
         }
         let pixel_area = self.map.grid().pixel_m.powi(2);
-        for (mut spot, area) in spots.col_iter_mut().zip(&spot_areas) {
+        for (spot, area) in spots.col_iter_mut().zip(&spot_areas) {
             spot.iter_mut().for_each(|value| *value *= pixel_area / area);
         }
         Ok(self.prior().matrix(spots.as_ref(), weighting, &self.basis)?)
@@ -172,6 +184,11 @@ impl Imager {
         self.pixel_noise = pixel_noise(&self.operator, noise);
         self.missing = None;
         Ok(())
+    }
+
+    /// Replaces the channel noise that the image noise is worked out from.
+    pub fn set_noise(&mut self, noise: &[f64]) {
+        self.pixel_noise = pixel_noise(&self.operator, noise);
     }
 
     /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the

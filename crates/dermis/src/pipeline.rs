@@ -66,6 +66,8 @@ pub struct Pipeline {
     reader: ChannelReader,
     baseline: Baseline,
     ready: Option<Ready>,
+    /// The operator, until there is a baseline to use it with.
+    prebuilt: Option<Imager>,
     hyperparameter: Option<f64>,
     channels: Vec<f64>,
     difference: Vec<f64>,
@@ -74,6 +76,9 @@ pub struct Pipeline {
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
     frames: u64,
+    /// Time of the last frame: what happens on the skin is timed by the device where it has a clock, so that a replay at
+    /// another pace gives the same touches.
+    time_ns: u64,
 }
 
 impl Pipeline {
@@ -93,10 +98,17 @@ impl Pipeline {
         if let Some(calibration) = &calibration {
             calibration.check(&prepared)?;
         }
+        // An operator that does not depend on the baseline is built before any frame has to wait for it.
+        let prebuilt = if calibration.is_none() && prepared.operator_needs_no_baseline() {
+            Some(prepared.imager(&prepared.reference_from(&prepared.voltages, None)?, &[])?)
+        } else {
+            None
+        };
         Ok(Self {
             reader,
             baseline,
             ready: None,
+            prebuilt,
             hyperparameter: None,
             channels: Vec::new(),
             difference: Vec::new(),
@@ -104,6 +116,7 @@ impl Pipeline {
             latencies: StageLatencies::default(),
             timed_from_ns: 0,
             frames: 0,
+            time_ns: 0,
             calibration,
             prepared,
         })
@@ -123,7 +136,9 @@ impl Pipeline {
         let start = Instant::now();
         self.frames += 1;
         self.reader.read(&frame.values, &frame.imaginary, &mut self.channels)?;
-        let time_ns = frame.host_monotonic_ns;
+        // A clock that was set back must not stop the skin: time then stands still until it has caught up.
+        self.time_ns = self.time_ns.max(frame.device_time_ns.unwrap_or(frame.host_monotonic_ns));
+        let time_ns = self.time_ns;
         self.baseline.observe(time_ns, &self.channels)?;
         let mut load = Load::Free;
         if let Some(ready) = &mut self.ready {
@@ -162,7 +177,7 @@ impl Pipeline {
         };
         Ok(Output {
             sequence: frame.sequence,
-            time_ns,
+            time_ns: frame.host_monotonic_ns,
             wall_ns: frame.host_wall_ns,
             raw: self.baseline.raw(),
             compensated: self.baseline.compensated(),
@@ -178,14 +193,18 @@ impl Pipeline {
     fn renew(&mut self) -> Result<(), Error> {
         let reference = self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?;
         if let Some(ready) = &mut self.ready {
-            let lambda = ready.imager.hyperparameter();
-            ready.imager.set_hyperparameter(lambda, &reference.noise)?;
+            ready.imager.set_noise(&reference.noise);
             ready.touches.set_noise(ready.imager.noise_image());
             ready.reference = reference;
             return Ok(());
         }
-        let CalibratedImager { mut imager, reference, placement } =
-            self.prepared.calibrated_imager(self.calibration.as_ref(), reference, &[])?;
+        let CalibratedImager { mut imager, reference, placement } = match self.prebuilt.take() {
+            Some(mut imager) => {
+                imager.set_noise(&reference.noise);
+                CalibratedImager { imager, reference, placement: None }
+            }
+            None => self.prepared.calibrated_imager(self.calibration.as_ref(), reference, &[])?,
+        };
         if let Some(lambda) = self.hyperparameter {
             imager.set_hyperparameter(lambda, &reference.noise)?;
         }

@@ -7,6 +7,9 @@ use dermis_tomo::mesh::PixelMap;
 use crate::Error;
 use crate::skin::{MixturePart, PriorChoice, Reads, Skin, SkinBody};
 
+/// Below this share of a pixel there is no skin to speak of.
+const LEAST_RIM_COVERAGE: f64 = 5e-3;
+
 /// A skin's forward model at rest, on the grid that its images live on.
 #[derive(Debug)]
 pub struct Prepared {
@@ -56,6 +59,25 @@ impl Prepared {
     /// Number of channels of a frame.
     pub fn channels(&self) -> usize {
         self.voltages.len()
+    }
+
+    /// Pixels that the skin covers only a little of, which images leave out, each with the inside pixel nearest to it (both
+    /// row-major): an image that is to have a value wherever there is skin takes it from there.
+    pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
+        let grid = self.map.grid();
+        let distance = |a: usize, b: usize| {
+            let (p, q) = (grid.centre_m(a), grid.centre_m(b));
+            (p[0] - q[0]).hypot(p[1] - q[1])
+        };
+        let mask = self.map.inside_mask();
+        let on_rim = (0..grid.len()).filter(|&pixel| !mask[pixel] && self.map.coverage()[pixel] > LEAST_RIM_COVERAGE);
+        on_rim
+            .filter_map(|pixel| {
+                let inside = self.map.inside_pixels().iter().map(|&p| p as usize);
+                let nearest = inside.min_by(|&a, &b| distance(pixel, a).total_cmp(&distance(pixel, b)))?;
+                Some((pixel, nearest))
+            })
+            .collect()
     }
 
     /// Does a measured baseline (channels in the protocol's order) look like this skin at rest, and if not, is it in

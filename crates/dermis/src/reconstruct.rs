@@ -117,6 +117,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     }
     let rate = prepared.skin.backend.frames_per_s.unwrap_or(DEFAULT_FRAMES_PER_S);
     let mut image = vec![f32::NAN; grid.len()];
+    let rim = prepared.rim_pixels();
     let mut touches: Vec<Touch> = Vec::new();
     let mut touch_rows = 0;
     for (index, difference) in differences.iter().enumerate() {
@@ -137,6 +138,8 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         if let Some(refinement) = &refinement {
             refinement.threshold(&mut image);
         }
+        // Files show a value wherever there is skin; touches were found without those repeated values.
+        rim.iter().for_each(|&(pixel, nearest)| image[pixel] = image[nearest]);
         touches.clear();
         touches.extend(stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).copied());
         touch_rows += touches.len();

@@ -33,7 +33,8 @@ impl Arguments {
             let text = format!("--seconds {}: expected more than 0 and at most 600", self.seconds);
             return Err(crate::exit::UsageError(text).into());
         }
-        let time = |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
+        let time =
+            |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
         writeln!(out, "{:<58} {:>12} {:>12}", "one core", "median", "best")?;
         for elements in [5_000, 20_000] {
             let model = disc(elements)?;

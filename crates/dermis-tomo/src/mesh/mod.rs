@@ -11,8 +11,8 @@ mod sheet;
 mod solid;
 mod triangulate;
 
-pub(crate) use self::core::{dot, subtract};
 pub use self::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
+pub(crate) use self::core::{dot, subtract};
 pub use self::import::{ElectrodeGroups, read_msh};
 pub use self::pixels::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 pub use self::shapes::{Direction, ElectrodeShape, Outline};

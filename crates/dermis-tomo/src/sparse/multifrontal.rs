@@ -192,7 +192,7 @@ fn factor_block(block: &mut [f64], columns: usize, below: usize, stack: &mut Mem
         let (done, rest) = block.split_at_mut((column + 1) * rows);
         let pivot = &mut done[column * rows + column..];
         // NaN fails as well.
-        if !(pivot[0] > 0.0) {
+        if pivot[0] <= 0.0 || pivot[0].is_nan() {
             return Err(column);
         }
         let scale = 1.0 / pivot[0].sqrt();

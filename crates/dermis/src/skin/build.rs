@@ -3,7 +3,9 @@
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec};
 
-use super::{DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, Shape, Skin};
+use super::{
+    DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, Shape, Skin,
+};
 use crate::Error;
 
 const MM: f64 = 1e-3;
@@ -42,9 +44,7 @@ impl Skin {
                 let direction = if *clockwise { Direction::Clockwise } else { Direction::CounterClockwise };
                 let outline = self.outline();
                 match outline {
-                    Outline::Disc { .. } => {
-                        Outline::rim_arcs(*count, width_mm * MM, start_deg.to_radians(), direction)
-                    }
+                    Outline::Disc { .. } => Outline::rim_arcs(*count, width_mm * MM, start_deg.to_radians(), direction),
                     _ => {
                         let start_m = start_deg / 360.0 * outline.perimeter_m();
                         outline.rim_segments(*count, width_mm * MM, start_m, direction)
@@ -127,9 +127,8 @@ impl Skin {
     fn protocol_of(&self, electrode_count: usize) -> Result<Protocol, dermis_tomo::eit::ProtocolError> {
         let backend = &self.backend;
         // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
-        let zero_based = |pairs: &[[u32; 2]]| {
-            pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>()
-        };
+        let zero_based =
+            |pairs: &[[u32; 2]]| pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>();
         Protocol::generate(&ProtocolSpec {
             electrode_count,
             drive: match &backend.drive {

@@ -26,7 +26,9 @@ pub struct Opened {
 /// Opens what `--source` names.
 pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opened> {
     if !(speed >= 0.0 && speed.is_finite()) {
-        return Err(UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")).into());
+        return Err(
+            UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")).into()
+        );
     }
     if selector == "twin" {
         let skin = super::skin(skin_name)?;
