@@ -438,6 +438,7 @@ fn results_go_to_stdout_and_log_lines_to_stderr() {
 fn the_examples_of_every_help_run() {
     let frames: String = (0..6).map(|k| format!("{},{}\n", 100 + k % 2, 50 - k % 3)).collect();
     let desk = Desk::with(&[("case.json", SQUARE), ("frames.csv", &frames)]);
+    measured_files(&desk);
     let mut ran = 0;
     for command in documented_commands(&desk) {
         let words: Vec<&str> = command.iter().map(String::as_str).chain(["--help"]).collect();
@@ -451,6 +452,73 @@ fn the_examples_of_every_help_run() {
         }
     }
     assert!(ran >= 9, "{ran} examples ran");
+}
+
+/// Rows of numbers as a CSV file.
+fn write_rows(desk: &Desk, name: &str, rows: &[Vec<f64>]) {
+    let line = |row: &Vec<f64>| row.iter().map(f64::to_string).collect::<Vec<_>>().join(",") + "\n";
+    std::fs::write(desk.path(name), rows.iter().map(line).collect::<String>()).expect("a file");
+}
+
+/// What the examples of `reconstruct` and `calibrate` name: frames of two skins as their models have them.
+fn measured_files(desk: &Desk) {
+    let prepare = |name: &str| {
+        let skin = dermis::skin::Skin::open(name).expect("a built-in skin");
+        dermis::prepare::Prepared::new(skin).expect("a skin that meshes")
+    };
+    let touched = |prepared: &dermis::prepare::Prepared, at: [f64; 2], share: f64| -> Vec<f64> {
+        let signature = prepared.signatures(&[at]);
+        prepared.voltages.iter().zip(signature).map(|(v, s)| v + share * s).collect()
+    };
+    let square = prepare("healing-square");
+    write_rows(desk, "rest.csv", &[square.voltages.clone()]);
+    let presses = [[0.0, 0.0], [0.02, 0.01], [-0.02, 0.0]].map(|at| touched(&square, at, 0.3));
+    write_rows(desk, "press.csv", &presses);
+    let gel = prepare("hydrogel-disc");
+    let magnitudes = |frame: Vec<f64>| frame.iter().map(|v| v.abs()).collect::<Vec<_>>();
+    let places: Vec<[f64; 2]> =
+        (0..16).map(|k| [0.03 * f64::from(k % 4) - 0.045, 0.03 * f64::from(k / 4) - 0.045]).collect();
+    write_rows(desk, "before.csv", &[magnitudes(gel.voltages.clone())]);
+    let pressed: Vec<Vec<f64>> = places.iter().map(|at| magnitudes(touched(&gel, *at, 0.1))).collect();
+    write_rows(desk, "pressed.csv", &pressed);
+    let positions: String = places.iter().map(|[x, y]| format!("{x},{y},0.01\n")).collect();
+    std::fs::write(desk.path("positions.csv"), format!("x_m,y_m,depth_m\n{positions}")).expect("a file");
+}
+
+#[test]
+fn frames_that_do_not_fit_the_skin_leave_nothing_behind() {
+    let desk = Desk::with(&[("short.csv", "1,2,3\n"), ("few.csv", "x_m,y_m\n0,0\n"), ("off.csv", &off_the_skin())]);
+    measured_files(&desk);
+    let reconstruct = ["reconstruct", "--skin", "healing-square", "--touches", "t.csv", "--images", "i.npy"];
+    let calibrate = ["calibrate", "--skin", "hydrogel-disc", "--baseline", "before.csv", "--frames", "pressed.csv"];
+    let table: [(Vec<&str>, &str); 6] = [
+        (
+            [&reconstruct[..], &["--baseline", "rest.csv", "--frames", "short.csv"]].concat(),
+            "expected 208 channels, got 3",
+        ),
+        (
+            [&reconstruct[..], &["--baseline", "short.csv", "--frames", "press.csv"]].concat(),
+            "expected 208 channels, got 3",
+        ),
+        ([&reconstruct[..], &["--baseline", "rest.csv", "--frames", "none.csv"]].concat(), "none.csv"),
+        ([&calibrate[..], &["--positions", "few.csv", "--out", "c.json"]].concat(), "expected 16, one a frame, got 1"),
+        ([&calibrate[..], &["--positions", "off.csv", "--out", "c.json"]].concat(), "position of poke 3"),
+        (
+            [&reconstruct[..], &["--baseline", "rest.csv", "--frames", "press.csv", "--calibration", "short.csv"]]
+                .concat(),
+            "short.csv",
+        ),
+    ];
+    for (words, expected) in table {
+        let message = desk.refused(&words, 2);
+        assert!(message.contains(expected), "{words:?}: {message}");
+    }
+}
+
+/// Sixteen positions, the fourth of them two metres off.
+fn off_the_skin() -> String {
+    let row = |k: i32| if k == 3 { "2,0\n".to_string() } else { format!("{},0\n", 0.001 * f64::from(k)) };
+    format!("x_m,y_m\n{}", (0..16).map(row).collect::<String>())
 }
 
 /// Every command and subcommand that needs no hardware and ends by itself.

@@ -13,8 +13,8 @@ use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis reconstruct --skin healing-square --baseline baseline.csv --frames frames.csv --touches t.csv --images i.npy
-  dermis reconstruct --skin golfball-tank --baseline phantom.csv#ref --frames phantom.csv#setup2 --touches t.csv
+  dermis reconstruct --skin healing-square --baseline rest.csv --frames press.csv --touches t.csv --images i.npy
+  dermis reconstruct --skin healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
 
 The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
 frames have nothing to do with each other. t.csv has the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm,
