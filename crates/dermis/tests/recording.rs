@@ -352,13 +352,3 @@ proptest! {
         exhaust(&bytes);
     }
 }
-
-/// Leaves a recording for readers written by others: `DERMIS_RECORDING=a.mcap cargo test -p dermis -- --ignored`.
-#[test]
-#[ignore = "writes the file named by DERMIS_RECORDING, for inspection by hand"]
-fn write_a_recording_to_inspect() {
-    match std::env::var_os("DERMIS_RECORDING") {
-        Some(path) => record(Path::new(&path), 50),
-        None => println!("DERMIS_RECORDING names no file; nothing written"),
-    }
-}

@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
+/// More electrodes than any multiplexer has are a typing error.
+const MOST_ELECTRODES: usize = 1024;
+
 /// A whole skin file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -567,6 +570,19 @@ impl Skin {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(refused(file, field, value, "a positive number"));
             }
+        }
+        let electrodes = match &self.frontend.electrodes {
+            Electrodes::Rim { count, .. } => *count,
+            Electrodes::RimPads { per_side, .. } => per_side.saturating_mul(4),
+            Electrodes::Pads(pads) => pads.len(),
+        };
+        if !(2..=MOST_ELECTRODES).contains(&electrodes) {
+            return Err(refused(
+                file,
+                "frontend.electrodes",
+                electrodes,
+                &format!("2 to {MOST_ELECTRODES} electrodes"),
+            ));
         }
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
