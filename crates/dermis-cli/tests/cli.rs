@@ -471,7 +471,7 @@ fn measured_files(desk: &Desk) {
         prepared.voltages.iter().zip(signature).map(|(v, s)| v + share * s).collect()
     };
     let square = prepare("healing-square");
-    write_rows(desk, "rest.csv", &[square.voltages.clone()]);
+    write_rows(desk, "rest.csv", std::slice::from_ref(&square.voltages));
     let presses = [[0.0, 0.0], [0.02, 0.01], [-0.02, 0.0]].map(|at| touched(&square, at, 0.3));
     write_rows(desk, "press.csv", &presses);
     let gel = prepare("hydrogel-disc");
