@@ -15,6 +15,9 @@ use tracing_subscriber::EnvFilter;
 
 use commands::Command;
 
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Tomographic tactile skins: from a skin file to touches.
 #[derive(Parser)]
 #[command(name = "dermis", version, propagate_version = true)]

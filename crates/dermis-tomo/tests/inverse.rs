@@ -127,18 +127,19 @@ fn filled_channels_give_the_image_without_them() {
 }
 
 #[test]
-fn live_images_are_the_operators_in_single_precision() {
+fn live_images_are_the_operators_within_their_rounding() {
     let skin = skin();
     let j = skin.jacobian.as_mat();
     let matrix = Prior::Identity.matrix(j, &Weighting::Identity, &skin.basis).unwrap();
     let operator = LinearProblem::new(j, Weighting::Identity, matrix).unwrap().operator(0.1).unwrap();
-    let live = LiveOperator::new(&operator, -2.0);
+    let mut live = LiveOperator::new(&operator, -2.0);
     let frame: Vec<f64> = (0..j.nrows()).map(|c| (c as f64).sin()).collect();
     let mut image = vec![0.0; live.unknowns()];
     live.apply(&frame.iter().map(|v| *v as f32).collect::<Vec<_>>(), &mut image);
     let expected = operator.apply(&frame).unwrap();
     let size = expected.iter().map(|v| v.abs()).fold(0.0, f64::max);
-    assert!(image.iter().zip(&expected).all(|(a, b)| (f64::from(*a) + 2.0 * b).abs() < 1e-5 * size));
+    // Uniform rounding to 1/32767 of a row's largest entry, over a frame of 208 values of which most cancel.
+    assert!(image.iter().zip(&expected).all(|(a, b)| (f64::from(*a) + 2.0 * b).abs() < 1e-4 * size));
 }
 
 /// Data of a touch with noise of known variance.

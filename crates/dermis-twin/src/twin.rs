@@ -8,7 +8,7 @@ use crate::mechanics::Indenter;
 use crate::scene::{Pointer, Scene};
 
 /// The physical part of a skin: from what presses on it to true voltages.
-pub trait Frontend {
+pub trait Frontend: std::fmt::Debug + Send {
     /// Channels of a frame.
     fn channel_count(&self) -> usize;
 
@@ -18,6 +18,16 @@ pub trait Frontend {
     /// # Errors
     /// Fields that cannot be solved.
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError>;
+}
+
+impl<F: Frontend + ?Sized> Frontend for Box<F> {
+    fn channel_count(&self) -> usize {
+        (**self).channel_count()
+    }
+
+    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
+        (**self).voltages(indenters, dt_s, voltages_v)
+    }
 }
 
 /// One touch as it really is.

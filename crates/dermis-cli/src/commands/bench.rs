@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis::touches::TouchStage;
-use dermis_tomo::eit::{Drive, Driven, ForwardModel, Measure, Order, Protocol, ProtocolSpec};
+use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::inverse::{ImageBasis, LinearProblem, LiveOperator, Prior, Weighting};
 use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};
 
@@ -39,8 +39,9 @@ impl Arguments {
         for elements in [5_000, 20_000] {
             let model = disc(elements)?;
             let sigma = vec![1.0; model.body().mesh.element_count()];
+            let mut jacobian = Jacobian::default();
             let took = time(&mut || {
-                std::hint::black_box(model.solve(&sigma)?.jacobian());
+                model.solve(&sigma)?.jacobian_into(std::hint::black_box(&mut jacobian));
                 Ok(())
             })?;
             line(out, &format!("{} elements, 16 electrodes: forward + Jacobian", sigma.len()), took)?;
@@ -69,7 +70,7 @@ impl Arguments {
             Ok(())
         })?;
         line(out, &format!("operator of 208 channels to {} pixels of 64 x 64", map.inside_count()), took)?;
-        let live = LiveOperator::new(&operator()?, 1.0);
+        let mut live = LiveOperator::new(&operator()?, 1.0);
         let (frame, mut image) = (vec![1e-3_f32; live.channels()], vec![0.0_f32; live.unknowns()]);
         let took = time(&mut || {
             live.apply(std::hint::black_box(&frame), &mut image);

@@ -17,7 +17,7 @@ const BLOCK: usize = 128;
 const STRIDE: usize = BLOCK + 8;
 
 /// A dense matrix of sensitivities, row-major: `rows` channels x `columns` elements or pixels.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Jacobian {
     /// Channels.
     pub rows: usize,
@@ -42,11 +42,19 @@ impl Jacobian {
 impl Solution<'_> {
     /// Sensitivity of every channel to the conductivity of every element.
     pub fn jacobian(&self) -> Jacobian {
+        let mut jacobian = Jacobian::default();
+        self.jacobian_into(&mut jacobian);
+        jacobian
+    }
+
+    /// As [`Solution::jacobian`], into memory that is used again: a Jacobian is large, and fetching fresh pages for it
+    /// takes as long as computing it.
+    pub fn jacobian_into(&self, jacobian: &mut Jacobian) {
         let fields = Fields::new(self);
         let (rows, columns) = (self.model.protocol.channel_count(), self.model.body.mesh.element_count());
-        let mut values = vec![0.0; rows * columns];
-        Arch::new().dispatch(ToElements { fields: &fields, columns, values: &mut values });
-        Jacobian { rows, columns, values }
+        (jacobian.rows, jacobian.columns) = (rows, columns);
+        jacobian.values.resize(rows * columns, 0.0);
+        Arch::new().dispatch(ToElements { fields: &fields, columns, values: &mut jacobian.values });
     }
 
     /// Sensitivity of every channel to the conductivity of every inside pixel of a grid: the element sensitivities

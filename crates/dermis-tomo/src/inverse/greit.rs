@@ -56,13 +56,13 @@ impl GreitSpec {
             let edge = 0.25 * self.desired_radius_m;
             1.0 / (1.0 + ((distance - self.desired_radius_m) / edge).min(50.0).exp())
         });
-        let data = problem.whitened() * &targets;
+        let whitened = problem.whitened();
+        let data = &whitened * &targets;
         let covariance = &data * data.transpose();
         let cross = &desired * data.transpose();
         let centre = self.central_target(basis);
-        let signal: Vec<f64> = (0..data.nrows())
-            .map(|row| (0..basis.len()).map(|p| problem.whitened()[(row, p)] * centre[p]).sum())
-            .collect();
+        let signal: Vec<f64> =
+            (0..data.nrows()).map(|row| (0..basis.len()).map(|p| whitened[(row, p)] * centre[p]).sum()).collect();
         let trace: f64 = (0..covariance.nrows()).map(|k| covariance[(k, k)]).sum::<f64>();
         let scale = trace / covariance.nrows() as f64;
         let (mut high, mut low) = ((scale * 1e3).sqrt(), (scale * 1e-9).sqrt());

@@ -220,14 +220,10 @@ impl LinearProblem {
     }
 
     fn gram_trace(&self) -> Result<f64, InverseError> {
-        match &self.gram {
-            Some(gram) => Ok((0..gram.nrows()).map(|k| gram[(k, k)]).sum()),
-            None => {
-                let spread = self.prior.solve(self.whitened().transpose())?;
-                Ok((0..self.channels())
-                    .map(|k| (0..self.unknowns()).map(|p| self.whitened()[(k, p)] * spread[(p, k)]).sum::<f64>())
-                    .sum())
-            }
+        let diagonal = |gram: MatRef<'_, f64>| (0..gram.nrows()).map(|k| gram[(k, k)]).sum();
+        match &self.data_form {
+            Some(form) => Ok(diagonal(form.gram.as_ref())),
+            None => Ok(diagonal(self.merged_gram()?.as_ref())),
         }
     }
 

@@ -3,9 +3,10 @@
 //! than unknowns.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
-use faer::linalg::solvers::Solve;
+use faer::linalg::solvers::{Llt, Solve};
 use faer::{Accum, Mat, MatRef, Par, Scale, Side};
 
+use super::proportional::Proportional;
 use super::{Hyperparameter, InverseError, PriorMatrix, Spectrum, Weighting, check_finite};
 
 /// Below this many unknowns a singular prior is solved exactly, in model space.
@@ -16,12 +17,22 @@ const MODEL_SPACE_LIMIT: usize = 1500;
 pub struct LinearProblem {
     pub(super) weighting: Weighting,
     pub(super) prior: PriorMatrix,
-    /// `(W^1/2 J)'`, unknowns x channels: what one channel sees lies together, as in [`crate::eit::Jacobian`].
+    /// `S' = (W^1/2 J)'` with one column a group of channels that see alike, unknowns x groups.
     sensitivities: Mat<f64>,
-    /// `P (W^1/2 J)'`, unknowns x channels; `None` where the model form is used.
-    pub(super) spread: Option<Mat<f64>>,
-    /// `W^1/2 J P J' W^1/2'`, channels x channels, with `spread`.
-    pub(super) gram: Option<Mat<f64>>,
+    /// Channels that see alike, in whitened data. What is orthogonal to their groups sees nothing: in that basis the
+    /// data-space system is one of the groups, and `lambda^2` beside it.
+    alike: Proportional,
+    /// What the data form is made of; `None` where the model form is used.
+    pub(super) data_form: Option<DataForm>,
+}
+
+/// The data form, over groups of channels that see alike: S is the whitened Jacobian with one row a group.
+#[derive(Debug)]
+pub(super) struct DataForm {
+    /// `P S'`, unknowns x groups.
+    spread: Mat<f64>,
+    /// `S P S'`, groups x groups; its trace is that of `W^1/2 J P J' W^1/2'`.
+    pub(super) gram: Mat<f64>,
 }
 
 /// The operator at one hyperparameter, with what is needed to go on without channels and to say how sure it is.
@@ -51,27 +62,36 @@ impl LinearProblem {
             });
         }
         weighting.check(jacobian.nrows())?;
-        for (channel, row) in jacobian.row_iter().enumerate() {
-            if let Some(value) = row.iter().find(|value| !value.is_finite()) {
-                let (what, index) = ("Jacobian", Some(channel));
-                return Err(InverseError::Value { what, index, value: *value, expected: "finite" });
+        check_jacobian(jacobian)?;
+        let transposed = jacobian.transpose();
+        let (alike, sensitivities) = match &weighting {
+            Weighting::Full(_) => {
+                let mut whitened = transposed.to_owned();
+                weighting.whiten(whitened.transpose_mut());
+                let alike = Proportional::of_columns(whitened.as_ref());
+                let merged = alike.merged(whitened.as_ref());
+                (alike, merged)
             }
-        }
-        let mut sensitivities = jacobian.transpose().to_owned();
-        weighting.whiten(sensitivities.transpose_mut());
+            Weighting::Identity | Weighting::Diagonal(_) => {
+                let alike = Proportional::of_scaled_columns(transposed, |channel| weighting.root(channel));
+                let merged = alike.merged(transposed);
+                (alike, merged)
+            }
+        };
         let model_space = prior.is_singular() && jacobian.ncols() <= MODEL_SPACE_LIMIT;
-        let (mut spread, mut gram) = (None, None);
-        if !model_space {
-            let p = prior.solve(sensitivities.as_ref())?;
-            gram = Some(symmetric_product(sensitivities.transpose(), p.as_ref()));
-            spread = Some(p);
-        }
-        Ok(Self { weighting, prior, sensitivities, spread, gram })
+        let data_form = if model_space {
+            None
+        } else {
+            let spread = prior.solve(sensitivities.as_ref())?;
+            let gram = symmetric_product(sensitivities.transpose(), spread.as_ref());
+            Some(DataForm { spread, gram })
+        };
+        Ok(Self { weighting, prior, sensitivities, alike, data_form })
     }
 
     /// Number of channels.
     pub fn channels(&self) -> usize {
-        self.sensitivities.ncols()
+        self.alike.columns()
     }
 
     /// Number of unknowns.
@@ -80,8 +100,8 @@ impl LinearProblem {
     }
 
     /// `W^1/2 J`, channels x unknowns.
-    pub(super) fn whitened(&self) -> MatRef<'_, f64> {
-        self.sensitivities.transpose()
+    pub(super) fn whitened(&self) -> Mat<f64> {
+        self.alike.expanded(self.sensitivities.as_ref()).transpose().to_owned()
     }
 
     /// Chooses the hyperparameter by the rule given; `data` (difference data of example frames) is needed by the rules
@@ -98,13 +118,17 @@ impl LinearProblem {
     /// # Errors
     /// The eigenvalue iteration did not converge, or the prior cannot be inverted.
     pub fn spectrum(&self) -> Result<Spectrum, InverseError> {
-        match &self.gram {
-            Some(gram) => Spectrum::new(gram.as_ref()),
-            None => {
-                let spread = self.prior.solve(self.sensitivities.as_ref())?;
-                Spectrum::new(symmetric_product(self.whitened(), spread.as_ref()).as_ref())
-            }
+        let expand = |gram: MatRef<'_, f64>| Spectrum::new(self.alike.expanded_square(gram, 0.0).as_ref());
+        match &self.data_form {
+            Some(form) => expand(form.gram.as_ref()),
+            None => expand(self.merged_gram()?.as_ref()),
         }
+    }
+
+    /// `S P S'`, computed anew.
+    pub(super) fn merged_gram(&self) -> Result<Mat<f64>, InverseError> {
+        let spread = self.prior.solve(self.sensitivities.as_ref())?;
+        Ok(symmetric_product(self.sensitivities.transpose(), spread.as_ref()))
     }
 
     /// The operator at a hyperparameter.
@@ -120,50 +144,54 @@ impl LinearProblem {
                 expected: "positive and finite",
             });
         }
-        match (&self.spread, &self.gram) {
-            (Some(spread), Some(gram)) => self.data_space(hyperparameter, spread, gram),
-            _ => self.model_space(hyperparameter),
+        match &self.data_form {
+            Some(form) => self.data_space(hyperparameter, form),
+            None => self.model_space(hyperparameter),
         }
     }
 
-    fn data_space(&self, lambda: f64, spread: &Mat<f64>, gram: &Mat<f64>) -> Result<Operator, InverseError> {
-        let mut system = gram.clone();
-        for k in 0..system.nrows() {
-            system[(k, k)] += lambda * lambda;
-        }
-        let factor = system
-            .llt(Side::Lower)
-            .map_err(|_| InverseError::Singular { what: "the data-space system", hint: "raise the hyperparameter" })?;
-        let mut precision = factor.solve(Mat::<f64>::identity(system.nrows(), system.nrows()));
-        // Operator in whitened data, then W^1/2 from the right: (W^1/2' X')'.
-        let mut matrix = spread * &precision;
-        let noise_deviation = row_norms(matrix.as_ref());
-        self.weighting.whiten_adjoint(matrix.transpose_mut());
-        self.weighting.whiten_adjoint(precision.as_mut());
-        let mut other_side = precision.transpose().to_owned();
-        self.weighting.whiten_adjoint(other_side.as_mut());
-        Ok(Operator { matrix, data_precision: other_side, hyperparameter: lambda, noise_deviation })
+    fn data_space(&self, lambda: f64, form: &DataForm) -> Result<Operator, InverseError> {
+        let factor = form.factor(lambda)?;
+        let merged_precision = factor.solve(Mat::<f64>::identity(form.gram.nrows(), form.gram.nrows()));
+        let merged = &form.spread * &merged_precision;
+        let noise_deviation = row_norms(merged.as_ref());
+        Ok(self.unmerged(lambda, merged.as_ref(), merged_precision.as_ref(), noise_deviation))
     }
 
     fn model_space(&self, lambda: f64) -> Result<Operator, InverseError> {
-        let mut system = &self.sensitivities * self.whitened();
+        let mut system = &self.sensitivities * self.sensitivities.transpose();
         system += Scale(lambda * lambda) * self.prior.dense()?;
         let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
             what: "the model-space system",
             hint: "raise the hyperparameter or add some identity to the prior",
         })?;
-        let mut matrix = factor.solve(&self.sensitivities);
-        let noise_deviation = row_norms(matrix.as_ref());
+        let merged = factor.solve(&self.sensitivities);
+        let noise_deviation = row_norms(merged.as_ref());
         // (JPJ' + l^2)^-1 = (1 - J Op) / l^2 in whitened data (Woodbury), which holds for singular R as well.
-        let mut precision = Scale(-1.0 / (lambda * lambda)) * (self.whitened() * &matrix);
+        let outside = 1.0 / (lambda * lambda);
+        let mut precision = Scale(-outside) * (self.sensitivities.transpose() * &merged);
         for k in 0..precision.nrows() {
-            precision[(k, k)] += 1.0 / (lambda * lambda);
+            precision[(k, k)] += outside;
         }
+        Ok(self.unmerged(lambda, merged.as_ref(), precision.as_ref(), noise_deviation))
+    }
+
+    /// The operator from one over groups of channels in whitened data.
+    fn unmerged(
+        &self,
+        lambda: f64,
+        merged: MatRef<'_, f64>,
+        merged_precision: MatRef<'_, f64>,
+        noise_deviation: Vec<f64>,
+    ) -> Operator {
+        // W^1/2 from the right: (W^1/2' X')'.
+        let mut matrix = self.alike.expanded(merged);
         self.weighting.whiten_adjoint(matrix.transpose_mut());
+        let mut precision = self.alike.expanded_square(merged_precision, 1.0 / (lambda * lambda));
         self.weighting.whiten_adjoint(precision.as_mut());
-        let mut other_side = precision.transpose().to_owned();
-        self.weighting.whiten_adjoint(other_side.as_mut());
-        Ok(Operator { matrix, data_precision: other_side, hyperparameter: lambda, noise_deviation })
+        let mut data_precision = precision.transpose().to_owned();
+        self.weighting.whiten_adjoint(data_precision.as_mut());
+        Operator { matrix, data_precision, hyperparameter: lambda, noise_deviation }
     }
 
     /// Posterior standard deviation of every unknown: square roots of the diagonal of `(J'WJ + lambda^2 R)^-1`, the
@@ -173,15 +201,8 @@ impl LinearProblem {
     /// # Errors
     /// As [`LinearProblem::operator`].
     pub fn posterior_deviation(&self, hyperparameter: f64) -> Result<Vec<f64>, InverseError> {
-        if let (Some(spread), Some(gram)) = (&self.spread, &self.gram) {
-            let mut system = gram.clone();
-            for k in 0..system.nrows() {
-                system[(k, k)] += hyperparameter * hyperparameter;
-            }
-            let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
-                what: "the data-space system",
-                hint: "raise the hyperparameter",
-            })?;
+        if let Some(form) = &self.data_form {
+            let (spread, factor) = (&form.spread, form.factor(hyperparameter)?);
             let explained = factor.solve(spread.transpose());
             let prior = self.prior_variances()?;
             let variance = |k: usize| {
@@ -190,7 +211,7 @@ impl LinearProblem {
             };
             return Ok((0..self.unknowns()).map(|k| variance(k).sqrt() / hyperparameter).collect());
         }
-        let mut system = &self.sensitivities * self.whitened();
+        let mut system = &self.sensitivities * self.sensitivities.transpose();
         system += Scale(hyperparameter * hyperparameter) * self.prior.dense()?;
         let factor = system
             .llt(Side::Lower)
@@ -210,6 +231,19 @@ impl LinearProblem {
                 (0..size).map(|k| inverse[(k, k)]).collect()
             }
         })
+    }
+}
+
+impl DataForm {
+    /// Cholesky factor of `S P S' + lambda^2`.
+    fn factor(&self, lambda: f64) -> Result<Llt<f64>, InverseError> {
+        let mut system = self.gram.clone();
+        for k in 0..system.nrows() {
+            system[(k, k)] += lambda * lambda;
+        }
+        system
+            .llt(Side::Lower)
+            .map_err(|_| InverseError::Singular { what: "the data-space system", hint: "raise the hyperparameter" })
     }
 }
 
@@ -252,6 +286,19 @@ fn symmetric_product(a: MatRef<'_, f64>, b: MatRef<'_, f64>) -> Mat<f64> {
         }
     }
     product
+}
+
+/// Every sensitivity a finite number.
+fn check_jacobian(jacobian: MatRef<'_, f64>) -> Result<(), InverseError> {
+    for (channel, row) in jacobian.row_iter().enumerate() {
+        // The square is finite unless a value is not (or is absurd); the value is looked for only then.
+        let square = row * row.transpose();
+        if let (false, Some(value)) = (square.is_finite(), row.iter().find(|value| !value.is_finite())) {
+            let (what, index) = ("Jacobian", Some(channel));
+            return Err(InverseError::Value { what, index, value: *value, expected: "finite" });
+        }
+    }
+    Ok(())
 }
 
 fn row_norms(matrix: MatRef<'_, f64>) -> Vec<f64> {

@@ -12,6 +12,7 @@ mod measured;
 mod missing;
 mod nonlinear;
 mod prior;
+mod proportional;
 mod self_calibration;
 mod total_variation;
 mod weighting;

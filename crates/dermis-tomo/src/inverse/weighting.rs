@@ -120,6 +120,14 @@ impl Weighting {
         if got == channels { Ok(()) } else { Err(InverseError::Size { what: "weights", expected: channels, got }) }
     }
 
+    /// Square root of a channel's weight, where weights are one a channel.
+    pub(super) fn root(&self, channel: usize) -> f64 {
+        match self {
+            Weighting::Diagonal(weights) => weights[channel].sqrt(),
+            _ => 1.0,
+        }
+    }
+
     /// `W^1/2 A` in place: rows are channels.
     pub(super) fn whiten(&self, a: MatMut<'_, f64>) {
         match self {
