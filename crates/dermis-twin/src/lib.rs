@@ -1,6 +1,6 @@
 //! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`] is the first skin.
+//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`] and [`IonicSkin`] are its skins.
 //!
 //! SI units throughout; frame of a flat skin: x right, y up, origin at the centroid. Pure apart from seeded random
 //! numbers: no clocks, files or devices.
@@ -21,6 +21,7 @@
 
 mod error;
 mod healing_square;
+mod ionic;
 pub mod instrument;
 pub mod mechanics;
 pub mod physics;
@@ -29,4 +30,5 @@ mod twin;
 
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
+pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
 pub use twin::{Frontend, TouchTruth, Truth, Twin};

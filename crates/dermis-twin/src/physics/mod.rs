@@ -1,13 +1,16 @@
 //! Fields of two conductive sheets that touch where pressed (papers P and H): a sensing sheet u with electrodes and a
 //! shortcut sheet v that floats, `div(s_s grad u) = g (u - v)`, `div(s_c grad v) = -g (u - v)`, insulated rims.
 //! In weak form the contact adds `integral g (u - v)(phi_u - phi_v)`; g is linear on each triangle and the integral exact.
+//! And fields of a tray of liquid whose depth varies (paper I), averaged over the depth or in three dimensions.
 
 mod cut;
 mod direct;
 mod element;
+mod liquid;
 mod two_sheets;
 
 pub use cut::{Cut, damaged_conductance};
 pub use direct::direct_impedance;
 pub use element::SheetConductance;
+pub use liquid::{LiquidElectrodes, LiquidFields, LiquidSpec};
 pub use two_sheets::{Shortcut, TwoSheets};
