@@ -91,6 +91,11 @@ impl<F: Frontend> Twin<F> {
         Twin { frontend: Box::new(frontend), instrument, scene, indenters, truth, next_sequence, last_time_s }
     }
 
+    /// Its parts, to press and read them without a scene.
+    pub fn into_parts(self) -> (F, Instrument, Scene) {
+        (self.frontend, self.instrument, self.scene)
+    }
+
     /// Takes the frame at `time_s` (seconds on any clock; a time before the last counts as the same) and says what is
     /// true then. `frame` is resized to the channels, volts; its memory is reused.
     ///

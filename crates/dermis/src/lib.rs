@@ -13,6 +13,7 @@ pub mod calibrate;
 pub mod case;
 pub mod channels;
 mod error;
+pub mod experiments;
 pub mod imager;
 pub mod latency;
 pub mod pipeline;

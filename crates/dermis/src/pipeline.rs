@@ -165,8 +165,9 @@ impl Pipeline {
             self.renew()?;
             self.timed_from_ns = now_ns.saturating_add(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX));
         }
-        let waited = Duration::from_nanos(now_ns.saturating_sub(time_ns));
-        if time_ns >= self.timed_from_ns {
+        // Waiting is told by the host's clock alone; the device's may begin and run otherwise.
+        let waited = Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
+        if frame.host_monotonic_ns >= self.timed_from_ns {
             self.latencies.queue.record(waited);
             self.latencies.total.record(waited + start.elapsed());
         }

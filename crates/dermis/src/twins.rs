@@ -2,7 +2,7 @@
 //! demonstrates by itself.
 
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, HealingSquareOptions, Twin};
+use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, Twin};
 
 use crate::Error;
 use crate::skin::Skin;
@@ -11,7 +11,7 @@ use crate::skin::Skin;
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
 
 /// Names of the skins that have a twin.
-pub const TWIN_NAMES: [&str; 1] = ["healing-square"];
+pub const TWIN_NAMES: [&str; 3] = ["healing-square", "ionic-disc", "ionic-square"];
 
 /// What people may press with: least and most, and where sliders begin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,6 +45,14 @@ const SANDWICH: PressRange = PressRange {
     initial_pressure_pa: 80e3,
 };
 
+/// Discs of 20 mm under up to two dozen weights of 6.5 g, of which paper I used nine (1.8 kPa).
+const LIQUID: PressRange = PressRange {
+    radius_m: [4e-3, 40e-3],
+    pressure_pa: [0.0, 4e3],
+    initial_radius_m: 10e-3,
+    initial_pressure_pa: 1.2e3,
+};
+
 impl TwinKit {
     /// The twin of a skin.
     ///
@@ -56,11 +64,20 @@ impl TwinKit {
                 let twin = Twin::healing_square(&HealingSquareOptions::default())?.boxed();
                 Ok(Self { twin, press: SANDWICH, demo: Script::demo() })
             }
+            "ionic-disc" => Self::ionic(&IonicOptions::disc(), 1.7),
+            "ionic-square" => Self::ionic(&IonicOptions::square(), 2.1),
             other => Err(Error::Frames {
                 what: "twin".into(),
                 expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
                 got: other.to_string(),
             }),
         }
+    }
+
+    /// A liquid skin, `length` times as large as the sandwich and far softer.
+    fn ionic(options: &IonicOptions, length: f64) -> Result<Self, Error> {
+        let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
+        let demo = Script::demo().scaled(length, softness);
+        Ok(Self { twin: Twin::ionic(options)?.boxed(), press: LIQUID, demo })
     }
 }

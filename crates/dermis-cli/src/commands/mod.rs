@@ -3,6 +3,7 @@
 mod bench;
 mod calibrate;
 mod reconstruct;
+mod reproduce;
 mod run;
 mod skins;
 mod snr;
@@ -27,6 +28,8 @@ pub enum Command {
     Skins(skins::Arguments),
     /// Signal-to-noise ratio of frames of an untouched skin.
     Snr(snr::Arguments),
+    /// Replay the experiments of the published skins on their twins.
+    Reproduce(reproduce::Arguments),
     /// Time the numerical work on this machine.
     Bench(bench::Arguments),
 }
@@ -38,6 +41,7 @@ impl Command {
             Command::Run(arguments) => arguments.run(out),
             Command::Reconstruct(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
+            Command::Reproduce(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),

@@ -1,5 +1,5 @@
-//! A stroke font of the characters that drawings need: digits and a few letters on a grid of 4 x 6 units, drawn as
-//! polylines.
+//! A stroke font of the characters that drawings need, on a grid of 4 x 6 units, drawn as polylines: digits, a few small
+//! letters, capitals, signs. Other small letters are small capitals.
 
 use super::{Point, Polyline};
 
@@ -131,6 +131,67 @@ const GLYPHS: [Glyph; 18] = [
     (' ', 2.0, &[]),
 ];
 
+/// Character and its lines, separated by `|`, each a list of corners: column and row of the grid.
+const LETTERS: [(char, &str); 40] = [
+    ('A', "00 26 40|12 32"),
+    ('B', "00 06 36 45 44 33 03|33 42 41 30 00"),
+    ('C', "45 36 16 05 01 10 30 41"),
+    ('D', "00 06 26 44 42 20 00"),
+    ('E', "40 00 06 46|03 33"),
+    ('F', "00 06 46|03 33"),
+    ('G', "45 36 16 05 01 10 30 41 43 23"),
+    ('H', "00 06|40 46|03 43"),
+    ('I', "10 30|20 26|16 36"),
+    ('J', "46 41 30 10 01"),
+    ('K', "00 06|46 03 40"),
+    ('L', "06 00 40"),
+    ('M', "00 06 23 46 40"),
+    ('N', "00 06 40 46"),
+    ('O', "10 30 41 45 36 16 05 01 10"),
+    ('P', "00 06 36 45 44 33 03"),
+    ('Q', "10 30 41 45 36 16 05 01 10|22 40"),
+    ('R', "00 06 36 45 44 33 03|23 40"),
+    ('S', "45 36 16 05 04 13 33 42 41 30 10 01"),
+    ('T', "06 46|20 26"),
+    ('U', "06 01 10 30 41 46"),
+    ('V', "06 20 46"),
+    ('W', "06 10 23 30 46"),
+    ('X', "00 46|06 40"),
+    ('Y', "06 23 46|23 20"),
+    ('Z', "06 46 00 40"),
+    ('/', "00 46"),
+    ('%', "00 46|05 06 16 15 05|30 31 41 40 30"),
+    ('=', "02 42|04 44"),
+    ('+', "03 43|21 25"),
+    (',', "21 10"),
+    (':', "11 12|14 15"),
+    ('<', "45 03 41"),
+    ('>', "05 43 01"),
+    ('^', "14 26 34"),
+    ('_', "00 40"),
+    ('*', "12 34|32 14|22 24"),
+    (';', "11 00|14 15"),
+    ('[', "26 06 00 20"),
+    (']', "06 26 20 00"),
+];
+/// Height of small capitals relative to capitals.
+const SMALL: f64 = 0.74;
+
+/// Width and lines of a character; of one that the font lacks, a blank.
+fn glyph(character: char) -> (f64, Vec<Vec<[f64; 2]>>) {
+    if let Some((_, width, strokes)) = GLYPHS.iter().find(|glyph| glyph.0 == character) {
+        return (*width, strokes.iter().map(|stroke| stroke.to_vec()).collect());
+    }
+    let scale = if character.is_ascii_lowercase() { SMALL } else { 1.0 };
+    let capital = character.to_ascii_uppercase();
+    let Some((_, lines)) = LETTERS.iter().find(|letter| letter.0 == capital) else { return (2.0, Vec::new()) };
+    let corner = |pair: &str| {
+        let mut digits = pair.bytes().map(|digit| scale * f64::from(digit.saturating_sub(b'0')));
+        [digits.next().unwrap_or_default(), digits.next().unwrap_or_default()]
+    };
+    (4.0 * scale, lines.split('|').map(|line| line.split(' ').map(corner).collect()).collect())
+}
+
 /// Text as polylines, and how wide they are, pixels.
 pub struct Lettering {
     /// Lines with the text's middle at the origin.
@@ -146,8 +207,7 @@ impl Lettering {
         let mut lines = Vec::new();
         let mut pen = 0.0;
         for character in text.chars() {
-            let (_, width, strokes) =
-                GLYPHS.iter().find(|glyph| glyph.0 == character).copied().unwrap_or((' ', 2.0, &[]));
+            let (width, strokes) = glyph(character);
             lines.extend(strokes.iter().map(|stroke| {
                 let place = |[x, y]: &[f64; 2]| [(pen + x) * unit, (CAPITAL / 2.0 - y) * unit];
                 Polyline::open(stroke.iter().map(place).collect::<Vec<_>>())
