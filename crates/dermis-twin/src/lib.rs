@@ -21,8 +21,8 @@
 
 mod error;
 mod healing_square;
-mod ionic;
 pub mod instrument;
+mod ionic;
 pub mod mechanics;
 pub mod physics;
 pub mod scene;
