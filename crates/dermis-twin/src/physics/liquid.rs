@@ -51,7 +51,7 @@ pub struct LiquidFields {
 
 #[derive(Debug)]
 enum Body {
-    Averaged { model: ForwardModel, sheet_s: Vec<f64> },
+    Averaged { model: Box<ForwardModel>, sheet_s: Vec<f64> },
     Solid { rest: ElectrodedMesh },
 }
 
@@ -100,7 +100,7 @@ impl LiquidFields {
         let plan = sheet.mesh.clone();
         let body = Body::Averaged {
             sheet_s: vec![0.0; plan.element_count()],
-            model: ForwardModel::new(sheet, protocol.clone())?,
+            model: Box::new(ForwardModel::new(sheet, protocol.clone())?),
         };
         Ok(Self { spec, protocol, plan, body })
     }

@@ -1,13 +1,23 @@
 //! The skins that come with dermis: the files of `skins/`, embedded.
 
 /// Names of the built-in skins.
-pub const BUILTIN_NAMES: [&str; 6] =
-    ["healing-square", "hydrogel-disc", "ktc-tank", "golfball-tank", "sciospec-tank", "pyeidors-tank"];
+pub const BUILTIN_NAMES: [&str; 8] = [
+    "healing-square",
+    "ionic-disc",
+    "ionic-square",
+    "hydrogel-disc",
+    "ktc-tank",
+    "golfball-tank",
+    "sciospec-tank",
+    "pyeidors-tank",
+];
 
 /// The file of a built-in skin.
 pub fn builtin_text(name: &str) -> Option<&'static str> {
     Some(match name {
         "healing-square" => include_str!("../../../../skins/healing-square.toml"),
+        "ionic-disc" => include_str!("../../../../skins/ionic-disc.toml"),
+        "ionic-square" => include_str!("../../../../skins/ionic-square.toml"),
         "hydrogel-disc" => include_str!("../../../../skins/hydrogel-disc.toml"),
         "ktc-tank" => include_str!("../../../../skins/ktc-tank.toml"),
         "golfball-tank" => include_str!("../../../../skins/golfball-tank.toml"),
