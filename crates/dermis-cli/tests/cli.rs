@@ -435,6 +435,25 @@ fn results_go_to_stdout_and_log_lines_to_stderr() {
 }
 
 #[test]
+fn a_replay_leaves_table_figures_data_and_report() {
+    let desk = Desk::with(&[]);
+    let printed = desk.done(&["reproduce", "i", "i3", "--out", "replay"]);
+    assert!(printed.contains("64 mN at 0 mm"), "{printed}");
+    for file in ["I3/table.csv", "I3/smallest.svg", "I3/smallest.png", "I3/smallest.npy", "report.html"] {
+        assert!(desk.path("replay").join(file).is_file(), "{file}");
+    }
+    let table: [(&[&str], &str); 3] = [
+        (&["reproduce", "Z"], "paper Z: expected one of I"),
+        (&["reproduce", "I", "I99"], "experiment I99: expected one of I1, I2"),
+        (&["reproduce"], "<PAPER>"),
+    ];
+    for (words, expected) in table {
+        let message = desk.refused(words, 2);
+        assert!(message.contains(expected), "{words:?}: {message}");
+    }
+}
+
+#[test]
 fn the_examples_of_every_help_run() {
     let frames: String = (0..6).map(|k| format!("{},{}\n", 100 + k % 2, 50 - k % 3)).collect();
     let desk = Desk::with(&[("case.json", SQUARE), ("frames.csv", &frames)]);
