@@ -4,7 +4,7 @@
 
 use std::time::Instant;
 
-use dermis_twin::mechanics::Indenter;
+use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{Frontend, IonicFields, IonicOptions, IonicSkin, TwinError};
 
 const GRAMS: f64 = 6.5;
@@ -69,20 +69,34 @@ fn cost() -> Result<(), TwinError> {
 /// Voltages at rest and touch signals, in the plane and in three dimensions.
 fn compare() -> Result<(), TwinError> {
     let fine =
-        IonicOptions { memory: None, element_size_m: 3.0e-3, electrode_element_size_m: 1.0e-3, ..IonicOptions::disc() };
+        IonicOptions { memory: None, element_size_m: 2.5e-3, electrode_element_size_m: 1.0e-3, ..IonicOptions::disc() };
     let mut flat = IonicSkin::new(&fine)?;
     let start = Instant::now();
     let mut solid = IonicSkin::new(&IonicOptions { fields: IonicFields::Solid { layers: 6 }, ..fine })?;
     let (flat_rest, solid_rest) = (read(&mut flat, &[])?, read(&mut solid, &[])?);
     println!("solid: {} elements, first frame {:.1} s", solid.fields().element_count(), start.elapsed().as_secs_f64());
     distances("at rest", &flat, &flat_rest, &solid_rest);
-    for (radius_mm, weights) in [(0.0, 4.0), (30.0, 4.0), (60.0, 4.0), (75.0, 4.0), (0.0, 9.0)] {
-        let load = [Indenter::weight([radius_mm * 1e-3, 0.0], 0.01, GRAMS * weights)];
-        let change =
-            |rest: &[f64], frame: Vec<f64>| -> Vec<f64> { frame.iter().zip(rest).map(|(v, v0)| v - v0).collect() };
+    let change = |rest: &[f64], frame: Vec<f64>| -> Vec<f64> { frame.iter().zip(rest).map(|(v, v0)| v - v0).collect() };
+    for (radius_mm, angle_deg, indenter_mm, force_n) in [
+        (0.0, 0.0, 10.0, 0.255),
+        (0.0, 0.0, 10.0, 0.58),
+        (30.0, 0.0, 10.0, 0.255),
+        (60.0, 0.0, 10.0, 0.255),
+        (75.0, 0.0, 10.0, 0.255),
+        (75.0, 11.25, 10.0, 0.255),
+        (0.0, 0.0, 2.0, 0.255),
+        (60.0, 0.0, 2.0, 0.255),
+        (83.0, 0.0, 2.0, 0.255),
+        (83.0, 11.25, 2.0, 0.255),
+    ] {
+        let (sine, cosine) = f64::to_radians(angle_deg).sin_cos();
+        let centre_m = [1e-3 * radius_mm * cosine, 1e-3 * radius_mm * sine];
+        let shape = Shape::Disc { radius_m: 1e-3 * indenter_mm };
+        let load = [Indenter { centre_m, shape, load: Load::ForceN(force_n) }];
         let a = change(&flat_rest, read(&mut flat, &load)?);
         let b = change(&solid_rest, read(&mut solid, &load)?);
-        distances(&format!("{weights} weights at {radius_mm} mm"), &flat, &a, &b);
+        let place = format!("{force_n} N on {indenter_mm} mm radius at {radius_mm} mm, {angle_deg} degrees");
+        distances(&place, &flat, &a, &b);
     }
     Ok(())
 }

@@ -46,7 +46,7 @@ pub enum IonicShape {
 pub enum IonicFields {
     /// In the plane, with the depth as a sheet's conductance: fast.
     DepthAveraged,
-    /// On tetrahedra, with the bolts as small as they are: seconds a frame, to check the other.
+    /// On tetrahedra, with the bolts as small as they are: about a second a frame, to check the other.
     Solid {
         /// About how many layers of elements.
         layers: usize,
@@ -112,8 +112,8 @@ impl Default for IonicOptions {
             cover: Cover { smoothing_m: 0.5e-3 },
             memory: Some(Memory { share: 0.05, time_constant_s: 20.0 }),
             fields: IonicFields::DepthAveraged,
-            element_size_m: 4.0e-3,
-            electrode_element_size_m: 0.8e-3,
+            element_size_m: 4.5e-3,
+            electrode_element_size_m: 1.2e-3,
             current_a: 6e-3,
             frame_rate_hz: 16.0,
             instrument: InstrumentOptions { noise: Self::amplitude_noise(), drift: None, converter: None },

@@ -264,7 +264,8 @@ impl PressureField {
     /// False where the pressure is zero everywhere within `margin_m` of a position.
     pub(super) fn reaches(&self, position_m: [f64; 2], margin_m: f64) -> bool {
         let reach = self.reach_m + margin_m;
-        (position_m[0] - self.centre_m[0]).abs() < reach && (position_m[1] - self.centre_m[1]).abs() < reach
+        let [dx, dy] = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];
+        dx * dx + dy * dy < reach * reach
     }
 
     /// Pressure at a position, pascals.

@@ -14,8 +14,8 @@ use faer::Mat;
 use super::indenter::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Parts into which each edge of a triangle is divided to integrate pressures: 16 points a triangle.
-const SUBDIVISION: usize = 4;
+/// Parts into which each edge of a triangle is divided to integrate pressures: 9 points a triangle.
+const SUBDIVISION: usize = 3;
 /// Pairs (a, b), a >= b, of a triangle's corners.
 const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)];
 
@@ -146,8 +146,8 @@ impl Membrane {
         let field = indenter.field(cover);
         for (triangle, area) in self.triangles.iter().zip(&self.areas) {
             let corners = triangle.map(|node| self.positions[node as usize]);
-            let extent = (1..3).map(|k| (0..2).map(|i| (corners[k][i] - corners[0][i]).abs()).fold(0.0, f64::max));
-            if !field.reaches(corners[0], extent.fold(0.0, f64::max)) {
+            let reach = |k: usize| (corners[k][0] - corners[0][0]).hypot(corners[k][1] - corners[0][1]);
+            if !field.reaches(corners[0], reach(1).max(reach(2))) {
                 continue;
             }
             for [a, b, c] in quadrature() {

@@ -105,9 +105,9 @@ fn loads_carry_their_force_and_superpose() {
     let one = Indenter::weight([0.03, -0.02], 0.01, 6.5);
     let other = Indenter::weight([-0.05, 0.01], 0.01, 13.0);
     let mut load = vec![0.0; membrane.positions_m().len()];
-    membrane.add_load(&one, Cover { smoothing_m: 1e-3 }, &mut load);
-    // Sixteen points a triangle of 4 mm, an edge smoothed over 1 mm.
-    assert!((load.iter().sum::<f64>() / one.force_n() - 1.0).abs() < 5e-3);
+    membrane.add_load(&one, Cover { smoothing_m: 0.5e-3 }, &mut load);
+    // Nine points a triangle of 4 mm, an edge smoothed over half a millimetre: errors average out along the edge.
+    assert!((load.iter().sum::<f64>() / one.force_n() - 1.0).abs() < 2e-3);
     let (a, b) = (pressed(&mut membrane, &[one]), pressed(&mut membrane, &[other]));
     let both = pressed(&mut membrane, &[one, other]);
     let error = both.iter().zip(a.iter().zip(&b)).map(|(w, (a, b))| (w - a - b).abs()).fold(0.0, f64::max);
