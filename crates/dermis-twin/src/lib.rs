@@ -1,6 +1,6 @@
 //! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`] is the first skin.
+//! electronics make of it ([`instrument`]). [`Twin`] joins the four into [`HealingSquare`] and [`PiezoSkin`].
 //!
 //! SI units throughout; frame of a flat skin: x right, y up, origin at the centroid. Pure apart from seeded random
 //! numbers: no clocks, files or devices.
@@ -24,9 +24,11 @@ mod healing_square;
 pub mod instrument;
 pub mod mechanics;
 pub mod physics;
+mod piezo;
 pub mod scene;
 mod twin;
 
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
+pub use piezo::{PiezoOptions, PiezoShape, PiezoSkin};
 pub use twin::{Frontend, TouchTruth, Truth, Twin};
