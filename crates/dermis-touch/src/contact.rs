@@ -8,7 +8,7 @@
 use crate::error::{TouchError, require, require_length};
 use crate::geometry::ImageGeometry;
 use crate::moments::{CorrelatedSum, PixelBox};
-use crate::watershed::{MergeRule, Watershed, largest_of};
+use crate::watershed::{MergeRule, Watershed, largest_of, largest_with_noise};
 use serde::{Deserialize, Serialize};
 
 /// Whether a contact rises above the background or sinks below it.
@@ -108,20 +108,13 @@ impl PixelNoise<'_> {
         }
     }
 
-    /// The smallest usable sigma: no pixel is kept by a threshold below it.
-    fn smallest(&self) -> f32 {
+    /// One value a pixel, where that is so.
+    fn per_pixel(&self) -> Option<&[f32]> {
         match self {
-            Self::Uniform(sigma) => *sigma,
-            Self::PerPixel(sigma) => {
-                let least = sigma.iter().copied().filter(|s| usable(*s)).fold(f32::INFINITY, f32::min);
-                if least.is_finite() { least } else { 0.0 }
-            }
+            Self::Uniform(_) => None,
+            Self::PerPixel(sigma) => Some(sigma),
         }
     }
-}
-
-fn usable(sigma: f32) -> bool {
-    sigma.is_finite() && sigma >= 0.0
 }
 
 /// Thresholds and rules of a [`ContactFinder`].
@@ -308,17 +301,22 @@ impl ContactFinder {
         contacts.clear();
         require_length("image", self.geometry.len(), image.len())?;
         noise.validate(self.geometry.len())?;
-        let strongest = self.strongest(image, noise);
+        let (strongest, least_noise) = self.strongest(image, noise);
+        // Nothing below half of the smallest peak that can count is ever looked at.
+        let lowest_peak = (self.params.relative_off as f32 * strongest)
+            .max(self.params.k_off as f32 * least_noise)
+            .max(self.params.min_amplitude as f32)
+            .max(f32::MIN_POSITIVE);
         for &sign in self.params.signs.listed() {
-            self.find_sign(image, noise, sign, strongest, contacts);
+            self.find_sign(image, noise, sign, strongest, lowest_peak, contacts);
         }
         contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude).then(a.sign_order().cmp(&b.sign_order())));
         contacts.truncate(self.params.max_contacts);
         Ok(())
     }
 
-    /// The largest |value| of the signs looked for, of usable pixels.
-    fn strongest(&self, image: &[f32], noise: PixelNoise<'_>) -> f32 {
+    /// The largest |value| of the signs looked for among usable pixels, and their smallest noise.
+    fn strongest(&self, image: &[f32], noise: PixelNoise<'_>) -> (f32, f32) {
         match self.params.signs {
             ContactSigns::Positive => largest_size(image, noise, |value| value),
             ContactSigns::Negative => largest_size(image, noise, |value| -value),
@@ -332,22 +330,10 @@ impl ContactFinder {
         noise: PixelNoise<'_>,
         sign: ContactSign,
         strongest: f32,
+        lowest_peak: f32,
         contacts: &mut Vec<Contact>,
     ) {
-        let factor = sign.factor() as f32;
-        let oriented = |value: f32| if value.is_finite() { factor * value } else { f32::NAN };
-        // One loop for each kind of noise, so that the common one is free of branches.
-        let largest = match noise {
-            PixelNoise::Uniform(_) => self.watershed.load(image, |_, value| oriented(value)),
-            PixelNoise::PerPixel(sigma) => {
-                self.watershed.load(image, |index, value| if usable(sigma[index]) { oriented(value) } else { f32::NAN })
-            }
-        };
-        // Nothing below half of the smallest peak that can count is ever looked at.
-        let lowest_peak = (self.params.relative_off as f32 * strongest)
-            .max(self.params.k_off as f32 * noise.smallest())
-            .max(self.params.min_amplitude as f32)
-            .max(f32::MIN_POSITIVE);
+        let largest = self.watershed.load(image, noise.per_pixel(), sign.factor() as f32);
         if largest < lowest_peak {
             return;
         }
@@ -523,12 +509,13 @@ impl Contact {
     }
 }
 
-fn largest_size(image: &[f32], noise: PixelNoise<'_>, size: impl Fn(f32) -> f32) -> f32 {
-    let finite = |value: f32| if value.is_finite() { size(value) } else { 0.0 };
+/// The largest size of a usable pixel, and the smallest noise of one (0 when none is usable).
+fn largest_size(image: &[f32], noise: PixelNoise<'_>, size: impl Fn(f32) -> f32) -> (f32, f32) {
     match noise {
-        PixelNoise::Uniform(_) => largest_of(image.iter().map(|&value| finite(value))),
+        PixelNoise::Uniform(sigma) => (largest_of(image, size), sigma),
         PixelNoise::PerPixel(sigma) => {
-            largest_of(image.iter().zip(sigma).map(|(&value, &sigma)| if usable(sigma) { finite(value) } else { 0.0 }))
+            let (largest, least) = largest_with_noise(image, sigma, size);
+            (largest, if least.is_finite() { least } else { 0.0 })
         }
     }
 }

@@ -59,18 +59,24 @@ impl Watershed {
         }
     }
 
-    /// Copies an image in, row by row, through `orient` (index in the image, value) -> value or NaN, and returns the
-    /// largest value (0 when none is positive).
-    pub(crate) fn load(&mut self, image: &[f32], orient: impl Fn(usize, f32) -> f32) -> f32 {
+    /// Copies an image in, row by row: values times `factor`, NaN where they are not finite or their noise is not usable,
+    /// and returns the largest value (0 when none is positive).
+    pub(crate) fn load(&mut self, image: &[f32], sigma: Option<&[f32]>, factor: f32) -> f32 {
         for row in 0..self.rows {
-            let source = &image[row * self.columns..(row + 1) * self.columns];
+            let range = row * self.columns..(row + 1) * self.columns;
             let start = (row + 1) * self.stride + 1;
             let target = &mut self.values[start..start + self.columns];
-            for (column, (to, &from)) in target.iter_mut().zip(source).enumerate() {
-                *to = orient(row * self.columns + column, from);
+            let oriented = |value: f32| if value.abs() <= f32::MAX { factor * value } else { f32::NAN };
+            match sigma {
+                None => target.iter_mut().zip(&image[range]).for_each(|(to, &from)| *to = oriented(from)),
+                Some(sigma) => {
+                    for ((to, &from), &sigma) in target.iter_mut().zip(&image[range.clone()]).zip(&sigma[range]) {
+                        *to = if sigma >= 0.0 && sigma <= f32::MAX { oriented(from) } else { f32::NAN };
+                    }
+                }
             }
         }
-        largest_of(self.values.iter().copied())
+        largest_of(&self.values, |value| value)
     }
 
     /// Floods every pixel at or above `floor` (which must be positive); `sigma` gives the noise at an image index.
@@ -222,11 +228,43 @@ impl Watershed {
     }
 }
 
-/// The largest of `values`, NaN left out, or 0 when none is positive.
-pub(crate) fn largest_of(values: impl Iterator<Item = f32>) -> f32 {
-    // Positive floats sort as their bit patterns do, and whole numbers have a maximum that vectorises.
-    let bits = |value: f32| if value > 0.0 { value.to_bits() } else { 0 };
-    f32::from_bits(values.map(bits).fold(0, u32::max))
+/// Values compared side by side: comparisons lane by lane become vector instructions, one running extreme does not.
+const LANES: usize = 16;
+
+/// The largest finite `size(value)`, or 0 when none is positive. Comparisons leave NaN out by themselves.
+pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
+    let mut most = [0.0_f32; LANES];
+    let mut raise = |lane: usize, value: f32| {
+        let value = size(value);
+        most[lane] = if value > most[lane] && value <= f32::MAX { value } else { most[lane] };
+    };
+    let (blocks, rest) = values.as_chunks::<LANES>();
+    for block in blocks {
+        for lane in 0..LANES {
+            raise(lane, block[lane]);
+        }
+    }
+    rest.iter().enumerate().for_each(|(lane, &value)| raise(lane, value));
+    most.into_iter().fold(0.0, f32::max)
+}
+
+/// The same over pixels of which the noise is usable, and the smallest usable noise (infinite when there is none).
+pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f32) -> f32) -> (f32, f32) {
+    let (mut most, mut least) = ([0.0_f32; LANES], [f32::INFINITY; LANES]);
+    let mut take = |lane: usize, value: f32, sigma: f32| {
+        let (value, usable) = (size(value), sigma >= 0.0 && sigma <= f32::MAX);
+        most[lane] = if usable && value > most[lane] && value <= f32::MAX { value } else { most[lane] };
+        least[lane] = if usable && sigma < least[lane] { sigma } else { least[lane] };
+    };
+    let (blocks, rest) = values.as_chunks::<LANES>();
+    let (noises, rest_of_noise) = sigma.as_chunks::<LANES>();
+    for (block, noise) in blocks.iter().zip(noises) {
+        for lane in 0..LANES {
+            take(lane, block[lane], noise[lane]);
+        }
+    }
+    rest.iter().zip(rest_of_noise).enumerate().for_each(|(lane, (&value, &sigma))| take(lane, value, sigma));
+    (most.into_iter().fold(0.0, f32::max), least.into_iter().fold(f32::INFINITY, f32::min))
 }
 
 fn unpack_pixel(key: u64) -> usize {
@@ -239,7 +277,7 @@ mod tests {
 
     fn flooded(columns: usize, image: &[f32], ratio: f32) -> Vec<(f32, usize)> {
         let mut shed = Watershed::new(columns, image.len() / columns);
-        shed.load(image, |_, v| v);
+        shed.load(image, None, 1.0);
         shed.flood(0.01, MergeRule { saddle_ratio: ratio, min_prominence_sigma: 0.0 }, |_| 0.0);
         let peaks: Vec<_> = shed.peaks().collect();
         peaks.into_iter().map(|(_, value, pixel)| (value, shed.image_index(pixel))).collect()

@@ -1,6 +1,6 @@
 //! What can go wrong with a twin, with the value, the field and what was expected.
 
-use dermis_tomo::eit::ProtocolError;
+use dermis_tomo::eit::{EitError, ProtocolError};
 use dermis_tomo::mesh::MeshError;
 use dermis_tomo::sparse::SparseError;
 use thiserror::Error;
@@ -45,6 +45,9 @@ pub enum TwinError {
     /// The field equations could not be solved.
     #[error("twin's fields: {0}")]
     Fields(#[from] SparseError),
+    /// The forward model refused the body or its conductivity.
+    #[error("twin's forward model: {0}")]
+    Forward(#[from] EitError),
 }
 
 /// Refuses a value that is not finite or not within `least..=most`.

@@ -82,6 +82,15 @@ impl<F: Frontend> Twin<F> {
         }
     }
 
+    /// The same twin with its frontend behind a pointer, so that twins of all skins have one type.
+    pub fn boxed(self) -> Twin<Box<dyn Frontend>>
+    where
+        F: 'static,
+    {
+        let Self { frontend, instrument, scene, indenters, truth, next_sequence, last_time_s } = self;
+        Twin { frontend: Box::new(frontend), instrument, scene, indenters, truth, next_sequence, last_time_s }
+    }
+
     /// Takes the frame at `time_s` (seconds on any clock; a time before the last counts as the same) and says what is
     /// true then. `frame` is resized to the channels, volts; its memory is reused.
     ///

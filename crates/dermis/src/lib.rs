@@ -25,5 +25,6 @@ pub mod skin;
 pub mod solve;
 pub mod touches;
 pub mod twin_source;
+pub mod twins;
 
 pub use error::Error;

@@ -5,10 +5,11 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, HealingSquare, HealingSquareOptions, Twin, TwinError};
+use dermis_twin::{Frontend, TwinError};
 
 use crate::Error;
 use crate::skin::Skin;
+use crate::twins::{AnyTwin, PressRange, TwinKit};
 
 /// What can be done to a running twin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +37,9 @@ pub enum TwinCommand {
 pub struct TwinSource {
     name: String,
     layout: Layout,
-    twin: Twin<HealingSquare>,
+    twin: AnyTwin,
+    press: PressRange,
+    demo: Option<Script>,
     commands: Receiver<TwinCommand>,
     period: Duration,
     started: Option<Instant>,
@@ -57,20 +60,15 @@ impl TwinSource {
     /// # Errors
     /// A skin without twin, or one that cannot be made.
     pub fn new(skin: &Skin) -> Result<(Self, Sender<TwinCommand>), Error> {
-        if skin.name != "healing-square" {
-            return Err(Error::Frames {
-                what: "twin".into(),
-                expected: "skin healing-square".into(),
-                got: format!("skin {}, which has none", skin.name),
-            });
-        }
-        let twin = Twin::healing_square(&HealingSquareOptions::default())?;
+        let TwinKit { twin, press, demo } = TwinKit::of(skin)?;
         let (sender, commands) = crossbeam_channel::bounded(QUEUE);
         let rate = skin.backend.frames_per_s.unwrap_or(50.0);
         let source = Self {
             name: format!("twin:{}", skin.name),
             layout: Layout::Channels { count: twin.frontend().channel_count() },
             twin,
+            press,
+            demo: Some(demo),
             commands,
             period: Duration::from_secs_f64(1.0 / rate),
             started: None,
@@ -81,9 +79,14 @@ impl TwinSource {
         Ok((source, sender))
     }
 
+    /// What people may press with.
+    pub fn press_range(&self) -> PressRange {
+        self.press
+    }
+
     fn obey(&mut self) -> Result<(), TwinError> {
-        if self.frames == REST_FRAMES {
-            self.twin.scene_mut().set_script(Some(Script::demo()))?;
+        if self.frames == REST_FRAMES && self.demo.is_some() {
+            self.twin.scene_mut().set_script(self.demo.take())?;
         }
         for command in self.commands.try_iter() {
             match command {

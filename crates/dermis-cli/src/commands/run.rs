@@ -87,7 +87,7 @@ pub struct Arguments {
 /// The run in progress.
 struct Run {
     pipeline: Pipeline,
-    twin: Option<crossbeam_channel::Sender<TwinCommand>>,
+    twin: Option<source::TwinControl>,
     recorder: Option<(PathBuf, RecorderHandle)>,
     recorder_dropped: u64,
     head: RecordingHead,
@@ -111,7 +111,7 @@ impl Arguments {
         let server = if self.headless {
             None
         } else {
-            let scene = page_feed::scene(pipeline.prepared(), opened.twin.is_some());
+            let scene = page_feed::scene(pipeline.prepared(), opened.twin.as_ref().map(|twin| twin.press));
             let server = page::serve(self.address(), self.page_options()?, hub.clone(), scene, commands)?;
             writeln!(out, "page: {}", server.url())?;
             out.flush()?;
@@ -298,7 +298,7 @@ impl Run {
 
     fn command_twin(&self, command: TwinCommand) {
         if let Some(twin) = &self.twin
-            && twin.try_send(command).is_err()
+            && twin.commands.try_send(command).is_err()
         {
             self.hub.announce(Level::Warning, "the twin is too slow for so many presses; one was dropped");
         }

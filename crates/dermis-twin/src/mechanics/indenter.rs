@@ -6,7 +6,11 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
 use serde::{Deserialize, Serialize};
 
+use super::mask::Mask;
 use crate::error::{TwinError, check, check_positive};
+
+/// Standard acceleration of gravity, m/s^2: what turns a mass into a weight.
+pub const STANDARD_GRAVITY_M_PER_S2: f64 = 9.80665;
 
 /// Standard deviations beyond which a smoothed edge counts as zero (its value there is 3e-7 of the pressure).
 const REACH: f64 = 5.0;
@@ -60,6 +64,15 @@ pub enum Shape {
         /// Turn of its axes, radians counter-clockwise.
         angle_rad: f64,
     },
+    /// Any face, as a picture.
+    Mask {
+        /// Which cells press.
+        mask: Mask,
+        /// Side of a cell.
+        cell_m: f64,
+        /// Turn of the picture, radians counter-clockwise.
+        angle_rad: f64,
+    },
 }
 
 /// How hard an indenter presses.
@@ -91,6 +104,7 @@ impl Shape {
             Self::Disc { radius_m } => PI * radius_m * radius_m,
             Self::Ring { inner_m, outer_m } => PI * (outer_m * outer_m - inner_m * inner_m),
             Self::Line { length_m: a, width_m: b, .. } | Self::Rectangle { width_m: a, height_m: b, .. } => a * b,
+            Self::Mask { mask, cell_m, .. } => mask.pressed_cells() as f64 * cell_m * cell_m,
         }
     }
 
@@ -112,10 +126,12 @@ impl Shape {
             }
             Self::Line { length_m: width, width_m: height, angle_rad }
             | Self::Rectangle { width_m: width, height_m: height, angle_rad } => {
-                let (sine, cosine) = angle_rad.sin_cos();
-                let along = offset[0] * cosine + offset[1] * sine;
-                let across = offset[1] * cosine - offset[0] * sine;
+                let [along, across] = turned(offset, angle_rad);
                 slab(width, along) * slab(height, across)
+            }
+            Self::Mask { mask, cell_m, angle_rad } => {
+                let cells = turned(offset, angle_rad).map(|length| length / cell_m);
+                mask.profile(cells, |edge, position| normal_cdf((edge - position) * cell_m / smoothing))
             }
         }
     }
@@ -142,6 +158,7 @@ impl Shape {
             Self::Line { length_m: a, width_m: b, .. } | Self::Rectangle { width_m: a, height_m: b, .. } => {
                 a.hypot(b) / 2.0
             }
+            Self::Mask { mask, cell_m, .. } => cell_m * (mask.rows() as f64).hypot(mask.columns() as f64) / 2.0,
         };
         farthest + REACH * smoothing
     }
@@ -159,6 +176,10 @@ impl Shape {
                 check_positive("width or height of the indenter, m", b)?;
                 check("angle_rad", angle_rad, -1e6, 1e6, "a finite angle")
             }
+            Self::Mask { cell_m, angle_rad, .. } => {
+                check_positive("mask cell_m", cell_m)?;
+                check("angle_rad", angle_rad, -1e6, 1e6, "a finite angle")
+            }
         }
     }
 }
@@ -167,6 +188,12 @@ impl Indenter {
     /// A round indenter with a mean pressure.
     pub fn disc(centre_m: [f64; 2], radius_m: f64, pressure_pa: f64) -> Self {
         Self { centre_m, shape: Shape::Disc { radius_m }, load: Load::PressurePa(pressure_pa) }
+    }
+
+    /// A round weight lying on the skin, its mass in grams.
+    pub fn weight(centre_m: [f64; 2], radius_m: f64, mass_g: f64) -> Self {
+        let load = Load::ForceN(1e-3 * mass_g * STANDARD_GRAVITY_M_PER_S2);
+        Self { centre_m, shape: Shape::Disc { radius_m }, load }
     }
 
     /// Mean pressure under the face, pascals.
@@ -189,14 +216,23 @@ impl Indenter {
 
     /// Adds its pressure, in pascals, at each position.
     pub fn add_pressure(&self, cover: Cover, positions_m: &[[f64; 2]], pressure_pa: &mut [f64]) {
-        let smoothing = cover.smoothing_m;
-        let peak = self.force_n() / self.shape.profile_area(smoothing);
-        let reach = self.shape.reach(smoothing);
+        let field = self.field(cover);
         for (position, sum) in positions_m.iter().zip(pressure_pa) {
-            let offset = [position[0] - self.centre_m[0], position[1] - self.centre_m[1]];
-            if offset[0].abs() < reach && offset[1].abs() < reach {
-                *sum += peak * self.shape.profile(offset, smoothing);
+            if field.reaches(*position, 0.0) {
+                *sum += field.pressure_pa(*position);
             }
+        }
+    }
+
+    /// The pressure field beneath the cover.
+    pub(super) fn field(&self, cover: Cover) -> PressureField {
+        let smoothing = cover.smoothing_m;
+        PressureField {
+            centre_m: self.centre_m,
+            shape: self.shape,
+            smoothing,
+            peak_pa: self.force_n() / self.shape.profile_area(smoothing),
+            reach_m: self.shape.reach(smoothing),
         }
     }
 
@@ -213,6 +249,35 @@ impl Indenter {
             Load::ForceN(value) => check("force_n", value, 0.0, 1e6, "0 to 1e6 N"),
         }
     }
+}
+
+/// The pressure of one indenter beneath the cover.
+pub(super) struct PressureField {
+    centre_m: [f64; 2],
+    shape: Shape,
+    smoothing: f64,
+    peak_pa: f64,
+    reach_m: f64,
+}
+
+impl PressureField {
+    /// False where the pressure is zero everywhere within `margin_m` of a position.
+    pub(super) fn reaches(&self, position_m: [f64; 2], margin_m: f64) -> bool {
+        let reach = self.reach_m + margin_m;
+        (position_m[0] - self.centre_m[0]).abs() < reach && (position_m[1] - self.centre_m[1]).abs() < reach
+    }
+
+    /// Pressure at a position, pascals.
+    pub(super) fn pressure_pa(&self, position_m: [f64; 2]) -> f64 {
+        let offset = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];
+        self.peak_pa * self.shape.profile(offset, self.smoothing)
+    }
+}
+
+/// An offset in the axes of a shape that is turned by an angle.
+fn turned([x, y]: [f64; 2], angle_rad: f64) -> [f64; 2] {
+    let (sine, cosine) = angle_rad.sin_cos();
+    [x * cosine + y * sine, y * cosine - x * sine]
 }
 
 /// Distribution function of the standard normal.
@@ -249,6 +314,11 @@ mod tests {
             Shape::Ring { inner_m: 0.008, outer_m: 0.012 },
             Shape::Line { length_m: 0.03, width_m: 0.002, angle_rad: 0.7 },
             Shape::Rectangle { width_m: 0.02, height_m: 0.01, angle_rad: -0.3 },
+            Shape::Mask {
+                mask: Mask::from_rows(&["#.##", ".#..", "###."]).unwrap(),
+                cell_m: 0.004,
+                angle_rad: 0.4,
+            },
         ];
         for shape in shapes {
             let indenter = Indenter { centre_m: [0.003, -0.002], shape, load: Load::ForceN(2.5) };
@@ -267,6 +337,31 @@ mod tests {
         let same = Indenter { load: Load::ForceN(press.force_n()), ..press };
         assert!((same.pressure_pa() - 80e3).abs() < 1e-6);
         assert!((same.scaled(0.5).force_n() - press.force_n() / 2.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_mask_of_one_cell_is_a_square_and_rows_run_down() {
+        let at = |shape: Shape, position: [f64; 2]| {
+            let mut pressure = [0.0];
+            let indenter = Indenter { centre_m: [0.01, 0.0], shape, load: Load::PressurePa(1e3) };
+            indenter.add_pressure(Cover::default(), &[position], &mut pressure);
+            pressure[0]
+        };
+        let square = Shape::Rectangle { width_m: 0.006, height_m: 0.006, angle_rad: 0.3 };
+        let cell = Shape::Mask { mask: Mask::from_rows(&["#"]).unwrap(), cell_m: 0.006, angle_rad: 0.3 };
+        let corner = Shape::Mask { mask: Mask::from_rows(&["#.", ".."]).unwrap(), cell_m: 0.006, angle_rad: 0.0 };
+        for position in [[0.01, 0.0], [0.013, 0.001], [0.006, -0.003]] {
+            assert!((at(square, position) - at(cell, position)).abs() < 1e-9 * 1e3);
+        }
+        // The first cell of the first row lies up and to the left.
+        assert!(at(corner, [0.007, 0.003]) > 900.0 && at(corner, [0.013, -0.003]) < 1.0);
+    }
+
+    #[test]
+    fn grams_become_newtons() {
+        // Paper I: one weight of 6.5 g presses with 64 mN, on a disc of 20 mm with 0.203 kPa.
+        let weight = Indenter::weight([0.0; 2], 0.01, 6.5);
+        assert!((weight.force_n() - 0.06374).abs() < 1e-5 && (weight.pressure_pa() - 203.0).abs() < 0.5);
     }
 
     #[test]

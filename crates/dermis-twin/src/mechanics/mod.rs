@@ -1,10 +1,15 @@
 //! From things that press to what the layers do: indenters give a pressure field on the skin ([`Indenter`]), the
-//! cover may remember it for a while ([`Memory`]), and pressure closes the gap between two layers ([`ContactLaw`]).
+//! cover may remember it for a while ([`Memory`]), and pressure closes the gap between two layers ([`ContactLaw`]) or
+//! deflects a membrane over a liquid ([`Membrane`]).
 
 mod contact;
 mod indenter;
+mod mask;
+mod membrane;
 mod memory;
 
 pub use contact::ContactLaw;
-pub use indenter::{Cover, Indenter, Load, Shape};
+pub use indenter::{Cover, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
+pub use mask::{MOST_MASK_CELLS, Mask};
+pub use membrane::{Membrane, MembraneSpec};
 pub use memory::{Memory, PressureState};

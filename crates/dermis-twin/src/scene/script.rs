@@ -182,6 +182,26 @@ impl Script {
         Some(now)
     }
 
+    /// The same with positions and radii times `length`, pressures times `pressure`: for a skin of another size and
+    /// softness.
+    pub fn scaled(mut self, length: f64, pressure: f64) -> Self {
+        for event in &mut self.events {
+            match event {
+                Event::Press { x_mm, y_mm, radius_mm, pressure_kpa, .. } => {
+                    (*x_mm, *y_mm, *radius_mm) = (length * *x_mm, length * *y_mm, length * *radius_mm);
+                    *pressure_kpa *= pressure;
+                }
+                Event::Move { x_mm, y_mm, radius_mm, pressure_kpa, .. } => {
+                    (*x_mm, *y_mm) = (length * *x_mm, length * *y_mm);
+                    *radius_mm = radius_mm.map(|radius| length * radius);
+                    *pressure_kpa = pressure_kpa.map(|kpa| pressure * kpa);
+                }
+                Event::Release { .. } => {}
+            }
+        }
+        self
+    }
+
     /// The demonstration: one touch wanders over the skin for 12 s, a second is pressed elsewhere, a third slides, then a
     /// pause; 22 s, again and again. One at a time: the copper joins touches that press together, and a linear image does
     /// not take them apart.
@@ -234,6 +254,15 @@ mod tests {
         assert!((0..4400).all(|k| count(0.01 * f64::from(k)) <= 1));
         let text = toml::to_string(&demo).unwrap();
         assert_eq!(Script::from_toml(&text).unwrap(), demo);
+    }
+
+    #[test]
+    fn a_scaled_script_presses_elsewhere_and_otherwise() {
+        let (demo, scaled) = (Script::demo(), Script::demo().scaled(2.0, 0.1));
+        let (before, after) = (demo.at(3.3).next().unwrap().1, scaled.at(3.3).next().unwrap().1);
+        assert!((after.centre_m[0] - 2.0 * before.centre_m[0]).abs() < 1e-12);
+        assert!((after.shape.equal_area_radius_m() - 2.0 * before.shape.equal_area_radius_m()).abs() < 1e-12);
+        assert!((after.pressure_pa() - 0.1 * before.pressure_pa()).abs() < 1e-6);
     }
 
     #[test]

@@ -4,7 +4,8 @@ use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Re
 use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec};
 
 use super::{
-    DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, Shape, Skin,
+    DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, RimElectrode, Shape,
+    Skin,
 };
 use crate::Error;
 
@@ -59,6 +60,20 @@ impl Skin {
                     angle_rad: 0.0,
                 };
                 pad.ring(per_side + 1, per_side + 1, [pitch_mm * MM; 2], Direction::CounterClockwise)
+            }
+            Electrodes::RimList(list) => {
+                let outline = self.outline();
+                let on_disc = matches!(outline, Outline::Disc { .. });
+                let place = |electrode: &RimElectrode| {
+                    let width_m = electrode.width_mm * MM;
+                    if on_disc {
+                        ElectrodeShape::RimArc { centre_rad: electrode.at_deg.to_radians(), width_m }
+                    } else {
+                        let turn = (electrode.at_deg / 360.0).rem_euclid(1.0);
+                        ElectrodeShape::RimSegment { centre_m: turn * outline.perimeter_m(), width_m }
+                    }
+                };
+                list.iter().map(place).collect()
             }
             Electrodes::Pads(pads) => pads.iter().map(pad_shape).collect(),
         }

@@ -133,8 +133,21 @@ pub enum Electrodes {
         /// Side of a pad.
         size_mm: f64,
     },
+    /// Listed electrodes on the rim.
+    RimList(Vec<RimElectrode>),
     /// Listed pads.
     Pads(Vec<Pad>),
+}
+
+/// One listed electrode on the rim.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RimElectrode {
+    /// Angle of its middle, counter-clockwise from +x (on other outlines than discs: position along the rim in terms of
+    /// a full turn).
+    pub at_deg: f64,
+    /// Length along the rim.
+    pub width_mm: f64,
 }
 
 /// One listed pad under the sheet.
@@ -574,6 +587,7 @@ impl Skin {
         let electrodes = match &self.frontend.electrodes {
             Electrodes::Rim { count, .. } => *count,
             Electrodes::RimPads { per_side, .. } => per_side.saturating_mul(4),
+            Electrodes::RimList(list) => list.len(),
             Electrodes::Pads(pads) => pads.len(),
         };
         if !(2..=MOST_ELECTRODES).contains(&electrodes) {

@@ -8,6 +8,7 @@ use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::record::RecorderStatus;
 use dermis::sink::Output;
+use dermis::twins::PressRange;
 use dermis_cli::page::{
     Counter, ElectrodeView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView,
     Update,
@@ -150,15 +151,15 @@ fn view(touch: &Touch) -> TouchView {
     }
 }
 
-/// What does not change while the skin runs.
-pub fn scene(prepared: &Prepared, is_twin: bool) -> Scene {
+/// What does not change while the skin runs; `press`: what its twin may be pressed with, if it is one.
+pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
     let grid = prepared.map.grid();
     let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
     let lambda = typical_hyperparameter(prepared);
     Scene {
         skin: prepared.skin.name.clone(),
         modality: "eit".into(),
-        is_twin,
+        is_twin: press.is_some(),
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
         electrodes: electrodes(prepared),
         grid: GridView {
@@ -175,7 +176,16 @@ pub fn scene(prepared: &Prepared, is_twin: bool) -> Scene {
         image_unit: String::new(),
         range_hint: Some([0.0, 0.5]),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
-        press: PressLimits::default(),
+        press: press.map_or_else(PressLimits::default, limits),
+    }
+}
+
+fn limits(range: PressRange) -> PressLimits {
+    PressLimits {
+        radius_mm: range.radius_m.map(|m| m * MM),
+        pressure_kpa: range.pressure_pa.map(|pa| pa * 1e-3),
+        initial_radius_mm: range.initial_radius_m * MM,
+        initial_pressure_kpa: range.initial_pressure_pa * 1e-3,
     }
 }
 

@@ -7,6 +7,7 @@ use anyhow::Context;
 use dermis::record::{Recording, Replay};
 use dermis::skin::Skin;
 use dermis::twin_source::{TwinCommand, TwinSource};
+use dermis::twins::PressRange;
 use dermis_device::{Pacing, Playback, Repeat, Source, SourceSelector};
 
 use crate::exit::UsageError;
@@ -18,9 +19,17 @@ pub struct Opened {
     /// The frames.
     pub source: Box<dyn Source>,
     /// To press on it, if it is a twin.
-    pub twin: Option<crossbeam_channel::Sender<TwinCommand>>,
+    pub twin: Option<TwinControl>,
     /// A file may be held up; an instrument may not.
     pub wait: bool,
+}
+
+/// How a running twin is pressed.
+pub struct TwinControl {
+    /// Where commands go.
+    pub commands: crossbeam_channel::Sender<TwinCommand>,
+    /// What people may press with.
+    pub press: PressRange,
 }
 
 /// Opens what `--source` names.
@@ -32,8 +41,9 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
     }
     if selector == "twin" {
         let skin = super::skin(skin_name)?;
-        let (source, twin) = TwinSource::new(&skin)?;
-        return Ok(Opened { skin, source: Box::new(source), twin: Some(twin), wait: false });
+        let (source, commands) = TwinSource::new(&skin)?;
+        let twin = Some(TwinControl { commands, press: source.press_range() });
+        return Ok(Opened { skin, source: Box::new(source), twin, wait: false });
     }
     let pacing = |rate: Option<f64>| match (speed, rate) {
         (0.0, _) => Pacing::Immediate,

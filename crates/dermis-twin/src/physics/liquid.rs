@@ -1,0 +1,178 @@
+//! Fields of a flat tray of conducting liquid whose depth varies from place to place, with electrodes on its wall.
+//!
+//! Averaged over the depth h the potential solves `div(sigma h grad u) = 0` in the plane, which holds where h varies slowly
+//! against itself and electrodes reach from bottom to top. In three dimensions `div(sigma grad u) = 0` is solved on
+//! tetrahedra whose nodes move with the surface, `z -> z h / h0`, with electrodes as small as they are: the field that
+//! fringes from them is then real. Complete electrode model in both.
+
+use dermis_tomo::eit::{ForwardModel, Protocol};
+use dermis_tomo::mesh::{
+    CellKind, ElectrodeShape, ElectrodedMesh, Mesh, Outline, PrismElectrode, PrismSpec, SheetSpec,
+};
+
+use crate::error::{TwinError, check, check_positive};
+
+/// Electrodes on the wall of a tray.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LiquidElectrodes {
+    /// Stretches of the rim that they cover, in order.
+    pub rim: Vec<ElectrodeShape>,
+    /// Their height, metres, in the middle of the wall.
+    pub height_m: f64,
+    /// Specific contact impedance, ohm.m^2.
+    pub contact_impedance_ohm_m2: f64,
+}
+
+/// A tray of liquid at rest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LiquidSpec {
+    /// Seen from above.
+    pub outline: Outline,
+    /// Depth, metres.
+    pub depth_m: f64,
+    /// Conductivity, S/m.
+    pub conductivity_s_per_m: f64,
+    /// On its wall.
+    pub electrodes: LiquidElectrodes,
+    /// Edge length of the triangles seen from above, metres.
+    pub element_size_m: f64,
+    /// The same at electrodes, metres.
+    pub electrode_element_size_m: f64,
+}
+
+/// The fields of a tray for any depth over its plan.
+#[derive(Debug)]
+pub struct LiquidFields {
+    spec: LiquidSpec,
+    protocol: Protocol,
+    plan: Mesh,
+    body: Body,
+}
+
+#[derive(Debug)]
+enum Body {
+    Averaged { model: ForwardModel, sheet_s: Vec<f64> },
+    Solid { rest: ElectrodedMesh },
+}
+
+impl LiquidSpec {
+    fn check(&self) -> Result<(), TwinError> {
+        check_positive("depth_m", self.depth_m)?;
+        check_positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
+        check_positive("contact_impedance_ohm_m2", self.electrodes.contact_impedance_ohm_m2)?;
+        let expected = "above 0 and no more than the liquid's depth";
+        check("electrode height_m", self.electrodes.height_m, f64::MIN_POSITIVE, self.depth_m, expected)
+    }
+
+    /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the impedance
+    /// of that share.
+    fn sheet(&self) -> Result<ElectrodedMesh, TwinError> {
+        let mut sheet = SheetSpec::new(self.outline.clone(), self.electrodes.rim.clone(), self.element_size_m);
+        sheet.electrode_element_size_m = self.electrode_element_size_m;
+        let (body, _) = sheet.build(&[self.electrodes.contact_impedance_ohm_m2 / self.electrodes.height_m])?;
+        Ok(body)
+    }
+
+    fn solid(&self, layers: usize) -> Result<ElectrodedMesh, TwinError> {
+        let low_m = 0.5 * (self.depth_m - self.electrodes.height_m);
+        let high_m = low_m + self.electrodes.height_m;
+        let side = |rim: &ElectrodeShape| PrismElectrode::Side { rim: rim.clone(), low_m, high_m };
+        let prism = PrismSpec {
+            outline: self.outline.clone(),
+            height_m: self.depth_m,
+            element_size_m: self.element_size_m,
+            electrode_element_size_m: self.electrode_element_size_m,
+            layers,
+            electrodes: self.electrodes.rim.iter().map(side).collect(),
+        };
+        Ok(prism.build(&[self.electrodes.contact_impedance_ohm_m2])?)
+    }
+}
+
+impl LiquidFields {
+    /// Depth-averaged: fast.
+    ///
+    /// # Errors
+    /// Parameters that make no sense, a plan that cannot be meshed, a protocol for other electrodes.
+    pub fn averaged(spec: LiquidSpec, protocol: Protocol) -> Result<Self, TwinError> {
+        spec.check()?;
+        let sheet = spec.sheet()?;
+        let plan = sheet.mesh.clone();
+        let body = Body::Averaged {
+            sheet_s: vec![0.0; plan.element_count()],
+            model: ForwardModel::new(sheet, protocol.clone())?,
+        };
+        Ok(Self { spec, protocol, plan, body })
+    }
+
+    /// In three dimensions, with about so many layers of elements: slow, every solution is of a body of its own.
+    ///
+    /// # Errors
+    /// As [`LiquidFields::averaged`].
+    pub fn solid(spec: LiquidSpec, layers: usize, protocol: Protocol) -> Result<Self, TwinError> {
+        spec.check()?;
+        let rest = spec.solid(layers)?;
+        let plan = bottom_of(&rest.mesh)?;
+        Ok(Self { spec, protocol, plan, body: Body::Solid { rest } })
+    }
+
+    /// The plan, whose nodes the depth is given at.
+    pub fn plan(&self) -> &Mesh {
+        &self.plan
+    }
+
+    /// Elements that fields are solved on.
+    pub fn element_count(&self) -> usize {
+        match &self.body {
+            Body::Averaged { model, .. } => model.body().mesh.element_count(),
+            Body::Solid { rest } => rest.mesh.element_count(),
+        }
+    }
+
+    /// Stimulation and measurement.
+    pub fn protocol(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// One voltage a channel, volts, for a depth at each node of the plan, metres, linear in between.
+    ///
+    /// # Errors
+    /// Depths that are not positive, or fields that cannot be solved.
+    pub fn voltages(&mut self, depth_m: &[f64]) -> Result<Vec<f64>, TwinError> {
+        match &mut self.body {
+            Body::Averaged { model, sheet_s } => {
+                for (sheet, triangle) in sheet_s.iter_mut().zip(self.plan.elements()) {
+                    let mean = triangle.iter().map(|&node| depth_m[node as usize]).sum::<f64>() / 3.0;
+                    *sheet = self.spec.conductivity_s_per_m * mean;
+                }
+                Ok(model.voltages(sheet_s)?)
+            }
+            Body::Solid { rest } => {
+                let deformed = deformed(rest, depth_m, self.spec.depth_m)?;
+                let sigma = vec![self.spec.conductivity_s_per_m; deformed.mesh.element_count()];
+                Ok(ForwardModel::new(deformed, self.protocol.clone())?.voltages(&sigma)?)
+            }
+        }
+    }
+}
+
+/// The mesh of a prism's bottom: its first nodes are those of the plan, level by level.
+fn bottom_of(solid: &Mesh) -> Result<Mesh, TwinError> {
+    let per_level = solid.nodes().iter().take_while(|node| node[2] == 0.0).count();
+    let faces = solid.boundary_faces();
+    let at_bottom = |face: &&(Vec<u32>, u32)| face.0.iter().all(|&node| (node as usize) < per_level);
+    let triangles = faces.iter().filter(at_bottom).flat_map(|(face, _)| face.iter().copied()).collect();
+    Ok(Mesh::new(CellKind::Triangle, solid.nodes()[..per_level].to_vec(), triangles)?)
+}
+
+/// The prism with its levels moved in proportion to the depth.
+fn deformed(rest: &ElectrodedMesh, depth_m: &[f64], rest_m: f64) -> Result<ElectrodedMesh, TwinError> {
+    let scaled = |(index, node): (usize, &[f64; 3])| {
+        let [x, y, z] = *node;
+        [x, y, z * depth_m[index % depth_m.len()] / rest_m]
+    };
+    let nodes = rest.mesh.nodes().iter().enumerate().map(scaled).collect();
+    let elements = rest.mesh.elements().flatten().copied().collect();
+    let mesh = Mesh::new(CellKind::Tetrahedron, nodes, elements)?;
+    Ok(ElectrodedMesh::new(mesh, rest.electrodes.clone())?)
+}

@@ -1,0 +1,66 @@
+//! The twins of the built-in skins: which twin stands for a skin file, how hard people may press on it, and what it
+//! demonstrates by itself.
+
+use dermis_twin::scene::Script;
+use dermis_twin::{Frontend, HealingSquareOptions, Twin};
+
+use crate::Error;
+use crate::skin::Skin;
+
+/// A twin of any skin.
+pub type AnyTwin = Twin<Box<dyn Frontend>>;
+
+/// Names of the skins that have a twin.
+pub const TWIN_NAMES: [&str; 1] = ["healing-square"];
+
+/// What people may press with: least and most, and where sliders begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressRange {
+    /// Radius of the indenter.
+    pub radius_m: [f64; 2],
+    /// Pressure under it.
+    pub pressure_pa: [f64; 2],
+    /// Radius at the start.
+    pub initial_radius_m: f64,
+    /// Pressure at the start.
+    pub initial_pressure_pa: f64,
+}
+
+/// A twin with what goes with it.
+#[derive(Debug)]
+pub struct TwinKit {
+    /// The twin, at rest.
+    pub twin: AnyTwin,
+    /// What people may press with.
+    pub press: PressRange,
+    /// What touches it by itself when nobody does.
+    pub demo: Script,
+}
+
+/// Indenters of 20 mm and 80 kPa, with which paper H tested, in the middle of the sliders.
+const SANDWICH: PressRange = PressRange {
+    radius_m: [2e-3, 30e-3],
+    pressure_pa: [0.0, 200e3],
+    initial_radius_m: 10e-3,
+    initial_pressure_pa: 80e3,
+};
+
+impl TwinKit {
+    /// The twin of a skin.
+    ///
+    /// # Errors
+    /// A skin without twin, or one that cannot be made.
+    pub fn of(skin: &Skin) -> Result<Self, Error> {
+        match skin.name.as_str() {
+            "healing-square" => {
+                let twin = Twin::healing_square(&HealingSquareOptions::default())?.boxed();
+                Ok(Self { twin, press: SANDWICH, demo: Script::demo() })
+            }
+            other => Err(Error::Frames {
+                what: "twin".into(),
+                expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
+                got: other.to_string(),
+            }),
+        }
+    }
+}
