@@ -68,7 +68,8 @@ fn cost() -> Result<(), TwinError> {
 
 /// Voltages at rest and touch signals, in the plane and in three dimensions.
 fn compare() -> Result<(), TwinError> {
-    let fine = IonicOptions { memory: None, element_size_m: 3.0e-3, electrode_element_size_m: 1.0e-3, ..IonicOptions::disc() };
+    let fine =
+        IonicOptions { memory: None, element_size_m: 3.0e-3, electrode_element_size_m: 1.0e-3, ..IonicOptions::disc() };
     let mut flat = IonicSkin::new(&fine)?;
     let start = Instant::now();
     let mut solid = IonicSkin::new(&IonicOptions { fields: IonicFields::Solid { layers: 6 }, ..fine })?;
@@ -77,7 +78,8 @@ fn compare() -> Result<(), TwinError> {
     distances("at rest", &flat, &flat_rest, &solid_rest);
     for (radius_mm, weights) in [(0.0, 4.0), (30.0, 4.0), (60.0, 4.0), (75.0, 4.0), (0.0, 9.0)] {
         let load = [Indenter::weight([radius_mm * 1e-3, 0.0], 0.01, GRAMS * weights)];
-        let change = |rest: &[f64], frame: Vec<f64>| -> Vec<f64> { frame.iter().zip(rest).map(|(v, v0)| v - v0).collect() };
+        let change =
+            |rest: &[f64], frame: Vec<f64>| -> Vec<f64> { frame.iter().zip(rest).map(|(v, v0)| v - v0).collect() };
         let a = change(&flat_rest, read(&mut flat, &load)?);
         let b = change(&solid_rest, read(&mut solid, &load)?);
         distances(&format!("{weights} weights at {radius_mm} mm"), &flat, &a, &b);
@@ -87,14 +89,17 @@ fn compare() -> Result<(), TwinError> {
 
 /// Ratio of solid to flat by regression, what it leaves, and the same by distance of the measuring from the driving pair.
 fn distances(what: &str, skin: &IonicSkin, flat: &[f64], solid: &[f64]) {
-    let gain = |pairs: &[(f64, f64)]| pairs.iter().map(|(a, b)| a * b).sum::<f64>() / pairs.iter().map(|(a, _)| a * a).sum::<f64>();
+    let gain = |pairs: &[(f64, f64)]| {
+        pairs.iter().map(|(a, b)| a * b).sum::<f64>() / pairs.iter().map(|(a, _)| a * a).sum::<f64>()
+    };
     let all: Vec<(f64, f64)> = flat.iter().copied().zip(solid.iter().copied()).collect();
     let factor = gain(&all);
     let left = rms(all.iter().map(|(a, b)| b - factor * a)) / rms(all.iter().map(|(_, b)| *b));
     print!("{what}: solid {factor:.3} of flat, {:.1} % left; by distance", 1e2 * left);
     let protocol = skin.fields().protocol();
     let apart = |channel: usize| {
-        let first = |pattern: &dermis_tomo::eit::Pattern| pattern.entries().iter().map(|e| e.0 as i64).collect::<Vec<_>>();
+        let first =
+            |pattern: &dermis_tomo::eit::Pattern| pattern.entries().iter().map(|e| e.0 as i64).collect::<Vec<_>>();
         let (drive, pair) = (first(protocol.stimulation_of(channel)), first(protocol.pattern_of(channel)));
         let gap = |a: i64, b: i64| (a - b).rem_euclid(16).min((b - a).rem_euclid(16));
         drive.iter().flat_map(|&a| pair.iter().map(move |&b| gap(a, b))).min().unwrap_or(0)

@@ -10,9 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check, check_positive};
 use crate::instrument::{Instrument, InstrumentOptions, Noise};
-use crate::mechanics::{
-    Cover, Indenter, Membrane, MembraneSpec, Memory, PressureState, STANDARD_GRAVITY_M_PER_S2,
-};
+use crate::mechanics::{Cover, Indenter, Membrane, MembraneSpec, Memory, PressureState, STANDARD_GRAVITY_M_PER_S2};
 use crate::physics::{LiquidElectrodes, LiquidFields, LiquidSpec};
 use crate::scene::{Scene, SceneOptions, Script};
 use crate::twin::{Frontend, Twin};

@@ -33,5 +33,5 @@ mod twin;
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
-pub use piezo::{PiezoOptions, PiezoShape, PiezoSkin};
+pub use piezo::{PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};
 pub use twin::{Frontend, TouchTruth, Truth, Twin};

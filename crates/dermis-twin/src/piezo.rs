@@ -151,7 +151,7 @@ impl PiezoOptions {
             let (x, y) = (unit(column), unit(row));
             match self.shape {
                 PiezoShape::Square { side_m } => [0.5 * side_m * x, 0.5 * side_m * y],
-                PiezoShape::Disc { diameter_m } => concentric(x, y).map(|value| 0.5 * diameter_m * value),
+                PiezoShape::Disc { diameter_m } => square_to_disc([x, y]).map(|value| 0.5 * diameter_m * value),
             }
         };
         (0..PER_SIDE * PER_SIDE).map(place).collect()
@@ -196,8 +196,9 @@ impl PiezoOptions {
     }
 }
 
-/// Square [-1, 1]^2 to unit disc, equal areas, squares about the centre to circles.
-fn concentric(x: f64, y: f64) -> [f64; 2] {
+/// The equal-area concentric map of Shirley and Chiu (1997): the square [-1, 1]^2 to the unit disc, squares about the centre
+/// to circles.
+pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
     use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
     let (radius, angle) = if x.abs() > y.abs() {
         (x, FRAC_PI_4 * y / x)

@@ -314,11 +314,7 @@ mod tests {
             Shape::Ring { inner_m: 0.008, outer_m: 0.012 },
             Shape::Line { length_m: 0.03, width_m: 0.002, angle_rad: 0.7 },
             Shape::Rectangle { width_m: 0.02, height_m: 0.01, angle_rad: -0.3 },
-            Shape::Mask {
-                mask: Mask::from_rows(&["#.##", ".#..", "###."]).unwrap(),
-                cell_m: 0.004,
-                angle_rad: 0.4,
-            },
+            Shape::Mask { mask: Mask::from_rows(&["#.##", ".#..", "###."]).unwrap(), cell_m: 0.004, angle_rad: 0.4 },
         ];
         for shape in shapes {
             let indenter = Indenter { centre_m: [0.003, -0.002], shape, load: Load::ForceN(2.5) };

@@ -72,8 +72,7 @@ fn liquid_is_conserved_whatever_presses() {
 #[test]
 fn standing_it_bulges_below_as_the_closed_form_says() {
     let (tension, density, g) = (60.0, 1000.0, 9.81);
-    let standing =
-        MembraneSpec { density_kg_per_m3: density, gravity_m_per_s2: [0.0, -g, 0.0], ..weightless(tension) };
+    let standing = MembraneSpec { density_kg_per_m3: density, gravity_m_per_s2: [0.0, -g, 0.0], ..weightless(tension) };
     let membrane = Membrane::new(&disc(4e-3), standing).unwrap();
     // T lap w = -rho g y, w = 0 at R: w = rho g y (R^2 - r^2) / (8T); odd in y, so that c = 0.
     let exact = |r: f64, y: f64| density * g * y * (RADIUS * RADIUS - r * r) / (8.0 * tension);
