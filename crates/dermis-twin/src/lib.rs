@@ -1,6 +1,7 @@
 //! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`] and [`IonicSkin`] are its skins.
+//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`], [`IonicSkin`] and [`PiezoSkin`] are
+//! its skins.
 //!
 //! SI units throughout; frame of a flat skin: x right, y up, origin at the centroid. Pure apart from seeded random
 //! numbers: no clocks, files or devices.
@@ -25,10 +26,12 @@ pub mod instrument;
 mod ionic;
 pub mod mechanics;
 pub mod physics;
+mod piezo;
 pub mod scene;
 mod twin;
 
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
+pub use piezo::{PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};
 pub use twin::{Frontend, TouchTruth, Truth, Twin};

@@ -106,7 +106,7 @@ fn scaled(s: SheetConductance, t: [f64; 2], along: f64, across: f64) -> SheetCon
 }
 
 /// The part of a convex polygon on one side of `axis = limit` (Sutherland and Hodgman).
-fn clip(polygon: &[[f64; 2]], axis: usize, limit: f64, keep_below: bool) -> Vec<[f64; 2]> {
+pub(super) fn clip(polygon: &[[f64; 2]], axis: usize, limit: f64, keep_below: bool) -> Vec<[f64; 2]> {
     let keeps = |p: [f64; 2]| if keep_below { p[axis] <= limit } else { p[axis] >= limit };
     let mut kept = Vec::with_capacity(polygon.len() + 1);
     for (k, &a) in polygon.iter().enumerate() {

@@ -308,11 +308,11 @@ fn unit_factor(structure: &SpdStructure) -> Result<SpdFactor, SparseError> {
     structure.factor(&values)
 }
 
-fn refuse(reason: String) -> SparseError {
+pub(super) fn refuse(reason: String) -> SparseError {
     SparseError::Structure { reason }
 }
 
-fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, SparseError> {
+pub(super) fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, SparseError> {
     let triangle = |cell: &[u32]| match *cell {
         [a, b, c] => Ok([a, b, c]),
         _ => Err(refuse(format!("two sheets need triangles; an element has {} nodes", cell.len()))),
@@ -321,7 +321,7 @@ fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, SparseError> {
 }
 
 /// The complete electrode model's terms, lower triangle by unknown; the reference electrode's own unknown is left out.
-fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseError> {
+pub(super) fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseError> {
     let (mesh, nodes) = (&body.mesh, body.mesh.nodes().len() as u32);
     let reference = body.electrodes.len().saturating_sub(1);
     if reference == 0 {

@@ -3,9 +3,12 @@
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec};
 
+use dermis_twin::physics::Surface;
+use dermis_twin::square_to_disc;
+
 use super::{
-    DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, RimElectrode, Shape,
-    Skin,
+    Bend, DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, RimElectrode,
+    Shape, Skin,
 };
 use crate::Error;
 
@@ -75,7 +78,20 @@ impl Skin {
                 };
                 list.iter().map(place).collect()
             }
+            Electrodes::PadGrid { per_side, diameter_mm } => {
+                let pad = |centre_m| ElectrodeShape::PadCircle { centre_m, radius_m: 0.5 * diameter_mm * MM };
+                pad_grid(&self.outline(), *per_side).into_iter().map(pad).collect()
+            }
             Electrodes::Pads(pads) => pads.iter().map(pad_shape).collect(),
+        }
+    }
+
+    /// How the sheet lies in space: maps between positions on the sheet laid flat, in which everything else is given, and
+    /// points in space, for drawing. Bending without stretching changes no field, see [`Surface`].
+    pub fn surface(&self) -> Surface {
+        match self.frontend.bend {
+            Some(Bend::Cylinder { diameter_mm }) => Surface::Cylinder { radius_m: 0.5 * diameter_mm * MM },
+            None => Surface::Flat,
         }
     }
 
@@ -177,6 +193,22 @@ impl Skin {
             amplitude_a: backend.current_ma * 1e-3,
         })
     }
+}
+
+/// Places of [`Electrodes::PadGrid`], metres.
+fn pad_grid(outline: &Outline, per_side: usize) -> Vec<[f64; 2]> {
+    let (low, high) = outline.bounds_m();
+    let unit = |k: usize| (2.0 * k as f64 + 1.0) / per_side as f64 - 1.0;
+    let place = |row: usize, step: usize| {
+        let column = if row.is_multiple_of(2) { step } else { per_side - 1 - step };
+        let [x, y] = match outline {
+            Outline::Disc { .. } => square_to_disc([unit(column), unit(row)]),
+            _ => [unit(column), unit(row)],
+        };
+        let along = |axis: usize, unit: f64| 0.5 * (low[axis] + high[axis] + unit * (high[axis] - low[axis]));
+        [along(0, x), along(1, y)]
+    };
+    (0..per_side).flat_map(|row| (0..per_side).map(move |step| place(row, step))).collect()
 }
 
 fn pad_shape(pad: &Pad) -> ElectrodeShape {

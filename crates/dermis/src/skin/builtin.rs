@@ -1,10 +1,13 @@
 //! The skins that come with dermis: the files of `skins/`, embedded.
 
 /// Names of the built-in skins.
-pub const BUILTIN_NAMES: [&str; 8] = [
+pub const BUILTIN_NAMES: [&str; 11] = [
     "healing-square",
     "ionic-disc",
     "ionic-square",
+    "piezo-square",
+    "piezo-disc",
+    "piezo-cylinder",
     "hydrogel-disc",
     "ktc-tank",
     "golfball-tank",
@@ -23,6 +26,17 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
         "golfball-tank" => include_str!("../../../../skins/golfball-tank.toml"),
         "sciospec-tank" => include_str!("../../../../skins/sciospec-tank.toml"),
         "pyeidors-tank" => include_str!("../../../../skins/pyeidors-tank.toml"),
+        "piezo-square" => include_str!("../../../../skins/piezo-square.toml"),
+        "piezo-disc" => include_str!("../../../../skins/piezo-disc.toml"),
+        "piezo-cylinder" => include_str!("../../../../skins/piezo-cylinder.toml"),
         _ => return None,
     })
+}
+
+/// A file that built-in skins share, by the path that they name it with.
+pub(super) fn builtin_part(path: &str) -> Option<&'static str> {
+    match path {
+        "backends/mux-64.toml" => Some(include_str!("../../../../skins/backends/mux-64.toml")),
+        _ => None,
+    }
 }

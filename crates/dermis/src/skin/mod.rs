@@ -3,6 +3,7 @@
 
 mod build;
 mod builtin;
+mod parts;
 mod refinement;
 
 pub use build::SkinBody;
@@ -53,8 +54,11 @@ pub enum Modality {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Frontend {
-    /// Outline.
+    /// Outline, laid flat.
     pub shape: Shape,
+    /// What the sheet is bent on; flat where left out. Positions are those of the sheet laid flat.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bend: Option<Bend>,
     /// The conducting layer.
     pub layer: Layer,
     /// Where the electrodes are.
@@ -91,6 +95,17 @@ pub enum Shape {
         /// Vertices of each hole.
         #[serde(default)]
         holes_mm: Vec<Vec<[f64; 2]>>,
+    },
+}
+
+/// What a sheet is bent on, without stretching it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Bend {
+    /// A cylinder whose axis runs along y, behind the sheet.
+    Cylinder {
+        /// Its diameter.
+        diameter_mm: f64,
     },
 }
 
@@ -135,6 +150,15 @@ pub enum Electrodes {
     },
     /// Listed electrodes on the rim.
     RimList(Vec<RimElectrode>),
+    /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows and
+    /// columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom left,
+    /// so that neighbours in number are neighbours in place.
+    PadGrid {
+        /// Rows, and pads in a row.
+        per_side: usize,
+        /// Diameter of a pad.
+        diameter_mm: f64,
+    },
     /// Listed pads.
     Pads(Vec<Pad>),
 }
@@ -546,7 +570,7 @@ impl Skin {
         }
         let path = Path::new(name_or_path);
         match std::fs::read_to_string(path) {
-            Ok(text) => Self::parse(&text, name_or_path),
+            Ok(text) => Self::parse_in(&text, name_or_path, Some(path.parent().unwrap_or(Path::new("")))),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 Err(Error::UnknownSkin { name: name_or_path.to_string(), known: BUILTIN_NAMES.join(", ") })
             }
@@ -554,15 +578,21 @@ impl Skin {
         }
     }
 
-    /// Parses and checks a skin file's text; `file` names it in errors.
+    /// Parses and checks a skin file's text; `file` names it in errors. Of parts in files of their own, only built-in ones
+    /// are known here: text alone lies in no folder.
     ///
     /// # Errors
     /// TOML errors, unknown or missing keys, values that make no sense; each with its place.
     pub fn parse(text: &str, file: &str) -> Result<Self, Error> {
-        let skin: Skin = toml::from_str(text).map_err(|error| Error::SkinFile {
+        Self::parse_in(text, file, None)
+    }
+
+    fn parse_in(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {
+        let written: parts::Written = toml::from_str(text).map_err(|error| Error::SkinFile {
             file: file.to_string(),
             message: error.to_string().trim_end().to_string(),
         })?;
+        let skin = written.read(file, folder)?;
         skin.check(file)?;
         Ok(skin)
     }
@@ -584,9 +614,18 @@ impl Skin {
                 return Err(refused(file, field, value, "a positive number"));
             }
         }
+        if let Some(Bend::Cylinder { diameter_mm }) = self.frontend.bend {
+            let (low, high) = self.outline().bounds_m();
+            let least = 1e3 * (high[0] - low[0]) / std::f64::consts::PI;
+            if !(diameter_mm > least && diameter_mm.is_finite()) {
+                let expected = format!("above {least:.1}, which the sheet would reach round");
+                return Err(refused(file, "frontend.bend.cylinder.diameter_mm", diameter_mm, &expected));
+            }
+        }
         let electrodes = match &self.frontend.electrodes {
             Electrodes::Rim { count, .. } => *count,
             Electrodes::RimPads { per_side, .. } => per_side.saturating_mul(4),
+            Electrodes::PadGrid { per_side, .. } => per_side.saturating_mul(*per_side),
             Electrodes::RimList(list) => list.len(),
             Electrodes::Pads(pads) => pads.len(),
         };
