@@ -2,7 +2,7 @@
 //! demonstrates by itself.
 
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, Twin};
+use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
 use crate::skin::Skin;
@@ -11,7 +11,8 @@ use crate::skin::Skin;
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
 
 /// Names of the skins that have a twin.
-pub const TWIN_NAMES: [&str; 3] = ["healing-square", "ionic-disc", "ionic-square"];
+pub const TWIN_NAMES: [&str; 6] =
+    ["healing-square", "ionic-disc", "ionic-square", "piezo-square", "piezo-disc", "piezo-cylinder"];
 
 /// What people may press with: least and most, and where sliders begin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,6 +54,10 @@ const LIQUID: PressRange = PressRange {
     initial_pressure_pa: 1.2e3,
 };
 
+/// A finger's width under up to ten kilopascals: the paper's heaviest weight on its 22 mm indenter makes 0.8 kPa.
+const PATCHES: PressRange =
+    PressRange { radius_m: [3e-3, 30e-3], pressure_pa: [0.0, 10e3], initial_radius_m: 11e-3, initial_pressure_pa: 3e3 };
+
 impl TwinKit {
     /// The twin of a skin.
     ///
@@ -66,6 +71,9 @@ impl TwinKit {
             }
             "ionic-disc" => Self::ionic(&IonicOptions::disc(), 1.7),
             "ionic-square" => Self::ionic(&IonicOptions::square(), 2.1),
+            "piezo-square" => Self::piezo(&PiezoOptions::square(), 1.5),
+            "piezo-disc" => Self::piezo(&PiezoOptions::disc(), 1.2),
+            "piezo-cylinder" => Self::piezo(&PiezoOptions::cylinder(), 1.5),
             other => Err(Error::Frames {
                 what: "twin".into(),
                 expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
@@ -79,5 +87,12 @@ impl TwinKit {
         let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
         Ok(Self { twin: Twin::ionic(options)?.boxed(), press: LIQUID, demo })
+    }
+
+    /// A skin of loose patches, `length` times as large as the sandwich.
+    fn piezo(options: &PiezoOptions, length: f64) -> Result<Self, Error> {
+        let softness = PATCHES.initial_pressure_pa / SANDWICH.initial_pressure_pa;
+        let demo = Script::demo().scaled(length, softness);
+        Ok(Self { twin: Twin::piezo(options)?.boxed(), press: PATCHES, demo })
     }
 }

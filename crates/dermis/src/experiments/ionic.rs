@@ -58,7 +58,7 @@ fn several_touches() -> Result<Report, Error> {
         let image = rig.image(&frame)?;
         let found = rig.touches(&image)?;
         let nearest =
-            |place: &[f64; 2]| found.iter().map(|c| distance_mm(c.centroid_m, *place)).fold(f64::NAN, f64::min);
+            |place: &[f64; 2]| found.iter().map(|c| distance_mm(c.centroid_m, *place)).fold(f64::INFINITY, f64::min);
         let worst = places.iter().map(nearest).fold(0.0, f64::max);
         let paper = (count <= 4).then_some(count as f64);
         rows.push(row(format!("touches found of {count}"), "", paper, found.len() as f64, Kind::Algorithm));

@@ -2,6 +2,7 @@
 //! what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
 
 pub mod ionic;
+pub mod piezo;
 mod rig;
 mod series;
 
@@ -139,5 +140,7 @@ impl Experiment {
 }
 
 /// The papers that can be replayed, by their letters.
-pub const PAPERS: [(&str, &str, &[Experiment]); 1] =
-    [("I", "ionic liquid skin with fringing-field EIT", &ionic::EXPERIMENTS)];
+pub const PAPERS: [(&str, &str, &[Experiment]); 2] = [
+    ("I", "ionic liquid skin with fringing-field EIT", &ionic::EXPERIMENTS),
+    ("P", "piezoresistive skins of several shapes on one backend", &piezo::EXPERIMENTS),
+];
