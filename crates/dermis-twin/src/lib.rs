@@ -26,12 +26,12 @@ pub mod instrument;
 mod ionic;
 pub mod mechanics;
 pub mod physics;
-mod piezo;
+pub mod piezo;
 pub mod scene;
 mod twin;
 
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
-pub use piezo::{PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};
+pub use piezo::{PaperP, PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};
 pub use twin::{Frontend, TouchTruth, Truth, Twin};

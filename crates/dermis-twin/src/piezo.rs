@@ -6,6 +6,8 @@
 //! and as its image under the equal-area concentric map (Shirley and Chiu 1997) on the disc, numbered row by row to and
 //! fro from the bottom left, so that 1 and 2, 2 and 3, ... are neighbours and only the last pair, as in the paper, is not.
 
+mod experiments;
+
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
 use serde::{Deserialize, Serialize};
@@ -16,6 +18,11 @@ use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
 use crate::physics::{ContactCell, PatchLayout, PatchedSheet, Surface};
 use crate::scene::{Scene, SceneOptions, Script};
 use crate::twin::{Frontend, Twin};
+
+pub use experiments::{
+    CorrelationCurve, DetectionCurve, ForcePoint, PUBLISHED_DISTANCES_M, PUBLISHED_LIMITS_PA, PaperP, PiezoFacts,
+    ShiftPoint,
+};
 
 /// Electrodes along a side of the grid.
 const PER_SIDE: usize = 8;

@@ -1,0 +1,285 @@
+//! The two experiments of paper P on a twin: the limit of detection (P1: a 22 mm indenter in the middle under growing
+//! weights, change of the frame's V_rms against 3.3 standard deviations of V_rms at rest) and the discernible distance
+//! (P2: Pearson correlation of difference frames under 10 g, one shifted). One parameter is fitted, on P1 of the square.
+
+use serde::Serialize;
+
+use super::{PiezoOptions, PiezoSkin};
+use crate::error::TwinError;
+use crate::instrument::Instrument;
+use crate::mechanics::{Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
+use crate::twin::Frontend;
+
+/// Limit of detection of the square and of the disc, as published, pascals.
+pub const PUBLISHED_LIMITS_PA: [f64; 2] = [83.0, 119.0];
+/// Distances at correlations of 0.9 and 0.5 on the square and on the disc, as published, metres.
+pub const PUBLISHED_DISTANCES_M: [[f64; 2]; 2] = [[2.51e-3, 16.92e-3], [3.42e-3, 15.53e-3]];
+
+/// Radius of the paper's indenter, 380.13 mm^2.
+const INDENTER_RADIUS_M: f64 = 11e-3;
+/// Its weights.
+const MASSES_G: [f64; 9] = [1.8, 2.8, 3.8, 6.8, 8.8, 11.8, 16.8, 21.8, 31.8];
+/// The weight that is shifted.
+const SHIFTED_G: f64 = 10.0;
+/// Frames at rest.
+const REST_FRAMES: u64 = 30;
+/// Standard deviations that count as detected.
+const DETECTED: f64 = 3.3;
+
+/// One weight of P1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ForcePoint {
+    /// The weight.
+    pub mass_g: f64,
+    /// Its force.
+    pub force_n: f64,
+    /// Mean pressure under the indenter.
+    pub pressure_pa: f64,
+    /// How far V_rms of one noisy frame lies from its mean at rest, volts, in each repeat.
+    pub change_v: [f64; 5],
+}
+
+/// P1 on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DetectionCurve {
+    /// Mean V_rms at rest, volts.
+    pub rest_v: f64,
+    /// Standard deviation of V_rms over 30 frames at rest, volts.
+    pub noise_v: f64,
+    /// The weights.
+    pub points: Vec<ForcePoint>,
+    /// Pressure at which V_rms without noise has changed by 3.3 `noise_v`, pascals; infinite where it never does.
+    pub limit_pa: f64,
+}
+
+/// One shift of P2.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ShiftPoint {
+    /// Along x, from the middle of the skin.
+    pub shift_m: f64,
+    /// Pearson correlation of the difference frames, mean of five repeats.
+    pub correlation: f64,
+}
+
+/// P2 on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CorrelationCurve {
+    /// The shifts, in steps of 0.5 mm to 40 mm.
+    pub points: Vec<ShiftPoint>,
+    /// Smallest shift at which the correlation is down to 0.9, metres; infinite where it never is.
+    pub distance_09_m: f64,
+    /// The same for 0.5.
+    pub distance_05_m: f64,
+}
+
+/// Both experiments on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PiezoFacts {
+    /// P1.
+    pub detection: DetectionCurve,
+    /// P2.
+    pub correlation: CorrelationCurve,
+}
+
+/// Paper P's experiments on the square and the disc.
+#[derive(Clone, Debug)]
+pub struct PaperP {
+    skins: [PiezoSkin; 2],
+    options: [PiezoOptions; 2],
+}
+
+impl PaperP {
+    /// The square and the disc; all that is not shape is taken from `square`.
+    ///
+    /// # Errors
+    /// As [`PiezoSkin::new`].
+    pub fn new(square: &PiezoOptions) -> Result<Self, TwinError> {
+        let disc = PiezoOptions { shape: PiezoOptions::disc().shape, ..square.clone() };
+        Ok(Self { skins: [PiezoSkin::new(square)?, PiezoSkin::new(&disc)?], options: [square.clone(), disc] })
+    }
+
+    /// The parameters in use: square and disc.
+    pub fn options(&self) -> &[PiezoOptions; 2] {
+        &self.options
+    }
+
+    /// Fits the contact's reference pressure so that the square's limit of detection is the published one, and gives it
+    /// (pascals). Nothing else is fitted: one number fixes one parameter. All else about both skins is then predicted.
+    ///
+    /// # Errors
+    /// A skin that cannot be solved; no reference pressure between 1 Pa and 1 GPa, as where the gap closes above the limit.
+    pub fn fit(&mut self) -> Result<f64, TwinError> {
+        let (mut low, mut high) = (0.0_f64, 9.0_f64);
+        // The contact weakens, and the limit grows, with the reference pressure.
+        for _ in 0..30 {
+            let middle = 0.5 * (low + high);
+            self.set_reference(10_f64.powf(middle))?;
+            if self.detection(0)?.limit_pa < PUBLISHED_LIMITS_PA[0] { low = middle } else { high = middle }
+        }
+        let reference_pa = 10_f64.powf(0.5 * (low + high));
+        self.set_reference(reference_pa)?;
+        let limit_pa = self.detection(0)?.limit_pa;
+        crate::error::check("fitted limit_pa", limit_pa, 82.0, 84.0, "83 Pa for some reference pressure")?;
+        Ok(reference_pa)
+    }
+
+    /// Both experiments on both skins, square first.
+    ///
+    /// # Errors
+    /// Fields that cannot be solved.
+    pub fn facts(&mut self) -> Result<[PiezoFacts; 2], TwinError> {
+        let mut of = |skin| -> Result<PiezoFacts, TwinError> {
+            Ok(PiezoFacts { detection: self.detection(skin)?, correlation: self.correlation(skin)? })
+        };
+        Ok([of(0)?, of(1)?])
+    }
+
+    fn set_reference(&mut self, reference_pa: f64) -> Result<(), TwinError> {
+        for (skin, options) in self.skins.iter_mut().zip(&mut self.options) {
+            options.contact.reference_pa = reference_pa;
+            skin.set_contact(options.contact)?;
+        }
+        Ok(())
+    }
+
+    /// P1 on the square (0) or the disc (1).
+    fn detection(&mut self, skin: usize) -> Result<DetectionCurve, TwinError> {
+        let at_rest = self.voltages(skin, &[])?;
+        let mut instrument = self.instrument(skin, 0)?;
+        let levels: Vec<f64> = (0..REST_FRAMES).map(|_| rms(&read(&mut instrument, &at_rest))).collect();
+        let rest_v = levels.iter().sum::<f64>() / levels.len() as f64;
+        let spread = levels.iter().map(|level| (level - rest_v).powi(2)).sum::<f64>();
+        let noise_v = (spread / (levels.len() - 1) as f64).sqrt();
+        let mut points = Vec::new();
+        for mass_g in MASSES_G {
+            let force_n = mass_g * 1e-3 * STANDARD_GRAVITY_M_PER_S2;
+            let indenter = weight(force_n, 0.0);
+            let pressed = self.voltages(skin, std::slice::from_ref(&indenter))?;
+            let mut change_v = [0.0; 5];
+            for (repeat, change) in change_v.iter_mut().enumerate() {
+                let mut instrument = self.instrument(skin, 1 + repeat as u64)?;
+                *change = (rms(&read(&mut instrument, &pressed)) - rest_v).abs();
+            }
+            points.push(ForcePoint { mass_g, force_n, pressure_pa: indenter.pressure_pa(), change_v });
+        }
+        let limit_pa = self.limit(skin, rms(&at_rest), DETECTED * noise_v)?;
+        Ok(DetectionCurve { rest_v, noise_v, points, limit_pa })
+    }
+
+    /// Pressure that changes V_rms without noise by `threshold_v`, by bisection over its logarithm.
+    fn limit(&mut self, skin: usize, rest_v: f64, threshold_v: f64) -> Result<f64, TwinError> {
+        let area = Shape::Disc { radius_m: INDENTER_RADIUS_M }.area_m2();
+        let (mut low, mut high) = (0.0_f64, 5.0_f64);
+        for _ in 0..24 {
+            let middle = 0.5 * (low + high);
+            let pressed = self.voltages(skin, &[weight(area * 10_f64.powf(middle), 0.0)])?;
+            if (rms(&pressed) - rest_v).abs() < threshold_v { low = middle } else { high = middle }
+        }
+        Ok(if high < 5.0 { 10_f64.powf(high) } else { f64::INFINITY })
+    }
+
+    /// P2 on the square (0) or the disc (1).
+    fn correlation(&mut self, skin: usize) -> Result<CorrelationCurve, TwinError> {
+        let force_n = SHIFTED_G * 1e-3 * STANDARD_GRAVITY_M_PER_S2;
+        let rest = self.voltages(skin, &[])?;
+        let middle = self.voltages(skin, &[weight(force_n, 0.0)])?;
+        let mut points = Vec::new();
+        for step in 0..=80 {
+            let shift_m = 0.5e-3 * f64::from(step);
+            let shifted = self.voltages(skin, &[weight(force_n, shift_m)])?;
+            let mut sum = 0.0;
+            for repeat in 0..5 {
+                let mut instrument = self.instrument(skin, 100 + repeat)?;
+                let mut baseline = vec![0.0; rest.len()];
+                for _ in 0..REST_FRAMES {
+                    let frame = read(&mut instrument, &rest);
+                    baseline.iter_mut().zip(frame).for_each(|(mean, v)| *mean += v / REST_FRAMES as f64);
+                }
+                let first = read(&mut instrument, &middle);
+                let second = read(&mut instrument, &shifted);
+                sum += pearson(&difference(&first, &baseline), &difference(&second, &baseline));
+            }
+            points.push(ShiftPoint { shift_m, correlation: sum / 5.0 });
+        }
+        let (distance_09_m, distance_05_m) = (crossing(&points, 0.9), crossing(&points, 0.5));
+        Ok(CorrelationCurve { points, distance_09_m, distance_05_m })
+    }
+
+    fn voltages(&mut self, skin: usize, indenters: &[Indenter]) -> Result<Vec<f64>, TwinError> {
+        let mut frame = vec![0.0; self.skins[skin].channel_count()];
+        self.skins[skin].voltages(indenters, 0.0, &mut frame)?;
+        Ok(frame)
+    }
+
+    fn instrument(&self, skin: usize, repeat: u64) -> Result<Instrument, TwinError> {
+        let options = &self.options[skin];
+        Instrument::new(options.instrument, self.skins[skin].channel_count(), options.seed.wrapping_add(repeat))
+    }
+}
+
+/// The paper's indenter under a force, shifted along x from the middle.
+fn weight(force_n: f64, shift_m: f64) -> Indenter {
+    Indenter {
+        centre_m: [shift_m, 0.0],
+        shape: Shape::Disc { radius_m: INDENTER_RADIUS_M },
+        load: Load::ForceN(force_n),
+    }
+}
+
+fn read(instrument: &mut Instrument, voltages_v: &[f64]) -> Vec<f64> {
+    let mut frame = voltages_v.to_vec();
+    instrument.read(0.0, &mut frame);
+    frame
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn pearson(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let (a, b) = (a - mean_a, b - mean_b);
+        (ab, aa, bb) = (ab + a * b, aa + a * a, bb + b * b);
+    }
+    ab / (aa * bb).sqrt()
+}
+
+/// First shift at which the curve comes down to a level, linear between its points.
+fn crossing(points: &[ShiftPoint], level: f64) -> f64 {
+    if points.first().is_some_and(|point| point.correlation <= level) {
+        return 0.0;
+    }
+    let pair = points.windows(2).find(|pair| pair[1].correlation <= level);
+    pair.map_or(f64::INFINITY, |pair| {
+        let share = (pair[0].correlation - level) / (pair[0].correlation - pair[1].correlation);
+        pair[0].shift_m + share * (pair[1].shift_m - pair[0].shift_m)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlation_is_pearsons() {
+        let a = [1.0, 2.0, 4.0, 3.0];
+        assert!((pearson(&a, &a.map(|v| 5.0 - 2.0 * v)) + 1.0).abs() < 1e-15);
+        // By hand: means 2.5 and 2, sums 3, 5 and 2.
+        assert!((pearson(&a, &[1.0, 2.0, 2.0, 3.0]) - 3.0 / 10_f64.sqrt()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn crossings_are_interpolated() {
+        let points = [1.0, 0.8, 0.4].map(|c| ShiftPoint { shift_m: 10.0 * (1.0 - c), correlation: c });
+        assert!((crossing(&points, 0.9) - 1.0).abs() < 1e-12);
+        assert!((crossing(&points, 0.5) - 5.0).abs() < 1e-12);
+        assert_eq!(crossing(&points, 0.1), f64::INFINITY);
+    }
+}
