@@ -8,4 +8,5 @@
 pub mod eit;
 pub mod inverse;
 pub mod mesh;
+pub mod quality;
 pub mod sparse;
