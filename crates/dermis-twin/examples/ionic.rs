@@ -14,7 +14,33 @@ fn main() -> Result<(), TwinError> {
         ramp(&IonicOptions { tension_n_per_m: tension, memory: None, ..IonicOptions::disc() })?;
     }
     cost()?;
-    compare()
+    compare()?;
+    heights()
+}
+
+/// Signal of a touch in three dimensions with small electrodes low, half way up and high on the wall.
+fn heights() -> Result<(), TwinError> {
+    for radius_mm in [0.0, 30.0, 60.0, 75.0] {
+        print!("electrodes of 3 mm, touch of 0.255 N at {radius_mm} mm, signal:");
+        for share in [0.16, 0.5, 0.84] {
+            let options = IonicOptions {
+                memory: None,
+                electrode_side_m: 3e-3,
+                electrode_height_share: share,
+                fields: IonicFields::Solid { layers: 8 },
+                element_size_m: 3.5e-3,
+                electrode_element_size_m: 0.8e-3,
+                ..IonicOptions::disc()
+            };
+            let mut skin = IonicSkin::new(&options)?;
+            let rest = read(&mut skin, &[])?;
+            let frame = read(&mut skin, &[Indenter::weight([radius_mm * 1e-3, 0.0], 0.01, 26.0)])?;
+            let change = rms(frame.iter().zip(&rest).map(|(v, v0)| v / v0 - 1.0));
+            print!(" {:.4} % at {share} of the depth,", 1e2 * change);
+        }
+        println!();
+    }
+    Ok(())
 }
 
 fn read(skin: &mut IonicSkin, indenters: &[Indenter]) -> Result<Vec<f64>, TwinError> {

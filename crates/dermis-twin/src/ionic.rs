@@ -46,7 +46,7 @@ pub enum IonicShape {
 pub enum IonicFields {
     /// In the plane, with the depth as a sheet's conductance: fast.
     DepthAveraged,
-    /// On tetrahedra, with the bolts as small as they are: about a second a frame, to check the other.
+    /// On tetrahedra, with the bolts as small as they are: a second or two a frame, to check the other.
     Solid {
         /// About how many layers of elements.
         layers: usize,
@@ -68,6 +68,8 @@ pub struct IonicOptions {
     pub density_kg_per_m3: f64,
     /// Side of the square that stands for a bolt's washer, metres. Assumed: the area of a standard M3 washer of 7 mm.
     pub electrode_side_m: f64,
+    /// Height of the bolts' middles as a share of the depth: 0.5 is mid-depth. Only fields in three dimensions know it.
+    pub electrode_height_share: f64,
     /// Specific contact impedance of the bolts, ohm.m^2; assumed. Four-electrode voltages hardly depend on it.
     pub contact_impedance_ohm_m2: f64,
     /// Tension of the membrane, newtons per metre: fitted, see the book's page on this skin.
@@ -106,6 +108,7 @@ impl Default for IonicOptions {
             conductivity_s_per_m: 0.5,
             density_kg_per_m3: 1000.0,
             electrode_side_m: 6.2e-3,
+            electrode_height_share: 0.5,
             contact_impedance_ohm_m2: 1e-4,
             tension_n_per_m: 60.0,
             gravity_m_per_s2: [0.0, 0.0, -STANDARD_GRAVITY_M_PER_S2],
@@ -190,6 +193,7 @@ impl IonicOptions {
             electrodes: LiquidElectrodes {
                 rim: self.electrodes(),
                 height_m: self.electrode_side_m,
+                middle_m: self.electrode_height_share * self.depth_m,
                 contact_impedance_ohm_m2: self.contact_impedance_ohm_m2,
             },
             element_size_m: self.element_size_m,

@@ -5,7 +5,7 @@ use dermis::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::Touch;
-use dermis_twin::mechanics::Indenter;
+use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{Frontend, IonicOptions, IonicSkin, Twin};
 
 /// Time between frames, 16 a second.
@@ -191,4 +191,47 @@ fn weights_on_the_square_are_found() {
             bench.release();
         }
     }
+}
+
+#[test]
+fn a_ring_is_closed_with_a_hole_and_a_touch_in_it_shows() {
+    let mut twin = IonicSkin::new(&IonicOptions { memory: None, ..IonicOptions::disc() }).unwrap();
+    let mut read = |indenters: &[Indenter]| {
+        let mut frame = vec![0.0; 208];
+        twin.voltages(indenters, 0.0, &mut frame).unwrap();
+        frame
+    };
+    let shape = Shape::Ring { inner_m: 0.045, outer_m: 0.050 };
+    let ring = Indenter { centre_m: [0.0; 2], shape, load: Load::ForceN(1.5) };
+    let (rest, ringed) = (read(&[]), read(&[ring]));
+    let both = read(&[ring, Indenter::weight([0.0; 2], RADIUS_M, 4.0 * WEIGHT_G)]);
+    let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
+    let grid = prepared.map.grid();
+    let image_of = |baseline: &[f64], frame: &[f64]| {
+        let reference = prepared.reference_from(baseline, None).unwrap();
+        let mut image = vec![f32::NAN; grid.len()];
+        let difference = reference.difference(frame, None);
+        prepared.imager(&reference, &[]).unwrap().image(&difference, &mut image).unwrap();
+        image
+    };
+    let largest = |image: &[f32], wanted: &dyn Fn([f64; 2]) -> bool| {
+        let inside = (0..grid.len()).filter(|&pixel| wanted(grid.centre_m(pixel)) && image[pixel].is_finite());
+        inside.map(|pixel| image[pixel]).fold(f32::NEG_INFINITY, f32::max)
+    };
+    let ring_image = image_of(&rest, &ringed);
+    let peak = largest(&ring_image, &|_| true);
+    let sectors = (0..16).map(|sector| {
+        let middle = std::f64::consts::TAU * (f64::from(sector) / 16.0 - 0.5);
+        largest(&ring_image, &|[x, y]| (y.atan2(x) - middle).abs() < 0.25 && (0.03..0.065).contains(&x.hypot(y)))
+    });
+    let (weakest, hole) = (sectors.fold(f32::INFINITY, f32::min), largest(&ring_image, &|[x, y]| x.hypot(y) < 0.015));
+    println!("ring: weakest sector {:.2} of the peak, hole {:.2}", weakest / peak, hole / peak);
+    assert!(weakest > 0.7 * peak && hole < 0.0, "{weakest} {hole} {peak}");
+    // Against the pressed ring as the reference, only the touch is left.
+    let touch_image = image_of(&ringed, &both);
+    let (inside, outside) = (largest(&touch_image, &|[x, y]| x.hypot(y) < 0.01), largest(&touch_image, &|_| true));
+    assert_eq!(inside, outside, "the peak is the touch");
+    assert!(largest(&touch_image, &|[x, y]| x.hypot(y) > 0.045) < 0.2 * inside);
+    // And against rest, the touch fills the hole.
+    assert!(largest(&image_of(&rest, &both), &|[x, y]| x.hypot(y) < 0.01) > 0.0);
 }

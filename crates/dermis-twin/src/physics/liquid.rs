@@ -17,8 +17,10 @@ use crate::error::{TwinError, check, check_positive};
 pub struct LiquidElectrodes {
     /// Stretches of the rim that they cover, in order.
     pub rim: Vec<ElectrodeShape>,
-    /// Their height, metres, in the middle of the wall.
+    /// Their height, metres.
     pub height_m: f64,
+    /// Their middle above the bottom, metres; averaged over the depth it makes no difference.
+    pub middle_m: f64,
     /// Specific contact impedance, ohm.m^2.
     pub contact_impedance_ohm_m2: f64,
 }
@@ -61,7 +63,12 @@ impl LiquidSpec {
         check_positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
         check_positive("contact_impedance_ohm_m2", self.electrodes.contact_impedance_ohm_m2)?;
         let expected = "above 0 and no more than the liquid's depth";
-        check("electrode height_m", self.electrodes.height_m, f64::MIN_POSITIVE, self.depth_m, expected)
+        let half = 0.5 * self.electrodes.height_m;
+        check("electrode height_m", 2.0 * half, f64::MIN_POSITIVE, self.depth_m, expected)?;
+        // A patch that ends at the surface may miss it by rounding.
+        let slack = 1e-9 * self.depth_m;
+        let range = (half - slack, self.depth_m - half + slack);
+        check("electrode middle_m", self.electrodes.middle_m, range.0, range.1, "a place within the wall")
     }
 
     /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the impedance
@@ -74,8 +81,8 @@ impl LiquidSpec {
     }
 
     fn solid(&self, layers: usize) -> Result<ElectrodedMesh, TwinError> {
-        let low_m = 0.5 * (self.depth_m - self.electrodes.height_m);
-        let high_m = low_m + self.electrodes.height_m;
+        let low_m = (self.electrodes.middle_m - 0.5 * self.electrodes.height_m).max(0.0);
+        let high_m = (low_m + self.electrodes.height_m).min(self.depth_m);
         let side = |rim: &ElectrodeShape| PrismElectrode::Side { rim: rim.clone(), low_m, high_m };
         let prism = PrismSpec {
             outline: self.outline.clone(),
