@@ -12,6 +12,7 @@ pub mod acquire;
 pub mod calibrate;
 pub mod case;
 pub mod channels;
+pub mod design;
 mod error;
 pub mod experiments;
 pub mod imager;

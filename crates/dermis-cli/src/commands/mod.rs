@@ -2,6 +2,7 @@
 
 mod bench;
 mod calibrate;
+mod design;
 mod reconstruct;
 mod reproduce;
 mod run;
@@ -28,6 +29,8 @@ pub enum Command {
     Skins(skins::Arguments),
     /// Signal-to-noise ratio of frames of an untouched skin.
     Snr(snr::Arguments),
+    /// Say what skins will be able to do before they are built, and search for better protocols.
+    Design(design::Arguments),
     /// Replay the experiments of the published skins on their twins.
     Reproduce(reproduce::Arguments),
     /// Time the numerical work on this machine.
@@ -42,6 +45,7 @@ impl Command {
             Command::Reconstruct(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),
+            Command::Design(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),
