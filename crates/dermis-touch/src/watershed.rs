@@ -71,7 +71,7 @@ impl Watershed {
                 None => target.iter_mut().zip(&image[range]).for_each(|(to, &from)| *to = oriented(from)),
                 Some(sigma) => {
                     for ((to, &from), &sigma) in target.iter_mut().zip(&image[range.clone()]).zip(&sigma[range]) {
-                        *to = if sigma >= 0.0 && sigma <= f32::MAX { oriented(from) } else { f32::NAN };
+                        *to = if (0.0..=f32::MAX).contains(&sigma) { oriented(from) } else { f32::NAN };
                     }
                 }
             }
@@ -252,7 +252,7 @@ pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
 pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f32) -> f32) -> (f32, f32) {
     let (mut most, mut least) = ([0.0_f32; LANES], [f32::INFINITY; LANES]);
     let mut take = |lane: usize, value: f32, sigma: f32| {
-        let (value, usable) = (size(value), sigma >= 0.0 && sigma <= f32::MAX);
+        let (value, usable) = (size(value), (0.0..=f32::MAX).contains(&sigma));
         most[lane] = if usable && value > most[lane] && value <= f32::MAX { value } else { most[lane] };
         least[lane] = if usable && sigma < least[lane] { sigma } else { least[lane] };
     };

@@ -94,10 +94,11 @@ impl Default for PiezoOptions {
 impl PiezoOptions {
     /// The square of 150 mm.
     ///
-    /// Of the contact, the paper gives one number for the square, its limit of detection. It fixes one parameter, the
-    /// reference pressure; gap pressure, exponent and saturation are assumed: the gap closes below the
-    /// lightest weight used (46 Pa), growth is that of elastic rough surfaces while the gap still closes, and at
-    /// saturation current turns into the fabric within `sqrt(0.5 mS / 200 S/m^2)` = 1.6 mm.
+    /// Of the contact, the paper gives one number for the square, its limit of detection of 83 Pa. It fixes one parameter,
+    /// the reference pressure ([`PaperP::fit`], the value here); the others are assumed. The gap must close below that
+    /// limit, and not far below, as 258 Pa (10 g) already gave significant voltages; growth is that of elastic rough
+    /// surfaces while the gap still closes; at saturation current turns into the fabric within
+    /// `sqrt(0.5 mS / 200 S/m^2)` = 1.6 mm.
     pub fn square() -> Self {
         let floor_v = 20e-6;
         Self {
@@ -112,7 +113,7 @@ impl PiezoOptions {
             frame_rate_hz: 30.0,
             patches: PatchLayout::default(),
             cover: Cover { smoothing_m: 5.5e-3 / 3_f64.sqrt() },
-            contact: ContactLaw { threshold_pa: 30.0, reference_pa: 2000.0, exponent: 1.5, saturation_s_per_m2: 200.0 },
+            contact: ContactLaw { threshold_pa: 50.0, reference_pa: 888.0, exponent: 1.5, saturation_s_per_m2: 200.0 },
             memory: None,
             // 16 bits over +-512 mV; the noise is assumed at about a step of the converter and 80 dB of the voltage.
             instrument: InstrumentOptions {

@@ -5,7 +5,8 @@ use dermis_tomo::eit::ForwardModel;
 use dermis_twin::instrument::InstrumentOptions;
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::physics::{PatchedSheet, direct_patched_impedance};
-use dermis_twin::{Frontend, PiezoOptions, PiezoSkin};
+use dermis_twin::piezo::PUBLISHED_LIMITS_PA;
+use dermis_twin::{Frontend, PaperP, PiezoOptions, PiezoSkin};
 use faer::Mat;
 
 /// A coarser mesh and 500 cells: enough for behaviour, quick to test.
@@ -193,4 +194,27 @@ fn nonsense_is_refused() {
     // The sheet would reach round this cylinder entirely.
     let tight = dermis_twin::physics::Surface::Cylinder { radius_m: 0.02 };
     assert!(refused(PiezoOptions { surface: tight, ..PiezoOptions::square() }).contains("radius"));
+}
+
+#[test]
+fn one_limit_of_detection_fixes_one_parameter() {
+    let instrument = PiezoOptions::square().instrument;
+    let mut options = PiezoOptions { instrument, ..coarse(PiezoOptions::square()) };
+    options.patches.pitch_m = 10e-3;
+    let mut paper = PaperP::new(&options).unwrap();
+    let reference_pa = paper.fit().unwrap();
+    assert!((100.0..1e5).contains(&reference_pa), "{reference_pa}");
+    let [square, disc] = paper.facts().unwrap();
+    assert!((square.detection.limit_pa - PUBLISHED_LIMITS_PA[0]).abs() < 1.0);
+    for facts in [square, disc] {
+        let changes = |k: usize| facts.detection.points[k].change_v;
+        assert!((facts.detection.points[0].pressure_pa - 46.44).abs() < 0.01);
+        // 31.8 g stands far above the noise, in each of the repeats.
+        assert!(changes(8).iter().all(|change| *change > 10.0 * facts.detection.noise_v));
+        assert!(facts.correlation.distance_09_m < facts.correlation.distance_05_m);
+        assert!(facts.correlation.distance_05_m < 0.03);
+    }
+    // A gap that closes only above the limit cannot be fitted, and says so.
+    options.contact.threshold_pa = 200.0;
+    assert!(PaperP::new(&options).unwrap().fit().unwrap_err().to_string().contains("fitted limit_pa"));
 }

@@ -54,7 +54,7 @@ const LIQUID: PressRange = PressRange {
     initial_pressure_pa: 1.2e3,
 };
 
-/// A finger's width under up to ten kilopascals: the paper's heaviest weight on its 22 mm indenter makes 0.8 kPa.
+/// A finger's width; the paper's heaviest weight on its 22 mm indenter makes 0.8 kPa, a finger ten and more.
 const PATCHES: PressRange =
     PressRange { radius_m: [3e-3, 30e-3], pressure_pa: [0.0, 10e3], initial_radius_m: 11e-3, initial_pressure_pa: 3e3 };
 

@@ -271,8 +271,8 @@ mod tests {
     fn correlation_is_pearsons() {
         let a = [1.0, 2.0, 4.0, 3.0];
         assert!((pearson(&a, &a.map(|v| 5.0 - 2.0 * v)) + 1.0).abs() < 1e-15);
-        // By hand: means 2.5 and 2, sums 3, 5 and 2.
-        assert!((pearson(&a, &[1.0, 2.0, 2.0, 3.0]) - 3.0 / 10_f64.sqrt()).abs() < 1e-15);
+        // By hand: means 2.5 and 2, sums of products 2, 5 and 2.
+        assert!((pearson(&a, &[1.0, 2.0, 2.0, 3.0]) - 2.0 / 10_f64.sqrt()).abs() < 1e-15);
     }
 
     #[test]
