@@ -58,7 +58,7 @@ fn location_is_compensated() {
     assert!((compensated.read(a, 0.4 * truth(a)).valid_n().unwrap() - 0.4).abs() < 1e-11);
     let known = GainMap::inverse_distance(&places, &gains).unwrap();
     assert!((known.gain_at(places[4]) / known.gain_at(places[0]) - gains[4] / gains[0]).abs() < 1e-13);
-    assert!(GainMap::quadratic(&vec![[0.01, 0.02]; 8], &[1.0; 8]).is_err());
+    assert!(GainMap::quadratic(&[[0.01, 0.02]; 8], &[1.0; 8]).is_err());
     assert!(GainMap::inverse_distance(&places, &[0.0; 9]).is_err());
 }
 

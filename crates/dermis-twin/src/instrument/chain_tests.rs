@@ -220,3 +220,28 @@ fn noise_is_the_same_with_and_without_frame_faults() {
         assert_eq!(a[..2], b[..2]);
     }
 }
+
+#[test]
+fn without_a_chain_readings_are_drift_noise_and_converter_to_the_bit() {
+    let drift = Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 1e-4 };
+    let options = InstrumentOptions { drift: Some(drift), ..InstrumentOptions::default() };
+    let mut instrument = Instrument::new(options, 2, 4).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let (mut common, mut channel) = (0.0, [0.0; 2]);
+    let root = 0.04_f64.sqrt();
+    for _ in 0..20 {
+        let mut expected = [0.0123, -0.0456];
+        common += 1e-4 * root * normal(&mut random);
+        for k in 0..2 {
+            channel[k] += 1e-4 * root * normal(&mut random);
+            expected[k] *= 1.0 + common + channel[k];
+        }
+        for value in &mut expected {
+            *value += Noise::default().deviation_v(*value) * normal(&mut random);
+            *value = Converter::default().read_v(*value);
+        }
+        let mut got = [0.0123, -0.0456];
+        instrument.read(0.04, &mut got);
+        assert_eq!(got.map(f64::to_bits), expected.map(f64::to_bits));
+    }
+}

@@ -205,10 +205,12 @@ impl Faults {
                 Fault::DroppedFrames { probability } if self.random.random_bool(probability) => {
                     self.fate = FrameFate::Dropped;
                 }
-                Fault::DuplicatedFrames { probability } if self.random.random_bool(probability) => {
-                    if self.fate == FrameFate::Delivered && !self.previous.is_empty() {
-                        self.fate = FrameFate::Duplicated;
-                    }
+                Fault::DuplicatedFrames { probability }
+                    if self.random.random_bool(probability)
+                        && self.fate == FrameFate::Delivered
+                        && !self.previous.is_empty() =>
+                {
+                    self.fate = FrameFate::Duplicated;
                 }
                 _ => {}
             }
