@@ -65,6 +65,14 @@ pub enum TouchError {
         /// The smallest diagonal entry, in squared channel units.
         smallest_variance: f64,
     },
+    /// A calibration belongs to another skin.
+    #[error("calibration of skin {got:?} refused: expected one of {expected:?}")]
+    OtherSkin {
+        /// The skin that it is wanted for.
+        expected: String,
+        /// The skin that it was made on.
+        got: String,
+    },
 }
 
 /// Checks one parameter; `expected` says the range in words.

@@ -2,7 +2,8 @@
 //!
 //! This crate is pure: it turns images, one after another, into contacts ([`ContactFinder`]) and contacts into touches
 //! with stable identities ([`Tracker`]); it keeps the baseline that difference data are taken against ([`Baseline`])
-//! and the statistics of the noise ([`RunningStats`], [`Covariance`], [`snr_db`]). It knows no forward model, no
+//! and the statistics of the noise ([`RunningStats`], [`Covariance`], [`snr_db`]). From series and experiments come the
+//! measures that laboratories report ([`measure`]), spectra ([`rhythm`]) and calibrated forces ([`force`]). It knows no forward model, no
 //! instrument and no clock: times are given by the caller, in nanoseconds on any monotonic axis.
 //!
 //! Conventions: x right, y up, metres; an image is row-major `f32` with row 0 at the top (+y), a pixel's value stands at
@@ -14,11 +15,14 @@ mod baseline;
 mod blob;
 mod contact;
 mod error;
+pub mod force;
 mod geometry;
 mod kalman;
 pub mod locator;
+pub mod measure;
 mod moments;
 mod noise;
+pub mod rhythm;
 mod track;
 mod watershed;
 

@@ -1,7 +1,11 @@
 //! What an instrument makes of true voltages: slow drift, noise, gain, and an analogue-to-digital converter that
-//! saturates and rounds. Seeded: the same seed and the same steps give the same readings.
+//! saturates and rounds; behind them, where wanted, a stepped source, a multiplexer, mains pickup, temperature, the time
+//! of a scan, and faults. Seeded: the same seed and the same steps give the same readings.
 
+mod chain;
+mod faults;
 mod noise;
+mod presets;
 mod snr;
 
 use rand::SeedableRng;
@@ -10,8 +14,13 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check, check_positive};
+pub use chain::{DriveSteps, GainRanges, Mains, Multiplexer, Temperature, Timing};
+pub use faults::{Fault, FrameFate};
 pub use noise::{Drift, Noise};
-pub use snr::snr_db;
+pub use snr::{expected_ionic_snr_db, floor_for_ionic_snr_v, snr_db};
+
+use dermis_tomo::eit::Protocol;
+use faults::Faults;
 
 /// The converter behind the amplifier.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -57,24 +66,61 @@ pub struct InstrumentOptions {
     pub drift: Option<Drift>,
     /// Rounding and saturation; `None` reads without either.
     pub converter: Option<Converter>,
+    /// Steps of the current source.
+    pub drive: Option<DriveSteps>,
+    /// Multiplexer on the measuring side.
+    pub multiplexer: Option<Multiplexer>,
+    /// Amplifier ranges before the converter.
+    pub gain_ranges: Option<GainRanges>,
+    /// Pickup of the mains.
+    pub mains: Option<Mains>,
+    /// Gain that follows temperature.
+    pub temperature: Option<Temperature>,
+    /// Time that a scan takes; `None` reads all channels at once.
+    pub timing: Option<Timing>,
+    /// What of the voltage is reported.
+    pub reading: Reading,
+}
+
+/// What of a voltage an instrument reports.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reading {
+    /// The in-phase voltage with its sign.
+    #[default]
+    Signed,
+    /// Its size only, as behind a rectifier.
+    Magnitude,
 }
 
 impl Default for InstrumentOptions {
     fn default() -> Self {
-        Self { noise: Noise::default(), drift: None, converter: Some(Converter::default()) }
+        Self { noise: Noise::default(), converter: Some(Converter::default()), ..Self::ideal() }
     }
 }
 
 impl InstrumentOptions {
     /// An instrument that adds nothing.
     pub fn ideal() -> Self {
-        Self { noise: Noise { floor_v: 0.0, proportional: 0.0 }, drift: None, converter: None }
+        Self {
+            noise: Noise { floor_v: 0.0, proportional: 0.0 },
+            drift: None,
+            converter: None,
+            drive: None,
+            multiplexer: None,
+            gain_ranges: None,
+            mains: None,
+            temperature: None,
+            timing: None,
+            reading: Reading::Signed,
+        }
     }
 
     /// Checks the parameters.
     ///
     /// # Errors
-    /// Negative noise or drift, fewer than 2 or more than 32 bits, a range or gain that is not positive.
+    /// Negative noise or drift, fewer than 2 or more than 32 bits, a range or gain that is not positive, parts of the
+    /// chain that make no sense.
     pub fn check(&self) -> Result<(), TwinError> {
         check("noise floor_v", self.noise.floor_v, 0.0, f64::MAX, "zero or more, finite")?;
         check("noise proportional", self.noise.proportional, 0.0, f64::MAX, "zero or more, finite")?;
@@ -87,7 +133,7 @@ impl InstrumentOptions {
             check_positive("converter range_v", converter.range_v)?;
             check_positive("converter gain", converter.gain)?;
         }
-        Ok(())
+        self.check_chain()
     }
 }
 
@@ -98,6 +144,11 @@ pub struct Instrument {
     random: ChaCha8Rng,
     common: f64,
     channel: Vec<f64>,
+    /// Seconds since the first frame.
+    time_s: f64,
+    /// Last voltage before the converter's multiplexer in the frame before.
+    last_v: f64,
+    faults: Faults,
 }
 
 impl Instrument {
@@ -108,7 +159,18 @@ impl Instrument {
     pub fn new(options: InstrumentOptions, channel_count: usize, seed: u64) -> Result<Self, TwinError> {
         options.check()?;
         let random = ChaCha8Rng::seed_from_u64(seed);
-        Ok(Self { options, random, common: 0.0, channel: vec![0.0; channel_count] })
+        let channel = vec![0.0; channel_count];
+        let faults = Faults::new(channel_count, seed);
+        Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults })
+    }
+
+    /// Tells it which electrodes its channels use, which faults of electrodes need.
+    ///
+    /// # Errors
+    /// A protocol with another number of channels.
+    pub fn with_protocol(mut self, protocol: &Protocol) -> Result<Self, TwinError> {
+        self.faults.set_protocol(protocol)?;
+        Ok(self)
     }
 
     /// The parameters.
@@ -116,8 +178,59 @@ impl Instrument {
         &self.options
     }
 
+    /// Replaces the faults; none makes it sound again.
+    ///
+    /// # Errors
+    /// Channels or electrodes that do not exist, probabilities outside 0 to 1, faults of electrodes without a protocol.
+    pub fn set_faults(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
+        self.faults.set(faults)
+    }
+
+    /// The faults it has.
+    pub fn faults(&self) -> &[Fault] {
+        self.faults.list()
+    }
+
+    /// What became of the last frame. Whoever passes frames on leaves dropped ones out.
+    pub fn frame_fate(&self) -> FrameFate {
+        self.faults.fate()
+    }
+
+    /// True time from one frame to the next, seconds; 0 where channels take no time.
+    pub fn frame_period_s(&self) -> f64 {
+        self.options.timing.map_or(0.0, |timing| timing.frame_period_s(self.channel.len()))
+    }
+
+    /// When a channel is read after the frame's start, seconds; the skew inside a frame.
+    pub fn channel_time_s(&self, channel: usize) -> f64 {
+        self.options.timing.map_or(0.0, |timing| timing.channel_time_s(channel))
+    }
+
     /// Turns true voltages into readings, in place, `dt_s` seconds after the last.
     pub fn read(&mut self, dt_s: f64, voltages_v: &mut [f64]) {
+        self.time_s += dt_s;
+        self.scale(dt_s, voltages_v);
+        let full_scale_v = self.options.converter.map_or(1.0, |converter| converter.range_v / converter.gain);
+        self.faults.of_electrodes(full_scale_v, voltages_v);
+        if let Some(multiplexer) = self.options.multiplexer {
+            let last_v = voltages_v.last().copied().unwrap_or(0.0);
+            let settling_s = self.options.timing.map_or(f64::INFINITY, |timing| timing.settling_s);
+            multiplexer.pass(settling_s, self.last_v, voltages_v);
+            self.last_v = last_v;
+        }
+        for (channel, voltage) in voltages_v.iter_mut().enumerate() {
+            *voltage += self.options.noise.deviation_v(*voltage) * normal(&mut self.random);
+            if let Some(mains) = self.options.mains {
+                let delay_s = self.options.timing.map_or(0.0, |timing| timing.channel_time_s(channel));
+                *voltage += mains.at_v(self.time_s + delay_s);
+            }
+            *voltage = self.options.convert(*voltage);
+        }
+        self.faults.of_frames(voltages_v);
+    }
+
+    /// Everything that multiplies: random walk, current steps, temperature.
+    fn scale(&mut self, dt_s: f64, voltages_v: &mut [f64]) {
         if let Some(drift) = self.options.drift {
             let root = dt_s.sqrt();
             self.common += drift.common_per_sqrt_s * root * normal(&mut self.random);
@@ -126,18 +239,30 @@ impl Instrument {
                 *voltage *= 1.0 + self.common + *channel;
             }
         }
-        for voltage in voltages_v {
-            *voltage += self.options.noise.deviation_v(*voltage) * normal(&mut self.random);
-            if let Some(converter) = self.options.converter {
-                *voltage = converter.read_v(*voltage);
-            }
-        }
+        let drive = self.options.drive.map_or(1.0, |drive| drive.actual_a() / drive.wanted_a);
+        let warm = |t: Temperature| 1.0 + t.coefficient_per_k * t.above_start_k(self.time_s);
+        let factor = drive * self.options.temperature.map_or(1.0, warm);
+        voltages_v.iter_mut().for_each(|voltage| *voltage *= factor);
+    }
+}
+
+impl InstrumentOptions {
+    /// Rectifier, amplifier range and converter.
+    fn convert(&self, voltage_v: f64) -> f64 {
+        let voltage_v = if self.reading == Reading::Magnitude { voltage_v.abs() } else { voltage_v };
+        let Some(converter) = self.converter else { return voltage_v };
+        let full_scale_v = converter.range_v / converter.gain;
+        let extra = self.gain_ranges.map_or(1.0, |ranges| ranges.gain(voltage_v.abs(), full_scale_v));
+        Converter { gain: converter.gain * extra, ..converter }.read_v(voltage_v)
     }
 }
 
 fn normal(random: &mut ChaCha8Rng) -> f64 {
     StandardNormal.sample(random)
 }
+
+#[cfg(test)]
+mod chain_tests;
 
 #[cfg(test)]
 mod tests {

@@ -1,0 +1,185 @@
+//! Force from a touch's signal: a calibration curve (linear, quadratic or monotone), a gain map that makes all places
+//! of a skin alike, and an honest statement of where it holds. A reading outside the calibrated range says so, and a
+//! calibration belongs to one skin and one indenter area, which are saved with it.
+//!
+//! Forces in newtons, positions in metres in the skin's frame, signals in any one unit.
+
+mod curve;
+mod gain;
+
+pub use curve::{Curve, CurveKind};
+pub use gain::GainMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{TouchError, require};
+
+/// One press of known force.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceSample {
+    /// Where, metres.
+    pub position_m: [f64; 2],
+    /// How hard, newtons.
+    pub force_n: f64,
+    /// What was read.
+    pub signal: f64,
+}
+
+/// What a calibration belongs to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationScope {
+    /// Name of the skin, as in its file.
+    pub skin: String,
+    /// Area of the indenter, m^2: signals depend on it.
+    pub indenter_area_m2: f64,
+    /// Day of calibration, as `2026-01-31`; kept, not read.
+    pub date: String,
+}
+
+/// A force calibration. Save it with serde; [`ForceCalibration::check`] what was loaded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceCalibration {
+    /// Skin, indenter, date.
+    pub scope: CalibrationScope,
+    /// Force against compensated signal.
+    pub curve: Curve,
+    /// Gain over the surface, where compensated.
+    pub gain: Option<GainMap>,
+    /// Compensated signals between which it was calibrated.
+    pub valid_signal: [f64; 2],
+    /// Forces between which it was calibrated, newtons.
+    pub valid_force_n: [f64; 2],
+    /// Compensated signal from which the curve is too flat to tell forces apart, where there is one.
+    pub saturation_signal: Option<f64>,
+    /// Root mean square of the curve's error over the samples, newtons.
+    pub residual_n: f64,
+    /// Samples it was fitted to.
+    pub samples: usize,
+}
+
+/// A force, or why there is none to trust. The value outside is that of the curve held at its end.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ForceReading {
+    /// Within the calibrated range, newtons.
+    Valid {
+        /// The force.
+        force_n: f64,
+    },
+    /// Weaker than the weakest press calibrated.
+    BelowRange {
+        /// The least force calibrated: the true one is probably less.
+        least_n: f64,
+    },
+    /// Stronger than the strongest press calibrated.
+    AboveRange {
+        /// The largest force calibrated: the true one is probably more.
+        most_n: f64,
+    },
+    /// The skin hardly answers to more force.
+    Saturated {
+        /// Force at which it begins: the true one is probably more.
+        from_n: f64,
+    },
+    /// The signal is not a finite number.
+    NotFinite,
+}
+
+impl ForceReading {
+    /// The force where it can be trusted.
+    #[must_use]
+    pub fn valid_n(self) -> Option<f64> {
+        if let Self::Valid { force_n } = self { Some(force_n) } else { None }
+    }
+}
+
+impl ForceCalibration {
+    /// Fits a curve to presses, after dividing their signals by the gain where they were made.
+    ///
+    /// # Errors
+    /// Too few samples for the curve, values that are not finite, forces or an indenter that are negative, a curve that
+    /// does not rise over the range of the samples.
+    pub fn fit(
+        kind: CurveKind,
+        samples: &[ForceSample],
+        gain: Option<GainMap>,
+        scope: CalibrationScope,
+    ) -> Result<Self, TouchError> {
+        check_samples(samples)?;
+        check_area(scope.indenter_area_m2)?;
+        let compensate = |s: &ForceSample| s.signal / gain.as_ref().map_or(1.0, |map| map.gain_at(s.position_m));
+        let mut points: Vec<(f64, f64)> = samples.iter().map(|s| (compensate(s), s.force_n)).collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let curve = Curve::fit(kind, &points)?;
+        let valid_signal = [points[0].0, points[points.len() - 1].0];
+        curve.check_rising(valid_signal)?;
+        let squares: f64 = points.iter().map(|(signal, force)| (curve.force_n(*signal) - force).powi(2)).sum();
+        Ok(Self {
+            saturation_signal: curve.saturation(valid_signal),
+            valid_force_n: valid_signal.map(|signal| curve.force_n(signal)),
+            residual_n: (squares / points.len() as f64).sqrt(),
+            samples: points.len(),
+            scope,
+            curve,
+            gain,
+            valid_signal,
+        })
+    }
+
+    /// The force of a signal at a place.
+    #[must_use]
+    pub fn read(&self, position_m: [f64; 2], signal: f64) -> ForceReading {
+        let signal = signal / self.gain.as_ref().map_or(1.0, |map| map.gain_at(position_m));
+        if !signal.is_finite() {
+            return ForceReading::NotFinite;
+        }
+        if signal < self.valid_signal[0] {
+            return ForceReading::BelowRange { least_n: self.valid_force_n[0] };
+        }
+        if let Some(from) = self.saturation_signal
+            && signal >= from
+        {
+            return ForceReading::Saturated { from_n: self.curve.force_n(from) };
+        }
+        if signal > self.valid_signal[1] {
+            return ForceReading::AboveRange { most_n: self.valid_force_n[1] };
+        }
+        ForceReading::Valid { force_n: self.curve.force_n(signal) }
+    }
+
+    /// Checks a loaded calibration against the skin that it is to serve.
+    ///
+    /// # Errors
+    /// [`TouchError::OtherSkin`]; numbers that make no sense.
+    pub fn check(&self, skin: &str) -> Result<(), TouchError> {
+        if self.scope.skin != skin {
+            return Err(TouchError::OtherSkin { expected: skin.to_owned(), got: self.scope.skin.clone() });
+        }
+        check_area(self.scope.indenter_area_m2)?;
+        let [low, high] = self.valid_signal;
+        require(low.is_finite() && high.is_finite() && low < high, "valid_signal", high, "finite and ascending")?;
+        self.curve.check()?;
+        self.gain.as_ref().map_or(Ok(()), GainMap::check)?;
+        self.curve.check_rising(self.valid_signal)
+    }
+}
+
+fn check_area(area_m2: f64) -> Result<(), TouchError> {
+    require(area_m2.is_finite() && area_m2 > 0.0, "indenter_area_m2", area_m2, "positive and finite")
+}
+
+fn check_samples(samples: &[ForceSample]) -> Result<(), TouchError> {
+    for (index, sample) in samples.iter().enumerate() {
+        let sum = sample.position_m[0] + sample.position_m[1] + sample.force_n + sample.signal;
+        if !sum.is_finite() {
+            return Err(TouchError::NonFinite { what: "force samples", index, value: sum });
+        }
+        require(sample.force_n >= 0.0, "force_n", sample.force_n, "zero or more")?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,197 @@
+//! Parts of the chain between skin and converter: stepped current source, multiplexer, gain ranges, mains pickup,
+//! temperature, and the time that each channel takes.
+
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+use crate::error::{TwinError, check, check_positive};
+
+/// A current source that only makes multiples of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DriveSteps {
+    /// Amplitude asked for, which the true voltages belong to, amperes.
+    pub wanted_a: f64,
+    /// Step, amperes.
+    pub step_a: f64,
+    /// Largest amplitude, amperes.
+    pub most_a: f64,
+}
+
+impl DriveSteps {
+    /// Amplitude that flows: the nearest multiple of the step that the source can make, amperes.
+    pub fn actual_a(&self) -> f64 {
+        // The margin lets a largest amplitude of a whole number of steps count as such.
+        let most = (self.most_a / self.step_a + 1e-9).floor();
+        (self.wanted_a / self.step_a).round().min(most) * self.step_a
+    }
+}
+
+/// The analogue multiplexer on the measuring side. Its on-resistance R and the converter's input divide the voltage by
+/// `1 + R / input_resistance_ohm`; the input's capacitance C keeps `exp(-settling / (R C))` of the channel before.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Multiplexer {
+    /// On-resistance, ohm.
+    pub on_resistance_ohm: f64,
+    /// Input resistance behind it, ohm.
+    pub input_resistance_ohm: f64,
+    /// Capacitance behind it, farads.
+    pub input_capacitance_f: f64,
+    /// Share of the difference from each neighbour in scan order that couples into a channel.
+    pub crosstalk: f64,
+}
+
+impl Multiplexer {
+    /// Share of the voltage that arrives.
+    pub fn transmission(&self) -> f64 {
+        1.0 / (1.0 + self.on_resistance_ohm / self.input_resistance_ohm)
+    }
+
+    /// Share of the channel before that is left after settling.
+    pub fn residue(&self, settling_s: f64) -> f64 {
+        let constant_s = self.on_resistance_ohm * self.input_capacitance_f;
+        if constant_s > 0.0 { (-settling_s / constant_s).exp() } else { 0.0 }
+    }
+
+    /// What leaves the multiplexer, channels in scan order, in place. The first channel follows `last_v`, the last
+    /// channel of the frame before.
+    pub(super) fn pass(&self, settling_s: f64, last_v: f64, voltages_v: &mut [f64]) {
+        let (transmission, residue) = (self.transmission(), self.residue(settling_s));
+        let (mut before, mut kept) = (last_v, last_v);
+        for index in 0..voltages_v.len() {
+            let own = voltages_v[index];
+            let after = voltages_v.get(index + 1).copied().unwrap_or(own);
+            let coupled = transmission * (own + self.crosstalk * (before - own + after - own));
+            kept = coupled + residue * (kept - coupled);
+            (before, voltages_v[index]) = (own, kept);
+        }
+    }
+}
+
+/// Amplifier ranges: `count` gains, each `factor` times the one before, starting at the converter's own gain. Every
+/// reading takes the largest gain that its magnitude still fits in.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GainRanges {
+    /// Ratio of neighbouring gains, above 1.
+    pub factor: f64,
+    /// Number of ranges, 1 to 16.
+    pub count: u32,
+}
+
+impl GainRanges {
+    /// Extra gain for a magnitude, where `full_scale_v` is the range without any.
+    pub fn gain(&self, magnitude_v: f64, full_scale_v: f64) -> f64 {
+        let gains = (1..self.count).map(|range| self.factor.powi(range as i32));
+        gains.take_while(|gain| magnitude_v * gain < full_scale_v).last().unwrap_or(1.0)
+    }
+}
+
+/// Mains voltage picked up by every channel, `amplitude sin(2 pi f t + phase)` at the channel's own time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mains {
+    /// Amplitude at the skin, volts.
+    pub amplitude_v: f64,
+    /// 50 or 60 Hz.
+    pub frequency_hz: f64,
+    /// Phase at time 0, radians.
+    pub phase_rad: f64,
+}
+
+impl Mains {
+    /// Volts at a time.
+    pub fn at_v(&self, time_s: f64) -> f64 {
+        self.amplitude_v * (TAU * self.frequency_hz * time_s + self.phase_rad).sin()
+    }
+}
+
+/// Gain that follows temperature: warming up after switching on, and a slow swing of the room.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Temperature {
+    /// Relative change of every voltage per kelvin.
+    pub coefficient_per_k: f64,
+    /// Final rise from warming up, kelvin.
+    pub rise_k: f64,
+    /// Time constant of warming up, seconds.
+    pub warm_up_s: f64,
+    /// Amplitude of the swing, kelvin.
+    pub swing_k: f64,
+    /// Its period, seconds.
+    pub swing_period_s: f64,
+}
+
+impl Temperature {
+    /// Kelvin above the start: `rise (1 - exp(-t / warm_up)) + swing sin(2 pi t / period)`.
+    pub fn above_start_k(&self, time_s: f64) -> f64 {
+        self.rise_k * (1.0 - (-time_s / self.warm_up_s).exp())
+            + self.swing_k * (TAU * time_s / self.swing_period_s).sin()
+    }
+}
+
+/// Time that a scan takes, channels one after another.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Timing {
+    /// Wait after switching to a channel, seconds.
+    pub settling_s: f64,
+    /// Conversion of a channel, seconds.
+    pub conversion_s: f64,
+    /// Rest of a frame (transfer), seconds.
+    pub frame_overhead_s: f64,
+}
+
+impl Timing {
+    /// From one frame's start to the next.
+    pub fn frame_period_s(&self, channels: usize) -> f64 {
+        channels as f64 * (self.settling_s + self.conversion_s) + self.frame_overhead_s
+    }
+
+    /// Middle of a channel's conversion after the frame's start.
+    pub fn channel_time_s(&self, channel: usize) -> f64 {
+        channel as f64 * (self.settling_s + self.conversion_s) + self.settling_s + 0.5 * self.conversion_s
+    }
+
+    pub(super) fn check(&self) -> Result<(), TwinError> {
+        let expected = "zero or more, finite";
+        check("timing settling_s", self.settling_s, 0.0, f64::MAX, expected)?;
+        check("timing conversion_s", self.conversion_s, 0.0, f64::MAX, expected)?;
+        check("timing frame_overhead_s", self.frame_overhead_s, 0.0, f64::MAX, expected)
+    }
+}
+
+impl super::InstrumentOptions {
+    /// Checks what this module describes.
+    pub(super) fn check_chain(&self) -> Result<(), TwinError> {
+        if let Some(drive) = self.drive {
+            check_positive("drive wanted_a", drive.wanted_a)?;
+            check_positive("drive step_a", drive.step_a)?;
+            check("drive most_a", drive.most_a, drive.step_a, f64::MAX, "one step or more, finite")?;
+        }
+        if let Some(mux) = self.multiplexer {
+            check("multiplexer on_resistance_ohm", mux.on_resistance_ohm, 0.0, f64::MAX, "zero or more, finite")?;
+            check_positive("multiplexer input_resistance_ohm", mux.input_resistance_ohm)?;
+            check("multiplexer input_capacitance_f", mux.input_capacitance_f, 0.0, f64::MAX, "zero or more, finite")?;
+            check("multiplexer crosstalk", mux.crosstalk, 0.0, 0.5, "0 to 0.5")?;
+        }
+        if let Some(ranges) = self.gain_ranges {
+            check("gain_ranges factor", ranges.factor, 1.0 + 1e-9, 1e6, "above 1, at most 1e6")?;
+            check("gain_ranges count", f64::from(ranges.count), 1.0, 16.0, "1 to 16")?;
+        }
+        if let Some(mains) = self.mains {
+            check("mains amplitude_v", mains.amplitude_v, 0.0, f64::MAX, "zero or more, finite")?;
+            check_positive("mains frequency_hz", mains.frequency_hz)?;
+            check("mains phase_rad", mains.phase_rad, f64::MIN, f64::MAX, "finite")?;
+        }
+        if let Some(t) = self.temperature {
+            check("temperature coefficient_per_k", t.coefficient_per_k, f64::MIN, f64::MAX, "finite")?;
+            check("temperature rise_k", t.rise_k, f64::MIN, f64::MAX, "finite")?;
+            check_positive("temperature warm_up_s", t.warm_up_s)?;
+            check("temperature swing_k", t.swing_k, f64::MIN, f64::MAX, "finite")?;
+            check_positive("temperature swing_period_s", t.swing_period_s)?;
+        }
+        self.timing.as_ref().map_or(Ok(()), Timing::check)
+    }
+}

@@ -1,0 +1,227 @@
+//! Faults of an instrument, seeded and switchable while it runs.
+//!
+//! Electrodes: a channel whose measuring pattern holds an open electrode floats, and reads a voltage uniform over full
+//! scale; a stimulation that drives through it carries no current, so all its channels read 0. A shorted pair takes the
+//! whole current of a stimulation across it (0 on all its channels) and ties the two potentials: a channel across it
+//! reads 0, and a channel on one of the two reads the mean of itself and the same stimulation's channel on the other,
+//! where there is one. That the short also redirects current inside the skin is left out.
+
+use dermis_tomo::eit::Protocol;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::error::{TwinError, check};
+
+/// One fault; see the module for how electrodes act.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Fault {
+    /// An electrode without contact.
+    OpenElectrode {
+        /// Index from 0.
+        electrode: u32,
+    },
+    /// Two electrodes connected by a wire.
+    ShortedPair {
+        /// Indices from 0.
+        electrodes: [u32; 2],
+    },
+    /// A channel that always reads the same.
+    StuckChannel {
+        /// Index from 0.
+        channel: usize,
+        /// What it reads, volts.
+        value_v: f64,
+    },
+    /// Frames that are lost on the way.
+    DroppedFrames {
+        /// Probability of each frame, 0 to 1.
+        probability: f64,
+    },
+    /// Frames that repeat the one before.
+    DuplicatedFrames {
+        /// Probability of each frame, 0 to 1.
+        probability: f64,
+    },
+}
+
+/// What becomes of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FrameFate {
+    /// It arrives.
+    #[default]
+    Delivered,
+    /// It is lost: nobody should see its readings.
+    Dropped,
+    /// The readings are those of the last frame that arrived.
+    Duplicated,
+}
+
+/// Faults at work. Their random numbers are their own, so that noise is the same with and without them.
+#[derive(Clone, Debug)]
+pub(super) struct Faults {
+    list: Vec<Fault>,
+    protocol: Option<Protocol>,
+    channels: usize,
+    random: ChaCha8Rng,
+    floating: Vec<usize>,
+    dead: Vec<usize>,
+    /// Channel and the channel that it is averaged with.
+    tied: Vec<(usize, usize)>,
+    previous: Vec<f64>,
+    fate: FrameFate,
+}
+
+impl Faults {
+    pub fn new(channels: usize, seed: u64) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        random.set_stream(1);
+        Self {
+            list: Vec::new(),
+            protocol: None,
+            channels,
+            random,
+            floating: Vec::new(),
+            dead: Vec::new(),
+            tied: Vec::new(),
+            previous: Vec::new(),
+            fate: FrameFate::Delivered,
+        }
+    }
+
+    pub fn list(&self) -> &[Fault] {
+        &self.list
+    }
+
+    pub fn fate(&self) -> FrameFate {
+        self.fate
+    }
+
+    pub fn set_protocol(&mut self, protocol: &Protocol) -> Result<(), TwinError> {
+        let (got, channels) = (protocol.channel_count() as f64, self.channels as f64);
+        check("channels of the instrument's protocol", got, channels, channels, "as many as the instrument reads")?;
+        self.protocol = Some(protocol.clone());
+        Ok(())
+    }
+
+    pub fn set(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
+        faults.iter().try_for_each(|fault| self.check(fault))?;
+        self.floating.clear();
+        self.dead.clear();
+        self.tied.clear();
+        for fault in &faults {
+            match *fault {
+                Fault::OpenElectrode { electrode } => self.open(electrode),
+                Fault::ShortedPair { electrodes: [a, b] } => self.short(a, b),
+                _ => {}
+            }
+        }
+        self.list = faults;
+        Ok(())
+    }
+
+    fn check(&self, fault: &Fault) -> Result<(), TwinError> {
+        let electrodes = self.protocol.as_ref().map_or(0, Protocol::electrode_count) as f64 - 1.0;
+        let electrode = |index: u32| {
+            let expected = "an electrode of the instrument's protocol";
+            check("faulty electrode", f64::from(index), 0.0, electrodes, expected)
+        };
+        match *fault {
+            Fault::OpenElectrode { electrode: index } => electrode(index),
+            Fault::ShortedPair { electrodes: [a, b] } => {
+                electrode(a)?;
+                electrode(b)?;
+                check("distance of shorted electrodes", f64::from(a.abs_diff(b)), 1.0, f64::MAX, "two electrodes")
+            }
+            Fault::StuckChannel { channel, value_v } => {
+                check("stuck channel", channel as f64, 0.0, self.channels as f64 - 1.0, "a channel that exists")?;
+                check("stuck value_v", value_v, f64::MIN, f64::MAX, "finite")
+            }
+            Fault::DroppedFrames { probability } | Fault::DuplicatedFrames { probability } => {
+                check("fault probability", probability, 0.0, 1.0, "0 to 1")
+            }
+        }
+    }
+
+    fn open(&mut self, electrode: u32) {
+        let Some(protocol) = &self.protocol else { return };
+        for (channel, measurement) in protocol.measurements().iter().enumerate() {
+            if protocol.patterns()[measurement.pattern as usize].touches(electrode) {
+                self.floating.push(channel);
+            } else if protocol.stimulations()[measurement.stimulation as usize].touches(electrode) {
+                self.dead.push(channel);
+            }
+        }
+    }
+
+    fn short(&mut self, a: u32, b: u32) {
+        let Some(protocol) = &self.protocol else { return };
+        let measurements = protocol.measurements();
+        let swap = |electrode: u32| match electrode {
+            e if e == a => b,
+            e if e == b => a,
+            e => e,
+        };
+        for (channel, measurement) in measurements.iter().enumerate() {
+            let drive = &protocol.stimulations()[measurement.stimulation as usize];
+            let pattern = &protocol.patterns()[measurement.pattern as usize];
+            let across = pattern.touches(a) && pattern.touches(b) && pattern.entries().len() == 2;
+            if across || (drive.touches(a) && drive.touches(b)) {
+                self.dead.push(channel);
+            } else {
+                let mut swapped: Vec<(u32, f64)> = pattern.entries().iter().map(|&(e, w)| (swap(e), w)).collect();
+                swapped.sort_by_key(|entry| entry.0);
+                let twin = measurements.iter().position(|other| {
+                    other.stimulation == measurement.stimulation
+                        && protocol.patterns()[other.pattern as usize].entries() == swapped
+                });
+                // Each pair once: from its lower channel.
+                self.tied.extend(twin.filter(|&twin| twin > channel).map(|twin| (channel, twin)));
+            }
+        }
+    }
+
+    /// Acts on true voltages.
+    pub fn of_electrodes(&mut self, full_scale_v: f64, voltages_v: &mut [f64]) {
+        for &(one, other) in &self.tied {
+            let mean = 0.5 * (voltages_v[one] + voltages_v[other]);
+            (voltages_v[one], voltages_v[other]) = (mean, mean);
+        }
+        for &channel in &self.dead {
+            voltages_v[channel] = 0.0;
+        }
+        for &channel in &self.floating {
+            voltages_v[channel] = full_scale_v * self.random.random_range(-1.0..1.0);
+        }
+    }
+
+    /// Acts on readings.
+    pub fn of_frames(&mut self, readings_v: &mut [f64]) {
+        self.fate = FrameFate::Delivered;
+        for fault in &self.list {
+            match *fault {
+                Fault::StuckChannel { channel, value_v } => readings_v[channel] = value_v,
+                Fault::DroppedFrames { probability } if self.random.random_bool(probability) => {
+                    self.fate = FrameFate::Dropped;
+                }
+                Fault::DuplicatedFrames { probability }
+                    if self.random.random_bool(probability)
+                        && self.fate == FrameFate::Delivered
+                        && !self.previous.is_empty() =>
+                {
+                    self.fate = FrameFate::Duplicated;
+                }
+                _ => {}
+            }
+        }
+        match self.fate {
+            FrameFate::Delivered if !self.list.is_empty() => {
+                self.previous.clear();
+                self.previous.extend_from_slice(readings_v);
+            }
+            FrameFate::Duplicated => readings_v.copy_from_slice(&self.previous),
+            _ => {}
+        }
+    }
+}
