@@ -119,7 +119,7 @@ impl Default for IonicOptions {
             electrode_element_size_m: 1.2e-3,
             current_a: 6e-3,
             frame_rate_hz: 16.0,
-            instrument: InstrumentOptions { noise: Self::amplitude_noise(), drift: None, converter: None },
+            instrument: InstrumentOptions { noise: Self::amplitude_noise(), ..InstrumentOptions::ideal() },
             scene: SceneOptions::default(),
             script: None,
             seed: 1,

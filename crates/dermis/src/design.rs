@@ -103,7 +103,7 @@ impl Maps {
         let (low, high) = prepared.body.outline.bounds_m();
         let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
         let grid = PixelGrid::covering(low, high, along).map_err(mesh_error)?;
-        let map = dermis_tomo::mesh::PixelMap::new(grid.clone(), &prepared.body.mesh.mesh).map_err(mesh_error)?;
+        let map = dermis_tomo::mesh::PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(mesh_error)?;
         let places_m = map.inside_centres_m();
         let step = STEP_SHARE * prepared.skin.touch.relative_size * prepared.half_width_m();
         let figures: Vec<[f64; 4]> =
