@@ -1,4 +1,4 @@
-//! Limit of detection as in the frontend/backend skin's paper (Park, Mo et al.): the load whose V_rms, the root mean
+//! Limit of detection as in the frontend/backend skin's paper: the load whose V_rms, the root mean
 //! square of the frame's difference from the untouched skin, exceeds noise by 3.3 standard deviations of 30 frames.
 
 use super::{line, mean_std, require_finite};
