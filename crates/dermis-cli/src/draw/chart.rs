@@ -94,7 +94,7 @@ impl Axis {
     fn label(&self, value: f64) -> String {
         let decimals = (-self.step.log10().floor()).clamp(0.0, 12.0) as usize;
         let largest = self.low.abs().max(self.high.abs());
-        if largest < 1e-3 || largest >= 1e6 {
+        if !(1e-3..1e6).contains(&largest) {
             return format!("{value:.1e}").to_uppercase();
         }
         let text = format!("{value:.decimals$}");

@@ -1,13 +1,14 @@
 //! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5 g
 //! each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
 
+use dermis_touch::measure::hysteresis as hysteresis_of;
+use dermis_touch::rhythm::SpectrumAnalyser;
 use dermis_touch::{RunningStats, SnrDefinition, average_snr_db};
 use dermis_twin::instrument::InstrumentOptions;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{IonicOptions, Twin};
 
 use super::rig::{disc, distance_mm};
-use super::series::{largest_line_hz, loop_share, spectrum};
 use super::{Curve, Experiment, Figure, Kind, Report, Rig, Row, grams_n};
 use crate::Error;
 use crate::skin::Skin;
@@ -326,8 +327,8 @@ fn hysteresis() -> Result<Report, Error> {
     }
     // Both branches share the top.
     down.insert(0, up[up.len() - 1]);
-    let rising: Vec<[f64; 2]> = down.iter().rev().copied().collect();
-    let loop_share = loop_share(&up, &rising);
+    let pairs = |points: &[[f64; 2]]| points.iter().map(|p| (p[0], p[1])).collect::<Vec<_>>();
+    let loop_share = hysteresis_of(&pairs(&up), &pairs(&down))?.area_fraction.abs();
     let rows = vec![row("area of the loop", "% of full scale", None, 100.0 * loop_share, Kind::Predicted)];
     let curves = vec![
         Curve { name: "loading".into(), points: up, joined: true },
@@ -361,8 +362,10 @@ fn tapping() -> Result<Report, Error> {
             panels = [0, 2, 4, 6, 8, 10, 12, 14].iter().map(panel).collect();
             course = series.iter().enumerate().take(96).map(|(k, v)| [k as f64 / rate, *v]).collect();
         }
-        let points = spectrum(&series, rate);
-        let peak = largest_line_hz(&points);
+        let spectrum = SpectrumAnalyser::new(series.len(), rate)?.spectrum(&series)?;
+        let peak = spectrum.peaks(1, 0.0).first().map_or(f64::NAN, |peak| peak.frequency_hz);
+        let line = |(k, amplitude): (usize, &f64)| [spectrum.bin_hz * k as f64, *amplitude];
+        let points: Vec<[f64; 2]> = spectrum.amplitudes.iter().enumerate().map(line).collect();
         let paper = (frequency == 1.0).then_some(1.0);
         rows.push(row(format!("tapped at {frequency} Hz: largest peak"), "Hz", paper, peak, Kind::Algorithm));
         spectra.push(Curve { name: format!("{frequency} Hz"), points, joined: true });

@@ -4,7 +4,6 @@
 pub mod ionic;
 pub mod piezo;
 mod rig;
-mod series;
 
 pub use rig::{Rig, grams_n};
 
