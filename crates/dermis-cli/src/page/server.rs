@@ -218,10 +218,15 @@ fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>) {
             tokio::time::sleep(CLOSING_TIME).await;
         };
         let stopped = async move { client::stopped(&mut stop).await };
-        tokio::select! {
-            served = axum::serve(listener, router(shared)).with_graceful_shutdown(stopped) => served,
+        let served = tokio::select! {
+            served = axum::serve(listener, router(shared.clone())).with_graceful_shutdown(stopped) => served,
             () = deadline => Ok(()),
-        }
+        };
+        // Pages are no longer the server's connections but tasks of their own; each gives its place back when it has
+        // been told.
+        let places = u32::try_from(shared.options.most_clients).unwrap_or(u32::MAX);
+        let _ = tokio::time::timeout(CLOSING_TIME, shared.places.acquire_many(places)).await;
+        served
     });
     if let Err(error) = served {
         tracing::error!("the page's server stopped: {error}");

@@ -40,10 +40,10 @@ fn number(value: f64) -> String {
         return format!("{value}");
     }
     let digits = 3 - value.abs().log10().floor() as i32;
-    if !(0..=7).contains(&digits) {
+    if !(-3..=7).contains(&digits) {
         return format!("{value:.3e}");
     }
-    let text = format!("{value:.*}", digits as usize);
+    let text = format!("{value:.*}", digits.max(0) as usize);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_string() } else { text }
 }
 
