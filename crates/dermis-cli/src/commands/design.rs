@@ -126,19 +126,20 @@ fn table_row(out: &mut dyn Write, prepared: &Prepared, maps: &Maps) -> std::io::
 
 fn write_maps(folder: &Path, name: &str, maps: &Maps) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
-    let log = |values: &[f64]| values.iter().map(|v| v.log10()).collect::<Vec<_>>();
     let figures = [
-        ("sensitivity", "sensitivity (log10 of signal over noise)", log(&maps.sensitivity)),
-        ("smallest", "smallest amplitude (log10)", log(&maps.smallest)),
-        ("position", "position bound (log10 of mm)", log(&maps.position_m.iter().map(|m| 1e3 * m).collect::<Vec<_>>())),
-        ("amplitude", "amplitude bound (log10 of share)", log(&maps.amplitude_share)),
+        ("sensitivity", "sensitivity: log10 over the weakest", &maps.sensitivity),
+        ("smallest", "smallest amplitude: log10 over the best", &maps.smallest),
+        ("position", "position bound: log10 over the best", &maps.position_m),
+        ("amplitude", "amplitude bound: log10 over the best", &maps.amplitude_share),
     ];
     let mut panels = Vec::with_capacity(figures.len());
-    for (key, title, values) in &figures {
-        let image = maps.image(values);
+    for (key, title, values) in figures {
         let shape = [maps.grid.rows, maps.grid.columns];
-        npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &image)?;
-        panels.push(Panel { name: title.to_string(), columns: maps.grid.columns, values: image, marks: Vec::new() });
+        npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &maps.image(values))?;
+        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let logs: Vec<f64> = values.iter().map(|value| (value / least).log10()).collect();
+        let values = maps.image(&logs);
+        panels.push(Panel { name: title.to_string(), columns: maps.grid.columns, values, marks: Vec::new() });
     }
     let picture = Heatmap { title: format!("{name}: before it is built"), panels, own_scales: true }.picture();
     let content = draw::png(&picture)?;

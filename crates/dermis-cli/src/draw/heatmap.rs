@@ -79,8 +79,9 @@ impl Panel {
                 let here = level(values[start]);
                 let end = (start + 1..values.len()).find(|&k| level(values[k]) != here).unwrap_or(values.len());
                 if let Some(here) = here {
-                    let (x0, x1) = (left + start as f64 * pixel, left + end as f64 * pixel);
-                    let (y0, y1) = (top + row as f64 * pixel, top + (row + 1) as f64 * pixel + 0.25);
+                    // A little over the edge, so that no seams show.
+                    let (x0, x1) = (left + start as f64 * pixel, left + end as f64 * pixel + 0.4);
+                    let (y0, y1) = (top + row as f64 * pixel, top + (row + 1) as f64 * pixel + 0.4);
                     runs[here as usize].push(Polyline::closed(vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]]));
                 }
                 start = end;
