@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
-use dermis_tomo::inverse::{ImageBasis, LinearProblem, LiveOperator, Operator, Prior, Weighting};
+use dermis_tomo::inverse::{DataPrecision, ImageBasis, LinearProblem, LiveOperator, Operator, Prior, Weighting};
 use dermis_tomo::mesh::{
     Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, PixelMap, PrismElectrode, PrismSpec,
     SheetSpec,
@@ -159,7 +159,7 @@ fn operators(c: &mut Criterion) -> Outcome {
             let mixed = ((row * 4096 + column) as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
             (mixed >> 40) as f64 / (1_u64 << 24) as f64 - 0.5
         }),
-        data_precision: Mat::zeros(0, 0),
+        data_precision: DataPrecision::Whole(Mat::zeros(0, 0)),
         hyperparameter: 1.0,
         noise_deviation: Vec::new(),
     };

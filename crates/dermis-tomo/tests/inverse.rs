@@ -55,20 +55,30 @@ fn largest_difference(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 }
 
 #[test]
-fn both_forms_are_the_operator_of_the_definition() {
+fn every_form_is_the_operator_of_the_definition() {
     let skin = skin();
-    let j = skin.jacobian.as_mat().to_owned();
+    // Fewer channels than unknowns, and more: another form of the operator.
+    let few = 15;
+    let neighbours = skin.basis.neighbours.iter().filter(|pair| pair.iter().all(|k| (*k as usize) < few));
+    let corner =
+        ImageBasis { positions: skin.basis.positions[..few].to_vec(), neighbours: neighbours.copied().collect() };
+    let jacobian = skin.jacobian.as_mat();
+    check_forms(&jacobian.to_owned(), &skin.basis);
+    check_forms(&jacobian.subcols(0, few).to_owned(), &corner);
+}
+
+fn check_forms(j: &Mat<f64>, basis: &ImageBasis) {
     let weights: Vec<f64> = variances(j.nrows()).iter().map(|v| 1.0 / v).collect();
     for prior in priors() {
         let weighting = Weighting::Diagonal(weights.clone());
-        let matrix = prior.matrix(j.as_ref(), &weighting, &skin.basis).unwrap();
+        let matrix = prior.matrix(j.as_ref(), &weighting, basis).unwrap();
         let r = matrix.dense().unwrap();
         let problem = LinearProblem::new(j.as_ref(), weighting, matrix).unwrap();
         let lambda = problem.choose(&Hyperparameter::Relative(0.1), &[]).unwrap();
         let operator = problem.operator(lambda).unwrap();
         let w = Mat::from_fn(j.nrows(), j.nrows(), |a, b| if a == b { weights[a] } else { 0.0 });
         let jw = j.transpose() * &w;
-        let system = &jw * &j + faer::Scale(lambda * lambda) * &r;
+        let system = &jw * j + faer::Scale(lambda * lambda) * &r;
         let plain = system.llt(Side::Lower).unwrap().solve(&jw);
         let error = largest_difference(&operator.matrix, &plain);
         // The inverse of a Gaussian covariance is itself only good to its jitter of 1e-6.

@@ -4,7 +4,7 @@
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
-use super::{ImageBasis, InverseError, LinearProblem, Operator};
+use super::{DataPrecision, ImageBasis, InverseError, LinearProblem, Operator};
 
 /// How the training targets look and how much noise is allowed through.
 #[derive(Clone, Debug, PartialEq)]
@@ -138,7 +138,7 @@ fn assemble(
     problem.weighting.whiten_adjoint(other_side.as_mut());
     Ok(Operator {
         matrix: transposed.transpose().to_owned(),
-        data_precision: other_side,
+        data_precision: DataPrecision::Whole(other_side),
         hyperparameter: mu,
         noise_deviation,
     })

@@ -219,14 +219,6 @@ impl LinearProblem {
         data.iter().map(|frame| self.whiten_frame(frame)).collect()
     }
 
-    fn gram_trace(&self) -> Result<f64, InverseError> {
-        let diagonal = |gram: MatRef<'_, f64>| (0..gram.nrows()).map(|k| gram[(k, k)]).sum();
-        match &self.data_form {
-            Some(form) => Ok(diagonal(form.gram.as_ref())),
-            None => Ok(diagonal(self.merged_gram()?.as_ref())),
-        }
-    }
-
     /// Noise figure at lambda for a target's data: `(mean|z| / mean std z) / (mean|x| / mean std x)` with z whitened
     /// data and x the image (Adler and Guardo 1996, eq. 14; here with unit noise on every whitened channel).
     ///

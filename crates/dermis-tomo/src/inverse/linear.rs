@@ -1,6 +1,7 @@
-//! The linear one-step inverse in model space, `(J'WJ + lambda^2 R)^-1 J'W`, or in data space,
-//! `P J'(J P J' + lambda^2 W^-1)^-1` with `P = R^-1`: the same operator, the second cheaper where channels are fewer
-//! than unknowns.
+//! The linear one-step inverse in three forms of the same operator, whichever is cheapest: in model space,
+//! `(J'WJ + lambda^2 R)^-1 J'W`; in data space, `P J'(J P J' + lambda^2 W^-1)^-1` with `P = R^-1`, where channels are
+//! fewer than unknowns; and `(P J'WJ + lambda^2)^-1 P J'W` where they are more: no matrix of the channels squared, and
+//! P, not its inverse, so that smooth covariances need not be inverted.
 
 use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{Llt, Solve};
@@ -22,17 +23,52 @@ pub struct LinearProblem {
     /// Channels that see alike, in whitened data. What is orthogonal to their groups sees nothing: in that basis the
     /// data-space system is one of the groups, and `lambda^2` beside it.
     alike: Proportional,
-    /// What the data form is made of; `None` where the model form is used.
-    pub(super) data_form: Option<DataForm>,
+    form: Form,
+}
+
+/// What each form keeps.
+#[derive(Debug)]
+enum Form {
+    /// A prior that cannot be inverted: nothing beforehand.
+    Model,
+    /// Channels fewer than unknowns.
+    Data(DataForm),
+    /// Unknowns fewer than channels.
+    Unknowns(UnknownsForm),
 }
 
 /// The data form, over groups of channels that see alike: S is the whitened Jacobian with one row a group.
 #[derive(Debug)]
-pub(super) struct DataForm {
+struct DataForm {
     /// `P S'`, unknowns x groups.
     spread: Mat<f64>,
     /// `S P S'`, groups x groups; its trace is that of `W^1/2 J P J' W^1/2'`.
-    pub(super) gram: Mat<f64>,
+    gram: Mat<f64>,
+}
+
+/// The form over unknowns.
+#[derive(Debug)]
+struct UnknownsForm {
+    /// P, unknowns x unknowns.
+    covariance: Mat<f64>,
+    /// `P S'S`, unknowns x unknowns; it has the trace of `S P S'`.
+    information: Mat<f64>,
+}
+
+/// `(J P J' + lambda^2 W^-1)^-1`, channels x channels: the inverse covariance that prior and noise together give difference
+/// data, over lambda^2.
+#[derive(Clone, Debug)]
+pub enum DataPrecision {
+    /// The matrix.
+    Whole(Mat<f64>),
+    /// Rows are made when asked for, `(W - W J X) / lambda^2` with X the operator (Woodbury): channels outnumber unknowns,
+    /// and the matrix would be the largest of all.
+    Implied {
+        /// W.
+        weighting: Weighting,
+        /// `J'W`, unknowns x channels.
+        weighted: Mat<f64>,
+    },
 }
 
 /// The operator at one hyperparameter, with what is needed to go on without channels and to say how sure it is.
@@ -40,8 +76,8 @@ pub(super) struct DataForm {
 pub struct Operator {
     /// Unknowns x channels: `x = matrix * dv`.
     pub matrix: Mat<f64>,
-    /// `(J P J' + lambda^2 W^-1)^-1`, channels x channels.
-    pub data_precision: Mat<f64>,
+    /// `(J P J' + lambda^2 W^-1)^-1`, channels x channels, or what gives its rows.
+    pub data_precision: DataPrecision,
     /// lambda.
     pub hyperparameter: f64,
     /// Standard deviation of each unknown caused by noise of covariance `W^-1`.
@@ -78,15 +114,8 @@ impl LinearProblem {
                 (alike, merged)
             }
         };
-        let model_space = prior.is_singular() && jacobian.ncols() <= MODEL_SPACE_LIMIT;
-        let data_form = if model_space {
-            None
-        } else {
-            let spread = prior.solve(sensitivities.as_ref())?;
-            let gram = symmetric_product(sensitivities.transpose(), spread.as_ref());
-            Some(DataForm { spread, gram })
-        };
-        Ok(Self { weighting, prior, sensitivities, alike, data_form })
+        let form = Form::new(&prior, &sensitivities)?;
+        Ok(Self { weighting, prior, sensitivities, alike, form })
     }
 
     /// Number of channels.
@@ -119,14 +148,24 @@ impl LinearProblem {
     /// The eigenvalue iteration did not converge, or the prior cannot be inverted.
     pub fn spectrum(&self) -> Result<Spectrum, InverseError> {
         let expand = |gram: MatRef<'_, f64>| Spectrum::new(self.alike.expanded_square(gram, 0.0).as_ref());
-        match &self.data_form {
-            Some(form) => expand(form.gram.as_ref()),
-            None => expand(self.merged_gram()?.as_ref()),
+        match &self.form {
+            Form::Data(form) => expand(form.gram.as_ref()),
+            Form::Model | Form::Unknowns(_) => expand(self.merged_gram()?.as_ref()),
         }
     }
 
+    /// Trace of `S P S'`.
+    pub(super) fn gram_trace(&self) -> Result<f64, InverseError> {
+        let trace = |matrix: &Mat<f64>| matrix.diagonal().column_vector().iter().sum();
+        Ok(match &self.form {
+            Form::Data(form) => trace(&form.gram),
+            Form::Unknowns(form) => trace(&form.information),
+            Form::Model => trace(&self.merged_gram()?),
+        })
+    }
+
     /// `S P S'`, computed anew.
-    pub(super) fn merged_gram(&self) -> Result<Mat<f64>, InverseError> {
+    fn merged_gram(&self) -> Result<Mat<f64>, InverseError> {
         let spread = self.prior.solve(self.sensitivities.as_ref())?;
         Ok(symmetric_product(self.sensitivities.transpose(), spread.as_ref()))
     }
@@ -144,9 +183,9 @@ impl LinearProblem {
                 expected: "positive and finite",
             });
         }
-        match &self.data_form {
-            Some(form) => self.data_space(hyperparameter, form),
-            None => self.model_space(hyperparameter),
+        match &self.form {
+            Form::Data(form) => self.data_space(hyperparameter, form),
+            Form::Model | Form::Unknowns(_) => self.over_unknowns(hyperparameter),
         }
     }
 
@@ -158,15 +197,16 @@ impl LinearProblem {
         Ok(self.unmerged(lambda, merged.as_ref(), merged_precision.as_ref(), noise_deviation))
     }
 
-    fn model_space(&self, lambda: f64) -> Result<Operator, InverseError> {
-        let mut system = &self.sensitivities * self.sensitivities.transpose();
-        system += Scale(lambda * lambda) * self.prior.dense()?;
-        let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
-            what: "the model-space system",
-            hint: "raise the hyperparameter or add some identity to the prior",
-        })?;
-        let merged = factor.solve(&self.sensitivities);
+    /// By `(S'S + lambda^2 R)^-1 S'`.
+    fn over_unknowns(&self, lambda: f64) -> Result<Operator, InverseError> {
+        let merged = self.covariance_over_unknowns(lambda)? * &self.sensitivities;
         let noise_deviation = row_norms(merged.as_ref());
+        if self.channels() > self.unknowns() {
+            let matrix = self.weighted(merged.as_ref());
+            let weighted = self.weighted(self.sensitivities.as_ref());
+            let data_precision = DataPrecision::Implied { weighting: self.weighting.clone(), weighted };
+            return Ok(Operator { matrix, data_precision, hyperparameter: lambda, noise_deviation });
+        }
         // (JPJ' + l^2)^-1 = (1 - J Op) / l^2 in whitened data (Woodbury), which holds for singular R as well.
         let outside = 1.0 / (lambda * lambda);
         let mut precision = Scale(-outside) * (self.sensitivities.transpose() * &merged);
@@ -174,6 +214,34 @@ impl LinearProblem {
             precision[(k, k)] += outside;
         }
         Ok(self.unmerged(lambda, merged.as_ref(), precision.as_ref(), noise_deviation))
+    }
+
+    /// `(S'S + lambda^2 R)^-1`, which is `(P S'S + lambda^2)^-1 P`.
+    fn covariance_over_unknowns(&self, lambda: f64) -> Result<Mat<f64>, InverseError> {
+        let squared = lambda * lambda;
+        if let Form::Unknowns(form) = &self.form {
+            let mut system = form.information.clone();
+            for k in 0..system.nrows() {
+                system[(k, k)] += squared;
+            }
+            // Similar to a symmetric matrix whose eigenvalues are at least lambda^2: regular, though not symmetric.
+            return Ok(system.partial_piv_lu().solve(&form.covariance));
+        }
+        let mut system = symmetric_product(self.sensitivities.as_ref(), self.sensitivities.transpose());
+        system += Scale(squared) * self.prior.dense()?;
+        let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
+            what: "the model-space system",
+            hint: "raise the hyperparameter or add some identity to the prior",
+        })?;
+        Ok(factor.solve(Mat::<f64>::identity(self.unknowns(), self.unknowns())))
+    }
+
+    /// A matrix over groups of channels in whitened data (its columns) to one over channels: W^1/2 from the right,
+    /// `(W^1/2' X')'`.
+    fn weighted(&self, merged: MatRef<'_, f64>) -> Mat<f64> {
+        let mut matrix = self.alike.expanded(merged);
+        self.weighting.whiten_adjoint(matrix.transpose_mut());
+        matrix
     }
 
     /// The operator from one over groups of channels in whitened data.
@@ -184,13 +252,12 @@ impl LinearProblem {
         merged_precision: MatRef<'_, f64>,
         noise_deviation: Vec<f64>,
     ) -> Operator {
-        // W^1/2 from the right: (W^1/2' X')'.
-        let mut matrix = self.alike.expanded(merged);
-        self.weighting.whiten_adjoint(matrix.transpose_mut());
+        let matrix = self.weighted(merged);
         let mut precision = self.alike.expanded_square(merged_precision, 1.0 / (lambda * lambda));
         self.weighting.whiten_adjoint(precision.as_mut());
-        let mut data_precision = precision.transpose().to_owned();
-        self.weighting.whiten_adjoint(data_precision.as_mut());
+        let mut other_side = precision.transpose().to_owned();
+        self.weighting.whiten_adjoint(other_side.as_mut());
+        let data_precision = DataPrecision::Whole(other_side);
         Operator { matrix, data_precision, hyperparameter: lambda, noise_deviation }
     }
 
@@ -201,7 +268,7 @@ impl LinearProblem {
     /// # Errors
     /// As [`LinearProblem::operator`].
     pub fn posterior_deviation(&self, hyperparameter: f64) -> Result<Vec<f64>, InverseError> {
-        if let Some(form) = &self.data_form {
+        if let Form::Data(form) = &self.form {
             let (spread, factor) = (&form.spread, form.factor(hyperparameter)?);
             let explained = factor.solve(spread.transpose());
             let prior = self.prior_variances()?;
@@ -211,12 +278,7 @@ impl LinearProblem {
             };
             return Ok((0..self.unknowns()).map(|k| variance(k).sqrt() / hyperparameter).collect());
         }
-        let mut system = &self.sensitivities * self.sensitivities.transpose();
-        system += Scale(hyperparameter * hyperparameter) * self.prior.dense()?;
-        let factor = system
-            .llt(Side::Lower)
-            .map_err(|_| InverseError::Singular { what: "the model-space system", hint: "raise the hyperparameter" })?;
-        let covariance = factor.solve(Mat::<f64>::identity(self.unknowns(), self.unknowns()));
+        let covariance = self.covariance_over_unknowns(hyperparameter)?;
         Ok((0..self.unknowns()).map(|k| covariance[(k, k)].max(0.0).sqrt()).collect())
     }
 
@@ -234,6 +296,23 @@ impl LinearProblem {
     }
 }
 
+impl Form {
+    fn new(prior: &PriorMatrix, sensitivities: &Mat<f64>) -> Result<Self, InverseError> {
+        let (unknowns, groups) = (sensitivities.nrows(), sensitivities.ncols());
+        if prior.is_singular() && unknowns <= MODEL_SPACE_LIMIT {
+            return Ok(Self::Model);
+        }
+        if groups > unknowns {
+            let covariance = prior.solve(Mat::<f64>::identity(unknowns, unknowns).as_ref())?;
+            let information = &covariance * symmetric_product(sensitivities.as_ref(), sensitivities.transpose());
+            return Ok(Self::Unknowns(UnknownsForm { covariance, information }));
+        }
+        let spread = prior.solve(sensitivities.as_ref())?;
+        let gram = symmetric_product(sensitivities.transpose(), spread.as_ref());
+        Ok(Self::Data(DataForm { spread, gram }))
+    }
+}
+
 impl DataForm {
     /// Cholesky factor of `S P S' + lambda^2`.
     fn factor(&self, lambda: f64) -> Result<Llt<f64>, InverseError> {
@@ -248,6 +327,31 @@ impl DataForm {
 }
 
 impl Operator {
+    /// Rows of [`Operator::data_precision`], rows x channels. The channels must exist.
+    pub(super) fn precision_rows(&self, rows: &[u32]) -> Mat<f64> {
+        match &self.data_precision {
+            DataPrecision::Whole(matrix) => {
+                Mat::from_fn(rows.len(), matrix.ncols(), |k, column| matrix[(rows[k] as usize, column)])
+            }
+            DataPrecision::Implied { weighting, weighted } => {
+                let of_rows =
+                    Mat::from_fn(rows.len(), weighted.nrows(), |k, unknown| weighted[(unknown, rows[k] as usize)]);
+                let mut units =
+                    Mat::from_fn(
+                        weighted.ncols(),
+                        rows.len(),
+                        |channel, k| {
+                            if channel == rows[k] as usize { 1.0 } else { 0.0 }
+                        },
+                    );
+                weighting.whiten(units.as_mut());
+                weighting.whiten_adjoint(units.as_mut());
+                let difference = units.transpose() - of_rows * &self.matrix;
+                Scale(self.hyperparameter.powi(-2)) * difference
+            }
+        }
+    }
+
     /// `x = matrix * dv`. Frames with missing channels: see [`super::MissingChannels`].
     ///
     /// # Errors

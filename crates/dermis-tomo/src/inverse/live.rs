@@ -107,6 +107,7 @@ impl NullaryFnOnce for Product<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::inverse::DataPrecision;
     use faer::Mat;
 
     #[test]
@@ -117,7 +118,7 @@ mod tests {
             let matrix = Mat::from_fn(unknowns, channels, |row, column| {
                 if row == 2 { 0.0 } else { entry(row, column) * (1.0 + (column / 20) as f64) }
             });
-            let (data_precision, noise_deviation) = (Mat::zeros(0, 0), Vec::new());
+            let (data_precision, noise_deviation) = (DataPrecision::Whole(Mat::zeros(0, 0)), Vec::new());
             let operator = Operator { matrix, data_precision, hyperparameter: 1.0, noise_deviation };
             let dv: Vec<f64> = (0..channels).map(|c| (c as f64).cos()).collect();
             let expected = operator.apply(&dv).unwrap();

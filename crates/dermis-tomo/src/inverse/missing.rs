@@ -24,7 +24,7 @@ impl MissingChannels {
     /// # Errors
     /// A channel that does not exist, all channels missing, or a numerically singular block.
     pub fn new(operator: &Operator, missing: &[u32]) -> Result<Self, InverseError> {
-        let channels = operator.data_precision.nrows();
+        let channels = operator.matrix.ncols();
         let mut missing = missing.to_vec();
         missing.sort_unstable();
         missing.dedup();
@@ -39,10 +39,10 @@ impl MissingChannels {
             return Err(InverseError::NoChannels { channels });
         }
         let present: Vec<u32> = (0..channels as u32).filter(|c| missing.binary_search(c).is_err()).collect();
-        let precision = &operator.data_precision;
-        let entry = |row: u32, column: u32| precision[(row as usize, column as usize)];
-        let block = Mat::from_fn(missing.len(), missing.len(), |row, column| entry(missing[row], missing[column]));
-        let mut fill = Mat::from_fn(missing.len(), present.len(), |row, column| -entry(missing[row], present[column]));
+        let precision = operator.precision_rows(&missing);
+        let entry = |row: usize, channel: u32| precision[(row, channel as usize)];
+        let block = Mat::from_fn(missing.len(), missing.len(), |row, column| entry(row, missing[column]));
+        let mut fill = Mat::from_fn(missing.len(), present.len(), |row, column| -entry(row, present[column]));
         if !missing.is_empty() {
             let factor = block.llt(Side::Lower).map_err(|_| InverseError::Singular {
                 what: "the block of the missing channels",
@@ -82,9 +82,24 @@ mod tests {
     fn filling_in_gives_the_image_of_the_remaining_channels_however_many_are_missing() {
         let value = |row: usize, column: usize| ((row * 7 + column * column * 3 + row * column) as f64).sin();
         let jacobian = Mat::from_fn(20, 9, value);
-        let weights: Vec<f64> = (0..20).map(|k| 1.0 + k as f64).collect();
+        // Noise of each channel its own, and noise that channels share.
+        let shared = |share: f64| {
+            Mat::from_fn(20, 20, |a, b| if a == b { 1.0 / (1.0 + a as f64) } else { share / (20.0 + (a + b) as f64) })
+        };
+        [0.0, 0.1].into_iter().for_each(|share| check(&jacobian, &shared(share)));
+    }
+
+    fn check(jacobian: &Mat<f64>, covariance: &Mat<f64>) {
+        let weighting = |channels: &[usize]| {
+            let block = Mat::from_fn(channels.len(), channels.len(), |a, b| covariance[(channels[a], channels[b])]);
+            if covariance[(0, 1)] == 0.0 {
+                Weighting::Diagonal((0..channels.len()).map(|k| 1.0 / block[(k, k)]).collect())
+            } else {
+                Weighting::from_covariance(block.as_ref()).unwrap()
+            }
+        };
         let prior = || PriorMatrix::Diagonal((1..10).map(f64::from).collect());
-        let full = LinearProblem::new(jacobian.as_ref(), Weighting::Diagonal(weights.clone()), prior()).unwrap();
+        let full = LinearProblem::new(jacobian.as_ref(), weighting(&Vec::from_iter(0..20)), prior()).unwrap();
         let operator = full.operator(0.7).unwrap();
         let frame: Vec<f64> = (0..20).map(|k| (k as f64 * 1.3).cos()).collect();
         for count in [1, 10, 19] {
@@ -96,7 +111,7 @@ mod tests {
             let found = operator.apply(&filled).unwrap();
             let present: Vec<usize> = (0..20).filter(|&channel| !missing.contains(&(channel as u32))).collect();
             let rows = Mat::from_fn(present.len(), 9, |row, column| jacobian[(present[row], column)]);
-            let some = Weighting::Diagonal(present.iter().map(|&channel| weights[channel]).collect());
+            let some = weighting(&present);
             let data: Vec<f64> = present.iter().map(|&channel| frame[channel]).collect();
             let expected = LinearProblem::new(rows.as_ref(), some, prior()).unwrap().operator(0.7).unwrap();
             for (a, b) in found.iter().zip(expected.apply(&data).unwrap()) {

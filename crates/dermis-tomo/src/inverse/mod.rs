@@ -19,7 +19,7 @@ mod weighting;
 
 pub use greit::{Greit, GreitSpec};
 pub use hyperparameter::{Hyperparameter, LCurvePoint, Spectrum};
-pub use linear::{LinearProblem, Operator};
+pub use linear::{DataPrecision, LinearProblem, Operator};
 pub use live::LiveOperator;
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
