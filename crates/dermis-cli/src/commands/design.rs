@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::design::{Maps, Noise, Summary, improve_protocol};
+use dermis::design::{ForceMap, Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis_device::instruments::npy;
@@ -17,10 +17,13 @@ const EXAMPLE: &str = "\
 Examples:
   dermis design healing-square ionic-disc
   dermis design ionic-disc --snr-db 59.7 --out design
+  dermis design ionic-disc --force --map 6
   dermis design golfball-tank --map 12 --improve protocol --winner better.toml
+  dermis design golfball-tank --map 8 --improve count,drive --winner better.toml
 
 Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth of the
-area. Noise is what the skin file assumes, the same for every channel; --snr-db makes it proportional to the reading.";
+area. Noise is what the skin file assumes, the same for every channel; --snr-db makes it proportional to the reading. A
+search gives every candidate the same time for a frame: the more readings, the noisier each.";
 
 /// Arguments of `dermis design`.
 #[derive(clap::Args)]
@@ -38,12 +41,15 @@ pub struct Arguments {
     /// Places along the longer side of the maps.
     #[arg(long, value_name = "PLACES", default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=128))]
     map: u32,
+    /// Also the smallest force, by the mechanics of the skin's twin.
+    #[arg(long, conflicts_with = "improve")]
+    force: bool,
     /// Folder for the maps, PNG and NPY.
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Search for a better skin; what may change.
-    #[arg(long, value_enum, requires = "winner")]
-    improve: Option<Freedom>,
+    /// Search for a better skin; what may change, in this order.
+    #[arg(long, value_enum, requires = "winner", value_delimiter = ',')]
+    improve: Vec<Change>,
     /// Where the better skin file goes.
     #[arg(long, value_name = "FILE.toml", requires = "improve")]
     winner: Option<PathBuf>,
@@ -51,53 +57,86 @@ pub struct Arguments {
 
 /// What a search may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Freedom {
+enum Change {
     /// Distances of driving and measuring pairs.
     Protocol,
+    /// Distance of driving pairs.
+    Drive,
+    /// Number of electrodes.
+    Count,
+    /// Where each electrode is.
+    Electrodes,
+}
+
+/// Everything about one skin.
+struct Sheet {
+    prepared: Prepared,
+    maps: Maps,
+    spread_m: Vec<f64>,
+    force: Option<ForceMap>,
 }
 
 impl Arguments {
     /// Maps, tables, and the search where asked for.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        if let (Some(Freedom::Protocol), Some(winner)) = (self.improve, &self.winner) {
-            return self.improve_each(winner, out);
+        if let Some(winner) = &self.winner {
+            return self.improve_skin(winner, out);
         }
         let noise = self.snr_db.map_or(Noise::Assumed, Noise::Decibels);
-        let columns = ["channels", "frames/s", "kB/s", "position mm", "amplitude %", "smallest %"];
-        writeln!(out, "touch of {} at its middle; worst / median / best place", self.amplitude)?;
-        write!(out, "{:<16} {:>8} {:>8} {:>8}", "", columns[0], columns[1], columns[2])?;
-        writeln!(out, " {:>24} {:>24} {:>24}", columns[3], columns[4], columns[5])?;
+        let mut sheets = Vec::with_capacity(self.skins.len());
         for name in &self.skins {
-            let prepared = Prepared::new(Skin::open(name)?)?;
-            let maps = Maps::new(&prepared, noise, self.amplitude, self.map as usize)?;
-            table_row(out, &prepared, &maps)?;
+            let sheet = self.sheet(name, noise)?;
             if let Some(folder) = &self.out {
-                write_maps(folder, &prepared.skin.name, &maps)?;
+                write_maps(folder, &sheet)?;
             }
+            sheets.push(sheet);
         }
+        writeln!(out, "touch of {} at its middle; worst / median / best place", self.amplitude)?;
+        write_table(out, &sheets)?;
         Ok(Outcome::Done)
     }
 
-    fn improve_each(&self, winner: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    fn sheet(&self, name: &str, noise: Noise) -> anyhow::Result<Sheet> {
+        let prepared = Prepared::new(Skin::open(name)?)?;
+        let maps = Maps::new(&prepared, noise, self.amplitude, self.map as usize)?;
+        let spread_m = spread_width(&prepared, &maps)?;
+        let mut force = None;
+        if self.force {
+            let bar = super::progress_bar("places pressed");
+            force = Some(smallest_force(&prepared, noise, self.map as usize, |done, all| {
+                bar.set_length(all as u64);
+                bar.set_position(done as u64);
+            })?);
+            bar.finish_and_clear();
+        }
+        Ok(Sheet { prepared, maps, spread_m, force })
+    }
+
+    fn improve_skin(&self, winner: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let [name] = self.skins.as_slice() else {
             return Err(UsageError(format!("--improve: expected one skin, got {}", self.skins.len())).into());
         };
-        let bar = super::progress_bar("protocols");
-        let [own, best] = improve_protocol(&Skin::open(name)?, self.amplitude, self.map as usize, |done, all| {
+        let freed = self.improve.iter().map(|change| match change {
+            Change::Protocol => Freedom::Protocol,
+            Change::Drive => Freedom::Drive,
+            Change::Count => Freedom::Count,
+            Change::Electrodes => Freedom::Electrodes,
+        });
+        let search = Search { freed: freed.collect(), amplitude: self.amplitude, along: self.map as usize };
+        let bar = super::progress_bar("skins");
+        let [own, best] = improve(&Skin::open(name)?, &search, |done, all| {
             bar.set_length(all as u64);
             bar.set_position(done as u64);
         })?;
         bar.finish_and_clear();
         let millimetres = |summary: Summary| three([summary.worst, summary.median, summary.best].map(|m| 1e3 * m));
-        writeln!(out, "position bound, mm, worst / median / best place, at the same noise in volts")?;
-        writeln!(out, "  as it is  {}", millimetres(own.position_m))?;
-        writeln!(
-            out,
-            "  best      {}  drive {:?}, measure {:?}",
-            millimetres(best.position_m),
-            best.skin.backend.drive,
-            best.skin.backend.measure
-        )?;
+        writeln!(out, "position bound, mm, worst / median / best place, at the same time for a frame")?;
+        for (label, candidate) in [("as it is", &own), ("best", &best)] {
+            let backend = &candidate.skin.backend;
+            write!(out, "  {label:<9} {}  ", millimetres(candidate.position_m))?;
+            write!(out, "{} electrodes, ", candidate.skin.electrode_shapes().len())?;
+            writeln!(out, "drive {:?}, measure {:?}", backend.drive, backend.measure)?;
+        }
         let text = best.skin.to_toml();
         write_atomic(winner, |file| file.write_all(text.as_bytes()))?;
         writeln!(out, "{}", winner.display())?;
@@ -109,37 +148,61 @@ fn three(values: [f64; 3]) -> String {
     values.map(|v| if v >= 100.0 { format!("{v:.0}") } else { format!("{v:.3}") }).join(" / ")
 }
 
-fn table_row(out: &mut dyn Write, prepared: &Prepared, maps: &Maps) -> std::io::Result<()> {
-    let (name, channels) = (&prepared.skin.name, prepared.channels());
-    let rate = prepared.skin.backend.frames_per_s;
+/// One column a skin, one line a figure.
+fn write_table(out: &mut dyn Write, sheets: &[Sheet]) -> std::io::Result<()> {
+    let line = |out: &mut dyn Write, label: &str, cell: &dyn Fn(&Sheet) -> String| {
+        write!(out, "{label:<24}")?;
+        sheets.iter().try_for_each(|sheet| write!(out, " {:>24}", cell(sheet)))?;
+        writeln!(out)
+    };
+    let rate = |sheet: &Sheet| sheet.prepared.skin.backend.frames_per_s;
     let text = |value: Option<f64>| value.map_or("-".to_string(), |v| format!("{v:.1}"));
-    // Two bytes a reading, as converters of 16 bits give.
-    let kilobytes = rate.map(|rate| rate * channels as f64 * 2e-3);
     let column = |values: &[f64], scale: f64| {
         let summary = Summary::of(values);
         three([summary.worst, summary.median, summary.best].map(|v| scale * v))
     };
-    write!(out, "{name:<16} {channels:>8} {:>8} {:>8}", text(rate), text(kilobytes))?;
-    let (position, share) = (column(&maps.position_m, 1e3), column(&maps.amplitude_share, 1e2));
-    writeln!(out, " {position:>24} {share:>24} {:>24}", column(&maps.smallest, 1e2))
+    line(out, "", &|sheet| sheet.prepared.skin.name.clone())?;
+    line(out, "channels", &|sheet| sheet.prepared.channels().to_string())?;
+    line(out, "frames/s", &|sheet| text(rate(sheet)))?;
+    // Two bytes a reading, as converters of 16 bits give.
+    line(out, "data, kB/s", &|sheet| text(rate(sheet).map(|rate| rate * sheet.prepared.channels() as f64 * 2e-3)))?;
+    line(out, "position bound, mm", &|sheet| column(&sheet.maps.position_m, 1e3))?;
+    line(out, "amplitude bound, %", &|sheet| column(&sheet.maps.amplitude_share, 1e2))?;
+    line(out, "smallest change, %", &|sheet| column(&sheet.maps.smallest, 1e2))?;
+    line(out, "point-spread width, mm", &|sheet| column(&sheet.spread_m, 1e3))?;
+    if sheets.iter().any(|sheet| sheet.force.is_some()) {
+        let force = |sheet: &Sheet| sheet.force.as_ref().map_or("-".to_string(), |map| column(&map.force_n, 1e3));
+        line(out, "smallest force, mN", &force)?;
+        let diameter = |sheet: &Sheet| sheet.force.as_ref().map(|map| 2e3 * map.radius_m);
+        line(out, "  on a disc of, mm", &|sheet| text(diameter(sheet)))?;
+    }
+    Ok(())
 }
 
-fn write_maps(folder: &Path, name: &str, maps: &Maps) -> anyhow::Result<()> {
+fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    let (maps, name) = (&sheet.maps, &sheet.prepared.skin.name);
     let figures = [
         ("sensitivity", "sensitivity: log10 over the weakest", &maps.sensitivity),
-        ("smallest", "smallest amplitude: log10 over the best", &maps.smallest),
+        ("smallest", "smallest change: log10 over the best", &maps.smallest),
         ("position", "position bound: log10 over the best", &maps.position_m),
         ("amplitude", "amplitude bound: log10 over the best", &maps.amplitude_share),
+        ("spread", "point-spread width: log10 over the best", &sheet.spread_m),
     ];
-    let mut panels = Vec::with_capacity(figures.len());
-    for (key, title, values) in figures {
-        let shape = [maps.grid.rows, maps.grid.columns];
-        npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &maps.image(values))?;
-        let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let logs: Vec<f64> = values.iter().map(|value| (value / least).log10()).collect();
-        let values = maps.image(&logs);
-        panels.push(Panel { name: title.to_string(), columns: maps.grid.columns, values, marks: Vec::new() });
+    let mut images: Vec<(&str, &str, Vec<f32>, [usize; 2])> = figures
+        .into_iter()
+        .map(|(key, title, values)| (key, title, maps.image(values), [maps.grid.rows, maps.grid.columns]))
+        .collect();
+    if let Some(map) = &sheet.force {
+        let title = "smallest force: log10 over the best";
+        images.push(("force", title, map.image(), [map.grid.rows, map.grid.columns]));
+    }
+    let mut panels = Vec::with_capacity(images.len());
+    for (key, title, image, shape) in images {
+        npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &image)?;
+        let least = image.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
+        let values = image.iter().map(|value| (value / least).log10()).collect();
+        panels.push(Panel { name: title.to_string(), columns: shape[1], values, marks: Vec::new() });
     }
     let picture = Heatmap { title: format!("{name}: before it is built"), panels, own_scales: true }.picture();
     let content = draw::png(&picture)?;

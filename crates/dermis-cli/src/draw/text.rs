@@ -177,9 +177,13 @@ const LETTERS: [(char, &str); 40] = [
 /// Height of small capitals relative to capitals.
 const SMALL: f64 = 0.74;
 
+/// Most letters of a unit or variable (`mm`, `x`), which are set in small letters where the font has them.
+const SYMBOL: usize = 2;
+
 /// Width and lines of a character; of one that the font lacks, a blank.
-fn glyph(character: char) -> (f64, Vec<Vec<[f64; 2]>>) {
-    if let Some((_, width, strokes)) = GLYPHS.iter().find(|glyph| glyph.0 == character) {
+fn glyph(character: char, of_symbol: bool) -> (f64, Vec<Vec<[f64; 2]>>) {
+    let own = GLYPHS.iter().find(|glyph| glyph.0 == character);
+    if let Some((_, width, strokes)) = own.filter(|_| of_symbol || !character.is_ascii_alphabetic()) {
         return (*width, strokes.iter().map(|stroke| stroke.to_vec()).collect());
     }
     let scale = if character.is_ascii_lowercase() { SMALL } else { 1.0 };
@@ -190,6 +194,13 @@ fn glyph(character: char) -> (f64, Vec<Vec<[f64; 2]>>) {
         [digits.next().unwrap_or_default(), digits.next().unwrap_or_default()]
     };
     (4.0 * scale, lines.split('|').map(|line| line.split(' ').map(corner).collect()).collect())
+}
+
+/// Length of the run of letters that a byte of the text is in.
+fn letters_around(text: &str, index: usize) -> usize {
+    let letter = |byte: &&u8| byte.is_ascii_alphabetic();
+    let (before, after) = text.as_bytes().split_at(index);
+    before.iter().rev().take_while(letter).count() + after.iter().take_while(letter).count()
 }
 
 /// Text as polylines, and how wide they are, pixels.
@@ -206,8 +217,8 @@ impl Lettering {
         let unit = height / CAPITAL;
         let mut lines = Vec::new();
         let mut pen = 0.0;
-        for character in text.chars() {
-            let (width, strokes) = glyph(character);
+        for (index, character) in text.char_indices() {
+            let (width, strokes) = glyph(character, letters_around(text, index) <= SYMBOL);
             lines.extend(strokes.iter().map(|stroke| {
                 let place = |[x, y]: &[f64; 2]| [(pen + x) * unit, (CAPITAL / 2.0 - y) * unit];
                 Polyline::open(stroke.iter().map(place).collect::<Vec<_>>())
@@ -248,6 +259,19 @@ mod tests {
             assert!((low + 6.0).abs() < 1e-9 && (high - 6.0).abs() < 1e-9, "{index}: {low} to {high}");
             assert!(digits[..index].iter().all(|other| other.lines != digit.lines), "{index}");
         }
+    }
+
+    #[test]
+    fn words_are_all_small_capitals_and_units_small_letters() {
+        assert_eq!(glyph('m', true).0, 5.0);
+        assert_eq!(glyph('m', false), {
+            let (width, lines) = glyph('M', false);
+            let smaller = |line: Vec<[f64; 2]>| line.into_iter().map(|p| p.map(|c| c * SMALL)).collect();
+            (width * SMALL, lines.into_iter().map(smaller).collect())
+        });
+        assert_eq!(letters_around("y: 12 mm of many", 6), 2);
+        assert_eq!(letters_around("y: 12 mm of many", 12), 4);
+        assert_eq!(letters_around("y: 12 mm of many", 0), 1);
     }
 
     #[test]

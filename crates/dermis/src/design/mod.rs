@@ -1,5 +1,6 @@
 //! What a skin will be able to do, before it is built: maps of sensitivity, smallest detectable amplitude, and the
-//! Cramer-Rao bound on a touch's position and amplitude at the instrument's noise, from its forward model alone.
+//! Cramer-Rao bound on a touch's position and amplitude at the instrument's noise, from its forward model alone; the width
+//! of the image of a point; the smallest force, by the mechanics of a twin; and the search for a better skin.
 //!
 //! A touch of amplitude a at (x, y) changes the channels by `a s(x, y)` with `s` the signature of the skin file's touch
 //! ([`Prepared::signatures`]). With noise of covariance C the Fisher information about `(x, y, a)` is `G' C^-1 G`, `G =
@@ -7,13 +8,20 @@
 //! Statistical Signal Processing, 1993, eq. 3.31). The smallest amplitude is 3.3 deviations of the matched filter's,
 //! `3.3 / sqrt(s' C^-1 s)`.
 
-use dermis_tomo::mesh::PixelGrid;
+mod force;
+mod search;
+mod spread;
+
+pub use force::{ForceMap, smallest_force};
+pub use search::{Candidate, Freedom, Search, improve};
+pub use spread::spread_width;
+
+use dermis_tomo::mesh::{PixelGrid, PixelMap};
 use rayon::prelude::*;
 
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
-use crate::skin::{DrivePattern, MeasurePattern, Skin};
 
 /// Standard deviations that count as detected (the limit of detection of paper P).
 pub const DETECTED_SIGMA: f64 = 3.3;
@@ -100,10 +108,7 @@ impl Maps {
         }
         let reference = prepared.reference_from(&prepared.voltages, None)?;
         let deviations = noise.deviations(prepared, &reference);
-        let (low, high) = prepared.body.outline.bounds_m();
-        let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
-        let grid = PixelGrid::covering(low, high, along).map_err(mesh_error)?;
-        let map = dermis_tomo::mesh::PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(mesh_error)?;
+        let (grid, map) = places(prepared, along)?;
         let places_m = map.inside_centres_m();
         let step = STEP_SHARE * prepared.skin.touch.relative_size * prepared.half_width_m();
         let figures: Vec<[f64; 4]> =
@@ -123,12 +128,26 @@ impl Maps {
 
     /// A map as a row-major image, NaN outside the skin.
     pub fn image(&self, values: &[f64]) -> Vec<f32> {
-        let mut image = vec![f32::NAN; self.grid.len()];
-        for (&pixel, &value) in self.pixels.iter().zip(values) {
-            image[pixel] = value as f32;
-        }
-        image
+        scattered(&self.grid, &self.pixels, values)
     }
+}
+
+/// The grid of a map with at most `along` places a side, and where the skin is on it.
+fn places(prepared: &Prepared, along: usize) -> Result<(PixelGrid, PixelMap), Error> {
+    let (low, high) = prepared.body.outline.bounds_m();
+    let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
+    let grid = PixelGrid::covering(low, high, along).map_err(mesh_error)?;
+    let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(mesh_error)?;
+    Ok((grid, map))
+}
+
+/// Values of some pixels as a row-major image, NaN elsewhere.
+fn scattered(grid: &PixelGrid, pixels: &[usize], values: &[f64]) -> Vec<f32> {
+    let mut image = vec![f32::NAN; grid.len()];
+    for (&pixel, &value) in pixels.iter().zip(values) {
+        image[pixel] = value as f32;
+    }
+    image
 }
 
 impl Summary {
@@ -140,55 +159,6 @@ impl Summary {
             |share: f64| sorted.get((share * (sorted.len().max(1) - 1) as f64) as usize).copied().unwrap_or(f64::NAN);
         Self { worst: at(1.0 - OUTERMOST_SHARE), median: at(0.5), best: at(0.0) }
     }
-}
-
-/// Pairs of drive and measuring patterns worth comparing for so many electrodes: every distance round the skin.
-pub fn protocols(electrodes: usize) -> Vec<(DrivePattern, MeasurePattern)> {
-    let skips = 0..(electrodes / 2).max(1);
-    let pairs = skips.clone().flat_map(|drive| skips.clone().map(move |measure| (drive, measure)));
-    pairs.map(|(drive, measure)| (DrivePattern::Skip(drive), MeasurePattern::Skip(measure))).collect()
-}
-
-/// A skin with another protocol, its map and the worst place's bound, metres.
-#[derive(Clone, Debug)]
-pub struct Candidate {
-    /// The skin file.
-    pub skin: Skin,
-    /// Its figure.
-    pub position_m: Summary,
-}
-
-/// Searches drive and measuring patterns for the smallest bound on the position at the worst place, at the same noise in
-/// volts as the skin's own protocol is assumed to have. The skin as it is comes first, then the best.
-///
-/// # Errors
-/// A skin that does not work out as it is; candidates that do not are left out.
-pub fn improve_protocol(
-    skin: &Skin,
-    amplitude: f64,
-    along: usize,
-    mut progress: impl FnMut(usize, usize),
-) -> Result<[Candidate; 2], Error> {
-    let prepared = Prepared::new(skin.clone())?;
-    let reference = prepared.reference_from(&prepared.voltages, None)?;
-    let noise = Noise::Volts(reference.noise.iter().copied().fold(0.0, f64::max));
-    let judge = |prepared: &Prepared| -> Result<Summary, Error> {
-        Ok(Summary::of(&Maps::new(prepared, noise, amplitude, along)?.position_m))
-    };
-    let own = Candidate { position_m: judge(&prepared)?, skin: skin.clone() };
-    let mut best = own.clone();
-    let candidates = protocols(prepared.protocol.electrode_count());
-    for (index, (drive, measure)) in candidates.iter().enumerate() {
-        let mut skin = skin.clone();
-        (skin.backend.drive, skin.backend.measure) = (drive.clone(), measure.clone());
-        if let Ok(position_m) = Prepared::new(skin.clone()).and_then(|prepared| judge(&prepared))
-            && position_m.worst < best.position_m.worst
-        {
-            best = Candidate { skin, position_m };
-        }
-        progress(index + 1, candidates.len());
-    }
-    Ok([own, best])
 }
 
 /// Sensitivity, smallest amplitude, position bound (larger axis, metres), amplitude bound (relative) at one place.
