@@ -31,11 +31,17 @@ function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowEle
   return made;
 }
 
+/** Beyond its calibration a force is only known to be less or more than the end of the range. */
+function forceSign(range: Touch["force_range"]): string {
+  if (range === "below") return "< ";
+  return range === "above" || range === "saturated" ? "> " : "";
+}
+
 export function showTouches(touches: Touch[]): void {
   const live = touches.filter((touch) => touch.phase !== "end").sort((a, b) => a.id - b.id);
   const texts = live.map((touch): [string, string[]] => {
     const sigmas = [touch.sigma_x_mm, touch.sigma_y_mm].map((sigma) => (sigma === null ? "–" : sigma.toFixed(1)));
-    const force = touch.force_n === null ? "–" : touch.force_n.toFixed(2);
+    const force = touch.force_n === null ? "–" : forceSign(touch.force_range) + touch.force_n.toPrecision(3);
     return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(1), touch.y_mm.toFixed(1), brief(touch.amplitude), touch.area_mm2.toFixed(0), sigmas.join(" × "), force]];
   });
   rows(find("touches"), new Map(texts)).forEach((row, index) => {

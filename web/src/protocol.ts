@@ -50,6 +50,7 @@ export interface Touch {
   sigma_x_mm: number | null;
   sigma_y_mm: number | null;
   force_n: number | null;
+  force_range: "within" | "below" | "above" | "saturated" | "none" | null;
 }
 
 export interface Pipeline {

@@ -160,6 +160,7 @@ fn touch(blob: &Press, before: &[u64]) -> TouchView {
         sigma_x_mm: 0.4,
         sigma_y_mm: 0.5,
         force_n: None,
+        force_range: None,
     }
 }
 

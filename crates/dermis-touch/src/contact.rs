@@ -6,6 +6,7 @@
 //! C = sum_ij (r_i - c)(r_j - c)' sigma_i sigma_j rho_ij / W^2 with rho_ij = exp(-|r_i - r_j|^2 / (2 l^2)).
 
 use crate::error::{TouchError, require, require_length};
+use crate::force::ForceReading;
 use crate::geometry::ImageGeometry;
 use crate::moments::{CorrelatedSum, PixelBox};
 use crate::watershed::{MergeRule, Watershed, largest_of, largest_with_noise};
@@ -216,6 +217,8 @@ pub struct Contact {
     pub sign: ContactSign,
     /// Whether it may begin a touch or only hold one.
     pub strength: ContactStrength,
+    /// Normal force, where a calibration has read one; the finder has none.
+    pub force: Option<ForceReading>,
 }
 
 /// What is summed over a contact's pixels; positions in pixels from the peak.
@@ -439,6 +442,7 @@ impl ContactFinder {
             significance: f64::from(region.peak) / f64::from(sigma),
             sign,
             strength: if begins { ContactStrength::Strong } else { ContactStrength::Weak },
+            force: None,
         }
     }
 

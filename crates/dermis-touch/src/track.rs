@@ -8,6 +8,7 @@ use crate::assignment::{Assignment, FORBIDDEN};
 use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settle_riders};
 use crate::contact::{Contact, ContactSign, ContactStrength};
 use crate::error::{TouchError, require};
+use crate::force::ForceReading;
 use crate::kalman::{Vec2, add, norm, scale, sub};
 use serde::{Deserialize, Serialize};
 
@@ -151,6 +152,9 @@ pub struct Touch {
     pub amplitude: f64,
     /// The contact's area, m^2.
     pub area_m2: f64,
+    /// The contact's force, where a calibration has read one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force: Option<ForceReading>,
     /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
     pub age_frames: u32,
     /// Time of its first contact, nanoseconds.
@@ -591,6 +595,7 @@ fn first_touch(id: u64, blob: &Blob) -> Touch {
         velocity_m_per_s: blob.filter.velocity,
         amplitude: blob.contact.amplitude,
         area_m2: blob.contact.area_m2,
+        force: blob.contact.force,
         age_frames: blob.age.saturating_sub(1),
         begin_time_ns: blob.first_time_ns,
         time_ns: blob.first_time_ns,
@@ -623,6 +628,7 @@ fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &Tracke
     touch.position_m = params.position.of(&blob.contact);
     touch.covariance_m2 = blob.contact.covariance_m2;
     touch.area_m2 = blob.contact.area_m2;
+    touch.force = blob.contact.force;
     let keep = match (params.amplitude_time_constant_s, rider.filtered_time_ns) {
         (Some(tau), Some(before_ns)) => (-seconds_between(before_ns, time_ns) / tau).exp(),
         _ => 0.0,

@@ -15,6 +15,7 @@ pub mod channels;
 pub mod design;
 mod error;
 pub mod experiments;
+pub mod forces;
 pub mod imager;
 pub mod latency;
 pub mod pipeline;

@@ -4,6 +4,7 @@
 use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, Layout};
+use dermis_touch::force::ForceCalibration;
 use dermis_touch::{
     Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceRecord, TareGuard,
 };
@@ -69,6 +70,7 @@ pub struct Pipeline {
     /// The operator, until there is a baseline to use it with.
     prebuilt: Option<Imager>,
     hyperparameter: Option<f64>,
+    forces: Option<ForceCalibration>,
     channels: Vec<f64>,
     difference: Vec<f64>,
     image: Vec<f32>,
@@ -110,6 +112,7 @@ impl Pipeline {
             ready: None,
             prebuilt,
             hyperparameter: None,
+            forces: None,
             channels: Vec::new(),
             difference: Vec::new(),
             image: vec![f32::NAN; prepared.map.grid().len()],
@@ -209,7 +212,8 @@ impl Pipeline {
         if let Some(lambda) = self.hyperparameter {
             imager.set_hyperparameter(lambda, &reference.noise)?;
         }
-        let touches = TouchStage::new(&self.prepared, imager.noise_image())?;
+        let mut touches = TouchStage::new(&self.prepared, imager.noise_image())?;
+        touches.set_forces(self.forces.clone());
         self.ready = Some(Ready { reference, imager, touches, placement });
         Ok(())
     }
@@ -234,6 +238,19 @@ impl Pipeline {
             ready.touches.set_noise(ready.imager.noise_image());
         }
         self.hyperparameter = Some(lambda);
+        Ok(())
+    }
+
+    /// Reads forces by a calibration from now on.
+    ///
+    /// # Errors
+    /// A calibration of another skin, or numbers in it that make no sense.
+    pub fn set_forces(&mut self, forces: ForceCalibration) -> Result<(), Error> {
+        forces.check(&self.prepared.skin.name)?;
+        if let Some(ready) = &mut self.ready {
+            ready.touches.set_forces(Some(forces.clone()));
+        }
+        self.forces = Some(forces);
         Ok(())
     }
 

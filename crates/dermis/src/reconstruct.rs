@@ -9,6 +9,7 @@ use dermis_touch::{Observation, Touch};
 use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration};
 use crate::channels::ChannelReader;
+use crate::forces::load_forces;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::sink::{ImageStack, Output, Sink, TouchTable};
@@ -29,6 +30,8 @@ pub struct Request {
     pub format: Option<Format>,
     /// A calibration of the skin.
     pub calibration: Option<PathBuf>,
+    /// A force calibration of the skin.
+    pub forces: Option<PathBuf>,
     /// lambda, in place of the skin file's rule.
     pub hyperparameter: Option<f64>,
     /// Where the table of touches goes: columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; a
@@ -74,6 +77,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let baseline_table = dermis_device::read(&request.baseline, request.format)?;
     let frame_table = dermis_device::read(&request.frames, request.format)?;
     let calibration = request.calibration.as_deref().map(Calibration::load).transpose()?;
+    let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
     let prepared = Prepared::new(skin)?;
     let reads = prepared.skin.backend.reads;
     let reader = |table: &dermis_device::FrameTable| {
@@ -107,10 +111,11 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         None => Vec::new(),
     };
     let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
+    stage.set_forces(forces.clone());
     let grid = prepared.map.grid();
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
-        sinks.push(Box::new(TouchTable::create(path)?));
+        sinks.push(Box::new(TouchTable::create(path, forces.is_some())?));
     }
     if let Some(path) = &request.images {
         sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));

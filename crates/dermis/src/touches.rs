@@ -1,5 +1,6 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
+use dermis_touch::force::ForceCalibration;
 use dermis_touch::{
     Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, ImageGeometry, PixelNoise,
     Touch, TouchEvent, Tracker, TrackerParams,
@@ -27,6 +28,7 @@ pub struct TouchStage {
     contacts: Vec<Contact>,
     events: Vec<TouchEvent>,
     noise: Vec<f32>,
+    forces: Option<ForceCalibration>,
 }
 
 impl TouchStage {
@@ -68,7 +70,13 @@ impl TouchStage {
             contacts: Vec::new(),
             events: Vec::new(),
             noise,
+            forces: None,
         })
+    }
+
+    /// Reads the force of every contact by a calibration from now on.
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
+        self.forces = forces;
     }
 
     /// Replaces the image noise (after a new baseline or hyperparameter).
@@ -96,6 +104,11 @@ impl TouchStage {
                 only.strength = ContactStrength::Strong;
             }
         }
+        if let Some(forces) = &self.forces {
+            self.contacts.iter_mut().for_each(|contact| {
+                contact.force = Some(forces.read(contact.centroid_m, contact.peak_value));
+            });
+        }
         self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
         Ok(())
     }
@@ -122,6 +135,7 @@ impl TouchStage {
             significance: amplitude / f64::from(self.noise[pixel]),
             sign: ContactSign::Positive,
             strength: ContactStrength::Strong,
+            force: None,
         })
     }
 

@@ -79,6 +79,7 @@ fn run(data: &Data, test: &[usize], calibration: Option<PathBuf>) -> Outcome {
         frames: FileSpec::all(path("f.csv")),
         format: None,
         calibration,
+        forces: None,
         hyperparameter: None,
         touches: Some(path("t.csv")),
         images: Some(path("i.npy")),

@@ -40,6 +40,9 @@ pub struct Arguments {
     /// A calibration made by `dermis calibrate`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// A force calibration made by `dermis calibrate --forces`: the table then has force_n and force_range.
+    #[arg(long, value_name = "FILE")]
+    forces: Option<PathBuf>,
     /// lambda, in place of the skin file's rule.
     #[arg(long, value_name = "LAMBDA")]
     hyperparameter: Option<f64>,
@@ -64,6 +67,7 @@ impl Arguments {
             frames: self.frames,
             format: self.format,
             calibration: self.calibration,
+            forces: self.forces,
             hyperparameter: self.hyperparameter,
             touches: self.touches,
             images: self.images,

@@ -15,6 +15,7 @@ use anyhow::Context;
 use crossbeam_channel::Receiver;
 use dermis::acquire::{Acquisition, Next};
 use dermis::calibrate::Calibration;
+use dermis::forces::load_forces;
 use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::record::{Recorder, RecorderHandle, RecordingHead};
@@ -58,6 +59,9 @@ pub struct Arguments {
     /// A calibration made by `dermis calibrate`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
+    /// A force calibration made by `dermis calibrate --forces`.
+    #[arg(long, value_name = "FILE")]
+    forces: Option<PathBuf>,
     /// Record raw frames from the start.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
@@ -105,7 +109,10 @@ impl Arguments {
         let labels = (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect();
         let layout = opened.source.layout().clone();
         let head = RecordingHead { labels, ..RecordingHead::new(skin_toml, layout.clone(), opened.source.name()) };
-        let pipeline = Pipeline::new(prepared, &layout, calibration)?;
+        let mut pipeline = Pipeline::new(prepared, &layout, calibration)?;
+        if let Some(path) = &self.forces {
+            pipeline.set_forces(load_forces(path, &pipeline.prepared().skin.name)?)?;
+        }
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {

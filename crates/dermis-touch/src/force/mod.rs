@@ -61,7 +61,8 @@ pub struct ForceCalibration {
 }
 
 /// A force, or why there is none to trust. The value outside is that of the curve held at its end.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum ForceReading {
     /// Within the calibrated range, newtons.
     Valid {
@@ -92,6 +93,30 @@ impl ForceReading {
     #[must_use]
     pub fn valid_n(self) -> Option<f64> {
         if let Self::Valid { force_n } = self { Some(force_n) } else { None }
+    }
+
+    /// The force, or the end of the range that it lies beyond ([`ForceReading::range`] tells which).
+    #[must_use]
+    pub fn nearest_n(self) -> Option<f64> {
+        match self {
+            Self::Valid { force_n } => Some(force_n),
+            Self::BelowRange { least_n } => Some(least_n),
+            Self::AboveRange { most_n } => Some(most_n),
+            Self::Saturated { from_n } => Some(from_n),
+            Self::NotFinite => None,
+        }
+    }
+
+    /// Where the signal lies in the calibration: `within`, `below`, `above`, `saturated`, or `none`.
+    #[must_use]
+    pub fn range(self) -> &'static str {
+        match self {
+            Self::Valid { .. } => "within",
+            Self::BelowRange { .. } => "below",
+            Self::AboveRange { .. } => "above",
+            Self::Saturated { .. } => "saturated",
+            Self::NotFinite => "none",
+        }
     }
 }
 

@@ -78,6 +78,7 @@ pub fn contact(x_mm: f64, y_mm: f64, strength: ContactStrength) -> Contact {
         significance: 10.0,
         sign: ContactSign::Positive,
         strength,
+        force: None,
     }
 }
 

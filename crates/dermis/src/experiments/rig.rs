@@ -1,5 +1,6 @@
 //! A twin on the bench: pressed with known forces, read with noise, imaged as its skin file says.
 
+use dermis_touch::force::ForceCalibration;
 use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
 use dermis_twin::instrument::Instrument;
@@ -130,6 +131,11 @@ impl Rig {
         self.stage.process(time_ns, image, None)?;
         let begun = self.stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).count();
         Ok(self.stage.contacts().iter().take(begun).copied().collect())
+    }
+
+    /// Reads the forces of touches by a calibration from now on.
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
+        self.stage.set_forces(forces);
     }
 
     /// Image, with the indenters' places marked.

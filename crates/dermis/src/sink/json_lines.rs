@@ -22,7 +22,8 @@ pub enum LinesFor {
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
 ///
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
-/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm`; what is not finite is `null`. Numbers have as many digits as it
+/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
+/// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`); what is not finite is `null`. Numbers have as many digits as it
 /// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
 /// that is kept: nothing is allocated once the longest line has been seen.
 #[derive(Debug)]
@@ -108,6 +109,10 @@ fn push_touch(text: &mut String, touch: &Touch) {
     for (name, value) in fields {
         let _ = write!(text, ",\"{name}\":{}", Number(value));
     }
+    if let Some(force) = touch.force {
+        let nearest = Number(force.nearest_n().unwrap_or(f64::NAN));
+        let _ = write!(text, ",\"force_n\":{nearest},\"force_range\":\"{}\"", force.range());
+    }
     text.push('}');
 }
 
@@ -157,6 +162,24 @@ mod tests {
             }
         }
         assert_eq!(found[1], json!({"sequence": 8, "time_s": 12.000000353, "touches": []}));
+    }
+
+    #[test]
+    fn forces_say_where_they_lie_in_their_calibration() {
+        use dermis_touch::force::ForceReading::{NotFinite, Saturated, Valid};
+        let of = |force| {
+            let mut touch = touch(1, TouchPhase::Move, 0.0, 0.0);
+            touch.force = Some(force);
+            let mut bytes = Vec::new();
+            JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame)
+                .accept(&output(1, &[0.0; 6], &[touch], &[]))
+                .unwrap();
+            let touch = lines(&bytes)[0]["touches"][0].clone();
+            (touch["force_n"].clone(), touch["force_range"].clone())
+        };
+        assert_eq!(of(Valid { force_n: 0.25 }), (json!(0.25), json!("within")));
+        assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2), json!("saturated")));
+        assert_eq!(of(NotFinite), (Value::Null, json!("none")));
     }
 
     #[test]

@@ -109,6 +109,7 @@ pub(crate) mod testing {
             velocity_m_per_s: [0.0; 2],
             amplitude: 0.75,
             area_m2: 1e-4,
+            force: None,
             age_frames: 1,
             begin_time_ns: 0,
             time_ns: 0,

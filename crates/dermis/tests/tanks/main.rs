@@ -71,6 +71,7 @@ pub(crate) fn run_with(skin: Skin, baseline: FileSpec, frames: FileSpec) -> Outc
         frames,
         format: None,
         calibration: None,
+        forces: None,
         hyperparameter: None,
         touches: Some(touches.clone()),
         images: Some(images.clone()),

@@ -147,7 +147,8 @@ fn view(touch: &Touch) -> TouchView {
         area_mm2: touch.area_m2 * MM * MM,
         sigma_x_mm: touch.covariance_m2[0][0].max(0.0).sqrt() * MM,
         sigma_y_mm: touch.covariance_m2[1][1].max(0.0).sqrt() * MM,
-        force_n: None,
+        force_n: touch.force.and_then(|force| force.nearest_n()),
+        force_range: touch.force.map(|force| force.range()),
     }
 }
 
