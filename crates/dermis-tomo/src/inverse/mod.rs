@@ -11,6 +11,7 @@ mod live;
 mod measured;
 mod missing;
 mod nonlinear;
+mod parametric;
 mod prior;
 mod proportional;
 mod self_calibration;
@@ -24,6 +25,7 @@ pub use live::LiveOperator;
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
 pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
+pub use parametric::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use self_calibration::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,

@@ -1,0 +1,380 @@
+//! The fit of spots to a frame, in memory that is kept.
+
+use super::SpotModel;
+use crate::inverse::InverseError;
+
+/// A fitted spot.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Spot {
+    /// Its middle, metres.
+    pub position_m: [f64; 2],
+    /// Height: relative change of conductivity.
+    pub amplitude: f64,
+    /// Radius r of `exp(-d^2 / (2 r^2))`, metres.
+    pub radius_m: f64,
+    /// Covariance of x, y (metres), amplitude and log radius.
+    pub covariance: [[f64; 4]; 4],
+}
+
+/// How a fit went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FitOutcome {
+    /// Whitened energy of the frame, per combination of channels.
+    pub energy: f64,
+    /// Whitened energy of what is left, per combination less the parameters: 1 where noise alone is left.
+    pub residual: f64,
+    /// The uniform change of the whole skin that was fitted beside the spots.
+    pub uniform: f64,
+    /// Steps taken.
+    pub steps: usize,
+}
+
+/// Parameters of a spot.
+const OF_SPOT: usize = 4;
+/// Steps at most.
+const MOST_STEPS: usize = 12;
+/// A fit has converged when no place moves by more than this share of its radius.
+const CONVERGED: f64 = 2e-3;
+/// Standard deviation of the logarithm of the radius before anything is measured.
+const LOG_RADIUS_DEVIATION: f64 = 0.7;
+/// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide spots.
+const UNIFORM_DEVIATION: f64 = 0.2;
+/// Damping at the start, and at most, relative to the diagonal.
+const DAMPING: [f64; 2] = [1e-4, 1e4];
+
+/// Memory of a fit.
+#[derive(Clone, Debug, Default)]
+pub struct FitScratch {
+    data: Vec<f32>,
+    /// Response and derivatives of every spot.
+    rows: Vec<f32>,
+    trial_rows: Vec<f32>,
+    residual: Vec<f32>,
+    trial_residual: Vec<f32>,
+    /// Weighted derivative columns, one a parameter.
+    columns: Vec<f32>,
+    normal: Vec<f64>,
+    factor: Vec<f64>,
+    right: Vec<f64>,
+    state: Vec<State>,
+    trial: Vec<State>,
+    spots: Vec<Spot>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct State {
+    position_m: [f64; 2],
+    amplitude: f64,
+    log_radius: f64,
+}
+
+impl FitScratch {
+    /// The spots of the last fit, in the order of the starts.
+    pub fn spots(&self) -> &[Spot] {
+        &self.spots
+    }
+}
+
+impl SpotModel {
+    /// Memory for fits of this model, allocated now.
+    pub fn scratch(&self) -> FitScratch {
+        let (length, most) = (self.combinations(), self.options().most_spots);
+        let parameters = OF_SPOT * most + 1;
+        FitScratch {
+            data: vec![0.0; length],
+            rows: vec![0.0; OF_SPOT * length * most],
+            trial_rows: vec![0.0; OF_SPOT * length * most],
+            residual: vec![0.0; length],
+            trial_residual: vec![0.0; length],
+            columns: vec![0.0; length * parameters],
+            normal: vec![0.0; parameters * parameters],
+            factor: vec![0.0; parameters * parameters],
+            right: vec![0.0; parameters],
+            state: Vec::with_capacity(most),
+            trial: Vec::with_capacity(most),
+            spots: Vec::with_capacity(most),
+        }
+    }
+
+    /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates nothing.
+    ///
+    /// # Errors
+    /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or one
+    /// outside the skin.
+    pub fn fit(
+        &self,
+        difference: &[f64],
+        starts_m: &[[f64; 2]],
+        scratch: &mut FitScratch,
+    ) -> Result<FitOutcome, InverseError> {
+        self.check_fit(difference, starts_m)?;
+        let length = self.combinations();
+        let FitScratch { data, .. } = scratch;
+        self.project(difference, data);
+        let energy: f64 = data.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let mut uniform = self.begin(starts_m, scratch)?;
+        let parameters = OF_SPOT * starts_m.len() + 1;
+        let mut cost = self.cost(scratch, uniform);
+        let (mut damping, mut steps) = (DAMPING[0], 0);
+        while steps < MOST_STEPS && damping < DAMPING[1] {
+            steps += 1;
+            self.normal_equations(uniform, scratch);
+            let Some((moved, new_uniform, new_cost)) = self.step(damping, uniform, scratch) else {
+                damping *= 10.0;
+                continue;
+            };
+            if new_cost > cost {
+                damping = (damping * 8.0).max(1e-3);
+                continue;
+            }
+            let gain = cost - new_cost;
+            std::mem::swap(&mut scratch.state, &mut scratch.trial);
+            std::mem::swap(&mut scratch.rows, &mut scratch.trial_rows);
+            std::mem::swap(&mut scratch.residual, &mut scratch.trial_residual);
+            (uniform, cost, damping) = (new_uniform, new_cost, damping * 0.2);
+            if moved < CONVERGED || gain < 1e-6 * cost {
+                break;
+            }
+        }
+        let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let residual = left / (length.saturating_sub(parameters)).max(1) as f64;
+        self.normal_equations(uniform, scratch);
+        self.finish(residual, scratch);
+        Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
+    }
+
+    fn check_fit(&self, difference: &[f64], starts_m: &[[f64; 2]]) -> Result<(), InverseError> {
+        if difference.len() != self.channels() {
+            let (expected, got) = (self.channels(), difference.len());
+            return Err(InverseError::Size { what: "channels of the frame", expected, got });
+        }
+        crate::inverse::check_finite("channel", difference)?;
+        let most = self.options().most_spots;
+        if starts_m.is_empty() || starts_m.len() > most {
+            return Err(InverseError::Size { what: "spots to fit", expected: most, got: starts_m.len() });
+        }
+        match starts_m.iter().position(|start| !self.table.holds(*start)) {
+            Some(index) => Err(InverseError::Value {
+                what: "place of a spot (m), x",
+                index: Some(index),
+                value: starts_m[index][0],
+                expected: "on the skin",
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Starts at the radius, the same for all spots, at which amplitudes alone explain most.
+    fn begin(&self, starts_m: &[[f64; 2]], scratch: &mut FitScratch) -> Result<f64, InverseError> {
+        let [least, most] = self.table.log_radii();
+        let typical = self.options().typical_radius_m.ln().clamp(least, most);
+        let mut best = (f64::INFINITY, typical);
+        for candidate in [typical, 0.5 * (least + typical), 0.5 * (most + typical)] {
+            let cost = self.linear(starts_m, candidate, scratch);
+            if cost.0 < best.0 {
+                best = (cost.0, candidate);
+            }
+        }
+        Ok(self.linear(starts_m, best.1, scratch).1)
+    }
+
+    /// Amplitudes at fixed places and one radius: their cost, and the uniform change.
+    fn linear(&self, starts_m: &[[f64; 2]], log_radius: f64, scratch: &mut FitScratch) -> (f64, f64) {
+        let length = self.combinations();
+        scratch.state.clear();
+        for (k, start) in starts_m.iter().enumerate() {
+            scratch.state.push(State { position_m: *start, amplitude: 0.0, log_radius });
+            let rows = &mut scratch.rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
+            if self.table.evaluate(*start, log_radius, rows).is_none() {
+                return (f64::INFINITY, 0.0);
+            }
+        }
+        let count = starts_m.len() + 1;
+        for k in 0..starts_m.len() {
+            let from = OF_SPOT * length * k;
+            scratch.columns[k * length..(k + 1) * length].copy_from_slice(&scratch.rows[from..from + length]);
+        }
+        scratch.columns[(count - 1) * length..count * length].copy_from_slice(&self.uniform);
+        let FitScratch { columns, data, normal, right, factor, .. } = scratch;
+        products(columns, data, length, count, normal, right);
+        for k in 0..count {
+            normal[k * count + k] *= 1.0 + 1e-9;
+        }
+        normal[count * count - 1] += UNIFORM_DEVIATION.powi(-2);
+        if !cholesky(normal, factor, count) {
+            return (f64::INFINITY, 0.0);
+        }
+        solve(factor, right, count);
+        scratch.state.iter_mut().zip(&scratch.right).for_each(|(state, a)| state.amplitude = *a);
+        let uniform = scratch.right[count - 1];
+        self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
+        (self.cost(scratch, uniform), uniform)
+    }
+
+    /// Data less model.
+    fn residual(&self, state: &[State], rows: &[f32], data: &[f32], uniform: f64, residual: &mut [f32]) {
+        let length = data.len();
+        residual.copy_from_slice(data);
+        for (k, state) in state.iter().enumerate() {
+            let (amplitude, from) = (state.amplitude as f32, OF_SPOT * length * k);
+            residual.iter_mut().zip(&rows[from..from + length]).for_each(|(r, v)| *r -= amplitude * v);
+        }
+        residual.iter_mut().zip(&self.uniform).for_each(|(r, v)| *r -= uniform as f32 * v);
+    }
+
+    fn cost(&self, scratch: &FitScratch, uniform: f64) -> f64 {
+        self.cost_of(&scratch.residual, &scratch.state, uniform)
+    }
+
+    fn cost_of(&self, residual: &[f32], state: &[State], uniform: f64) -> f64 {
+        let typical = self.options().typical_radius_m.ln();
+        let energy: f64 = residual.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let radii: f64 = state.iter().map(|s| ((s.log_radius - typical) / LOG_RADIUS_DEVIATION).powi(2)).sum();
+        energy + radii + (uniform / UNIFORM_DEVIATION).powi(2)
+    }
+
+    /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then the
+    /// uniform change.
+    fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch) {
+        let length = self.combinations();
+        let FitScratch { rows, columns, residual, normal, right, state, .. } = scratch;
+        let parameters = OF_SPOT * state.len() + 1;
+        for (k, state) in state.iter().enumerate() {
+            let amplitude = state.amplitude as f32;
+            // Responses are stored as value, by x, by y, by log r.
+            for (place, (source, factor)) in
+                [(1, amplitude), (2, amplitude), (0, 1.0), (3, amplitude)].into_iter().enumerate()
+            {
+                let from = (OF_SPOT * k + source) * length;
+                let to = (OF_SPOT * k + place) * length;
+                columns[to..to + length].iter_mut().zip(&rows[from..from + length]).for_each(|(c, v)| *c = factor * v);
+            }
+        }
+        columns[(parameters - 1) * length..parameters * length].copy_from_slice(&self.uniform);
+        products(columns, residual, length, parameters, normal, right);
+        let (of_radius, typical) = (LOG_RADIUS_DEVIATION.powi(-2), self.options().typical_radius_m.ln());
+        for (k, state) in state.iter().enumerate() {
+            let at = OF_SPOT * k + 3;
+            normal[at * parameters + at] += of_radius;
+            right[at] -= of_radius * (state.log_radius - typical);
+        }
+        normal[parameters * parameters - 1] += UNIFORM_DEVIATION.powi(-2);
+        right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
+    }
+
+    /// A damped step to the trial state: the largest move relative to a radius, the uniform change and the cost there. `None`
+    /// where the system cannot be solved or the step leaves the table.
+    fn step(&self, damping: f64, uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
+        let length = self.combinations();
+        let parameters = OF_SPOT * scratch.state.len() + 1;
+        let FitScratch { normal, factor, right, state, trial, trial_rows, trial_residual, data, .. } = scratch;
+        let floor = 1e-12 * (0..parameters).map(|k| normal[k * parameters + k]).fold(0.0, f64::max);
+        for k in 0..parameters {
+            normal[k * parameters + k] += damping * normal[k * parameters + k] + floor;
+        }
+        if !cholesky(normal, factor, parameters) {
+            return None;
+        }
+        solve(factor, right, parameters);
+        let [least, most] = self.table.log_radii();
+        let mut moved: f64 = 0.0;
+        trial.clear();
+        for (k, state) in state.iter().enumerate() {
+            let change = &right[OF_SPOT * k..OF_SPOT * (k + 1)];
+            let radius = state.log_radius.exp();
+            // No step is longer than half a radius: beyond that the model is not linear in the place.
+            let distance = change[0].hypot(change[1]);
+            let share = if distance > 0.5 * radius { 0.5 * radius / distance } else { 1.0 };
+            let position_m = [state.position_m[0] + share * change[0], state.position_m[1] + share * change[1]];
+            let log_radius = (state.log_radius + change[3].clamp(-0.5, 0.5)).clamp(least, most);
+            moved = moved.max(share * distance / radius);
+            let rows = &mut trial_rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
+            self.table.evaluate(position_m, log_radius, rows)?;
+            trial.push(State { position_m, amplitude: state.amplitude + change[2], log_radius });
+        }
+        let uniform = uniform + right[parameters - 1];
+        self.residual(trial, trial_rows, data, uniform, trial_residual);
+        let cost = self.cost_of(trial_residual, trial, uniform);
+        cost.is_finite().then_some((moved, uniform, cost))
+    }
+
+    /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise.
+    fn finish(&self, residual: f64, scratch: &mut FitScratch) {
+        let parameters = OF_SPOT * scratch.state.len() + 1;
+        let FitScratch { normal, factor, right, state, spots, .. } = scratch;
+        let known = cholesky(normal, factor, parameters);
+        spots.clear();
+        for (k, state) in state.iter().enumerate() {
+            let mut covariance = [[f64::INFINITY; OF_SPOT]; OF_SPOT];
+            if known {
+                for (column, of_column) in (0..OF_SPOT).map(|column| (column, OF_SPOT * k + column)) {
+                    right[..parameters].fill(0.0);
+                    right[of_column] = residual.max(1.0);
+                    solve(factor, right, parameters);
+                    (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
+                }
+            }
+            let radius_m = state.log_radius.exp();
+            spots.push(Spot { position_m: state.position_m, amplitude: state.amplitude, radius_m, covariance });
+        }
+    }
+}
+
+/// `C'C` and `C'r` of columns stored one after the other.
+fn products(columns: &[f32], r: &[f32], length: usize, count: usize, normal: &mut [f64], right: &mut [f64]) {
+    let column = |k: usize| &columns[k * length..(k + 1) * length];
+    for a in 0..count {
+        for b in 0..=a {
+            let product = dot(column(a), column(b));
+            normal[a * count + b] = product;
+            normal[b * count + a] = product;
+        }
+        right[a] = dot(column(a), r);
+    }
+}
+
+/// Sums eight lanes apart, so that additions need not wait for each other.
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    let mut lanes = [0.0_f32; 8];
+    let (whole, rest) = (a.chunks_exact(8), a.len() / 8 * 8);
+    for (p, q) in whole.zip(b.chunks_exact(8)) {
+        for lane in 0..8 {
+            lanes[lane] += p[lane] * q[lane];
+        }
+    }
+    let tail: f32 = a[rest..].iter().zip(&b[rest..]).map(|(p, q)| p * q).sum();
+    lanes.iter().map(|v| f64::from(*v)).sum::<f64>() + f64::from(tail)
+}
+
+/// Lower Cholesky factor of a small symmetric matrix, row-major; false where it is not positive definite.
+fn cholesky(matrix: &[f64], factor: &mut [f64], n: usize) -> bool {
+    for row in 0..n {
+        for column in 0..=row {
+            let mut sum = matrix[row * n + column];
+            for k in 0..column {
+                sum -= factor[row * n + k] * factor[column * n + k];
+            }
+            if row == column {
+                if !(sum > 0.0 && sum.is_finite()) {
+                    return false;
+                }
+                factor[row * n + row] = sum.sqrt();
+            } else {
+                factor[row * n + column] = sum / factor[column * n + column];
+            }
+        }
+    }
+    true
+}
+
+/// Solves with the factor, in place.
+fn solve(factor: &[f64], x: &mut [f64], n: usize) {
+    for row in 0..n {
+        let sum: f64 = (0..row).map(|k| factor[row * n + k] * x[k]).sum();
+        x[row] = (x[row] - sum) / factor[row * n + row];
+    }
+    for row in (0..n).rev() {
+        let sum: f64 = (row + 1..n).map(|k| factor[k * n + row] * x[k]).sum();
+        x[row] = (x[row] - sum) / factor[row * n + row];
+    }
+}

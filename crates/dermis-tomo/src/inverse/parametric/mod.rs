@@ -1,0 +1,202 @@
+//! Touches as parameters: each a smooth spot of a place, a radius and an amplitude, fitted to a frame by the forward model
+//! itself rather than read off an image. The responses of spots are tabulated once over places and radii, whitened and
+//! projected on the few combinations of channels that spots can change; a fit then interpolates, and allocates nothing.
+//!
+//! A spot at p with radius r and amplitude a is a relative change of conductivity `a exp(-|q - p|^2 / (2 r^2))`; the
+//! change of the channels is the Jacobian times that. All spots of a frame and a uniform change of the whole skin
+//! (temperature, or liquid that was pushed aside) are fitted together by Levenberg and Marquardt. The inverse of the
+//! Fisher matrix, times the mean square of the whitened residual where that exceeds the noise, is the covariance: the
+//! Cramer-Rao bound where the model is right (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
+
+mod fit;
+mod table;
+
+pub use fit::{FitOutcome, FitScratch, Spot};
+
+use faer::{Mat, MatRef};
+
+use self::table::Table;
+use super::InverseError;
+
+/// Radii and sizes of the table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpotOptions {
+    /// Smallest radius, metres: about a pixel, below which pixels show.
+    pub smallest_radius_m: f64,
+    /// Largest radius, metres.
+    pub largest_radius_m: f64,
+    /// Radius expected before anything is measured, metres.
+    pub typical_radius_m: f64,
+    /// At most so many spots are fitted together.
+    pub most_spots: usize,
+}
+
+/// Most combinations of channels kept.
+const MOST_COMBINATIONS: usize = 128;
+/// Combinations that carry less than this share of the strongest one's energy are left out.
+const LEAST_ENERGY: f64 = 1e-9;
+
+/// The tabulated responses of one skin at given channel noise.
+#[derive(Clone, Debug)]
+pub struct SpotModel {
+    options: SpotOptions,
+    table: Table,
+    /// One row a channel: whitens and projects a frame.
+    projection: Vec<f32>,
+    channels: usize,
+    /// Response to a uniform change of the whole skin.
+    uniform: Vec<f32>,
+}
+
+impl SpotModel {
+    /// Tabulates spots. `jacobian` is channels x pixels in volts per relative change of a pixel, with the sign that makes
+    /// pressed places positive; `positions_m` are the pixels' centres, `pixel_m` their side; `deviations` the standard
+    /// deviation of each channel, volts. Channels without a positive, finite one are left out.
+    ///
+    /// # Errors
+    /// Counts that disagree, radii that are not positive or not in order, values that are not finite, no usable channel.
+    pub fn new(
+        jacobian: MatRef<'_, f64>,
+        deviations: &[f64],
+        positions_m: &[[f64; 2]],
+        pixel_m: f64,
+        options: SpotOptions,
+    ) -> Result<Self, InverseError> {
+        check(jacobian, deviations, positions_m, pixel_m, &options)?;
+        let root = |channel: usize| {
+            let deviation = deviations[channel];
+            if deviation > 0.0 && deviation.is_finite() { 1.0 / deviation } else { 0.0 }
+        };
+        let whitened = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| root(c) * jacobian[(c, p)]);
+        let basis = combinations(whitened.as_ref())?;
+        let reduced = basis.transpose() * &whitened;
+        let table = Table::new(reduced.as_ref(), positions_m, pixel_m, &options);
+        let count = basis.ncols();
+        let projection =
+            (0..jacobian.nrows() * count).map(|k| (root(k / count) * basis[(k / count, k % count)]) as f32).collect();
+        let uniform = (0..count).map(|k| reduced.row(k).iter().sum::<f64>() as f32).collect();
+        Ok(Self { options, table, projection, channels: jacobian.nrows(), uniform })
+    }
+
+    /// Number of channels of a frame.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    /// Combinations of channels that are looked at.
+    pub fn combinations(&self) -> usize {
+        self.uniform.len()
+    }
+
+    /// Radii and sizes.
+    pub fn options(&self) -> &SpotOptions {
+        &self.options
+    }
+
+    /// Whitened, projected response of a spot of amplitude 1.
+    ///
+    /// # Errors
+    /// A place or radius outside the table.
+    pub fn response(&self, position_m: [f64; 2], radius_m: f64) -> Result<Vec<f64>, InverseError> {
+        let mut rows = vec![0.0; 4 * self.combinations()];
+        self.table.evaluate(position_m, radius_m.ln(), &mut rows).ok_or(InverseError::Value {
+            what: "radius of a spot (m), or its place",
+            index: None,
+            value: radius_m,
+            expected: "within the table",
+        })?;
+        Ok(rows[..self.combinations()].iter().map(|v| f64::from(*v)).collect())
+    }
+
+    /// Whitens and projects difference data (volts, all finite) into `reduced`.
+    fn project(&self, difference: &[f64], reduced: &mut [f32]) {
+        reduced.fill(0.0);
+        for (row, value) in self.projection.chunks_exact(reduced.len()).zip(difference) {
+            let value = *value as f32;
+            reduced.iter_mut().zip(row).for_each(|(sum, entry)| *sum += entry * value);
+        }
+    }
+}
+
+fn check(
+    jacobian: MatRef<'_, f64>,
+    deviations: &[f64],
+    positions_m: &[[f64; 2]],
+    pixel_m: f64,
+    options: &SpotOptions,
+) -> Result<(), InverseError> {
+    if deviations.len() != jacobian.nrows() {
+        let (expected, got) = (jacobian.nrows(), deviations.len());
+        return Err(InverseError::Size { what: "deviations of channels", expected, got });
+    }
+    if positions_m.len() != jacobian.ncols() || positions_m.is_empty() {
+        let (expected, got) = (jacobian.ncols(), positions_m.len());
+        return Err(InverseError::Size { what: "positions of pixels", expected, got });
+    }
+    let positive = |what: &'static str, value: f64| {
+        let expected = "positive and finite";
+        if value > 0.0 && value.is_finite() {
+            return Ok(());
+        }
+        Err(InverseError::Value { what, index: None, value, expected })
+    };
+    positive("side of a pixel (m)", pixel_m)?;
+    positive("smallest radius of a spot (m)", options.smallest_radius_m)?;
+    positive(
+        "largest over smallest radius of a spot, less 1",
+        options.largest_radius_m / options.smallest_radius_m - 1.0,
+    )?;
+    positive("typical radius of a spot (m)", options.typical_radius_m)?;
+    positive("most spots", options.most_spots as f64)?;
+    let sum: f64 = jacobian.col_iter().map(|column| column.iter().sum::<f64>()).sum();
+    if !sum.is_finite() {
+        return Err(InverseError::Value { what: "sum of the Jacobian", index: None, value: sum, expected: "finite" });
+    }
+    Ok(())
+}
+
+/// Orthonormal combinations of channels that hold what changes of pixels can do: the strongest left singular vectors of the
+/// whitened Jacobian, found in the range of its product with fixed vectors without symmetry (Halko, Martinsson and
+/// Tropp, SIAM Rev. 53, 2011, algorithm 4.3 with one power step).
+fn combinations(whitened: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
+    let (channels, pixels) = (whitened.nrows(), whitened.ncols());
+    let count = MOST_COMBINATIONS.min(channels).min(pixels);
+    let probes = Mat::from_fn(pixels, count, |row, column| {
+        let mixed = (row as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15)
+            ^ (column as u64 + 1).wrapping_mul(0xD1B5_4A32_D192_ED03);
+        let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        (mixed >> 40) as f64 / (1_u64 << 24) as f64 - 0.5
+    });
+    let first = orthonormal((whitened * &probes).as_ref())?;
+    let again = whitened.transpose() * &first;
+    orthonormal((whitened * &again).as_ref())
+}
+
+/// Orthonormal basis of the columns, weak directions left out.
+fn orthonormal(columns: MatRef<'_, f64>) -> Result<Mat<f64>, InverseError> {
+    let singular = || InverseError::Singular {
+        what: "the responses of spots",
+        hint: "at least one channel must have noise and sensitivity above zero",
+    };
+    // Columns scaled alike first: after a power step they differ by the square of the spectrum.
+    let norms: Vec<f64> = columns.col_iter().map(|column| column.norm_l2()).collect();
+    let scaled =
+        Mat::from_fn(
+            columns.nrows(),
+            columns.ncols(),
+            |r, c| {
+                if norms[c] > 0.0 { columns[(r, c)] / norms[c] } else { 0.0 }
+            },
+        );
+    let factor = scaled.as_ref().thin_svd().map_err(|_| singular())?;
+    let values: Vec<f64> = factor.S().column_vector().iter().copied().collect();
+    let largest = values.first().copied().unwrap_or(0.0);
+    let kept = values.iter().take_while(|value| value.powi(2) > LEAST_ENERGY * largest * largest).count();
+    if kept == 0 {
+        return Err(singular());
+    }
+    Ok(factor.U().subcols(0, kept).to_owned())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,140 @@
+//! Responses of spots over places and radii, interpolated by cubics (Catmull and Rom) along x, y and log r.
+
+use faer::{Mat, MatRef};
+
+use super::SpotOptions;
+
+/// Radii of the table grow by this factor at most: a spot then changes little enough from one to the next for cubics.
+const RADIUS_FACTOR: f64 = 1.5;
+/// Places beyond the outermost pixels, in steps: what cubics need, and spots whose middle is on the rim.
+const MARGIN: usize = 2;
+
+#[derive(Clone, Debug)]
+pub(super) struct Table {
+    /// Lowest place.
+    low_m: [f64; 2],
+    step_m: f64,
+    columns: usize,
+    rows: usize,
+    log_first: f64,
+    log_step: f64,
+    radii: usize,
+    /// Length of a response.
+    length: usize,
+    /// Responses, place (row by row) within radius.
+    values: Vec<f32>,
+}
+
+impl Table {
+    /// `reduced` is combinations x pixels.
+    pub(super) fn new(reduced: MatRef<'_, f64>, positions_m: &[[f64; 2]], pixel_m: f64, options: &SpotOptions) -> Self {
+        let extreme =
+            |axis: usize, of: fn(f64, f64) -> f64, start: f64| positions_m.iter().map(|p| p[axis]).fold(start, of);
+        let low = [0, 1].map(|axis| extreme(axis, f64::min, f64::INFINITY));
+        let high = [0, 1].map(|axis| extreme(axis, f64::max, f64::NEG_INFINITY));
+        // Finer than the smallest spot, at least as fine as a pixel.
+        let step_m = pixel_m.min(0.9 * options.smallest_radius_m);
+        let count = |axis: usize| ((high[axis] - low[axis]) / step_m).ceil() as usize + 1 + 2 * MARGIN;
+        let (columns, rows) = (count(0), count(1));
+        let span = (options.largest_radius_m / options.smallest_radius_m).ln();
+        let intervals = (span / RADIUS_FACTOR.ln()).ceil().max(1.0);
+        // One more radius at either end, for the cubics.
+        let (log_step, radii) = (span / intervals, intervals as usize + 3);
+        let log_first = options.smallest_radius_m.ln() - log_step;
+        let low_m = low.map(|l| l - MARGIN as f64 * step_m);
+        let mut values = Vec::with_capacity(radii * rows * columns * reduced.nrows());
+        for radius in 0..radii {
+            let r = (log_first + radius as f64 * log_step).exp();
+            for row in 0..rows {
+                // A whole row of places at once: pixels x places.
+                let y = low_m[1] + row as f64 * step_m;
+                let spots = Mat::from_fn(positions_m.len(), columns, |pixel, column| {
+                    let [px, py] = positions_m[pixel];
+                    let x = low_m[0] + column as f64 * step_m;
+                    let exponent = ((px - x).powi(2) + (py - y).powi(2)) / (2.0 * r * r);
+                    if exponent < 18.0 { (-exponent).exp() } else { 0.0 }
+                });
+                let responses = reduced * &spots;
+                for column in responses.col_iter() {
+                    values.extend(column.iter().map(|value| *value as f32));
+                }
+            }
+        }
+        Self { low_m, step_m, columns, rows, log_first, log_step, radii, length: reduced.nrows(), values }
+    }
+
+    /// Response at a place and log radius, then its derivatives by x, y (per metre) and log r, one after the other in `out`
+    /// (four times the length). `None` outside the table.
+    pub(super) fn evaluate(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
+        let (column, x) = cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns)?;
+        let (row, y) = cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows)?;
+        let (radius, r) = cell((log_radius - self.log_first) / self.log_step, self.radii)?;
+        let ([wx, dx], [wy, dy], [wr, dr]) = (cubic(x), cubic(y), cubic(r));
+        let (per_m, per_log) = (1.0 / self.step_m, 1.0 / self.log_step);
+        out.fill(0.0);
+        let (value, rest) = out.split_at_mut(self.length);
+        let (by_x, rest) = rest.split_at_mut(self.length);
+        let (by_y, by_r) = rest.split_at_mut(self.length);
+        for k in 0..4 {
+            for j in 0..4 {
+                let first = ((radius + k) * self.rows + row + j) * self.columns + column;
+                for i in 0..4 {
+                    let entries = &self.values[(first + i) * self.length..(first + i + 1) * self.length];
+                    let w = (wx[i] * wy[j] * wr[k]) as f32;
+                    let wdx = (dx[i] * wy[j] * wr[k] * per_m) as f32;
+                    let wdy = (wx[i] * dy[j] * wr[k] * per_m) as f32;
+                    let wdr = (wx[i] * wy[j] * dr[k] * per_log) as f32;
+                    for (n, entry) in entries.iter().enumerate() {
+                        value[n] += w * entry;
+                        by_x[n] += wdx * entry;
+                        by_y[n] += wdy * entry;
+                        by_r[n] += wdr * entry;
+                    }
+                }
+            }
+        }
+        Some(())
+    }
+
+    /// Whether a place lies where spots are tabulated.
+    pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
+        cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns).is_some()
+            && cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows).is_some()
+    }
+
+    /// Logarithms of the least and largest radius.
+    pub(super) fn log_radii(&self) -> [f64; 2] {
+        [self.log_first + self.log_step, self.log_first + (self.radii - 2) as f64 * self.log_step]
+    }
+}
+
+/// First of the four samples around a coordinate, and how far it is between the middle two.
+fn cell(at: f64, count: usize) -> Option<(usize, f64)> {
+    // Rounding may put the very ends a hair outside.
+    let at = if at < 1.0 && at > 1.0 - 1e-9 { 1.0 } else { at };
+    let at = if at > (count - 2) as f64 && at < (count - 2) as f64 + 1e-9 { (count - 2) as f64 } else { at };
+    if !(at >= 1.0 && at <= (count - 2) as f64) {
+        return None;
+    }
+    let middle = (at.floor() as usize).min(count - 3);
+    Some((middle - 1, at - middle as f64))
+}
+
+/// Weights of four even samples for the value between the middle two, and for its slope.
+fn cubic(t: f64) -> [[f64; 4]; 2] {
+    let (t2, t3) = (t * t, t * t * t);
+    [
+        [
+            0.5 * (-t3 + 2.0 * t2 - t),
+            0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+            0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+            0.5 * (t3 - t2),
+        ],
+        [
+            0.5 * (-3.0 * t2 + 4.0 * t - 1.0),
+            0.5 * (9.0 * t2 - 10.0 * t),
+            0.5 * (-9.0 * t2 + 8.0 * t + 1.0),
+            0.5 * (3.0 * t2 - 2.0 * t),
+        ],
+    ]
+}

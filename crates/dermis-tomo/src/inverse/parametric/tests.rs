@@ -1,0 +1,134 @@
+use faer::Mat;
+use rand::{Rng, SeedableRng, rngs::StdRng};
+
+use super::*;
+
+/// A square of 20 x 20 pixels seen by 60 smooth, different channels.
+fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
+    let positions: Vec<[f64; 2]> =
+        (0..400).map(|k| [0.005 * ((k % 20) as f64 - 9.5), 0.005 * ((k / 20) as f64 - 9.5)]).collect();
+    let jacobian = Mat::from_fn(60, 400, |c, p| {
+        let ([x, y], c) = (positions[p], c as f64);
+        let wave = |k: f64| (40.0 + 3.0 * k) * (x * (0.7 * k).cos() + y * (0.7 * k).sin());
+        (wave(c).sin() + 0.5 * (wave(c + 0.5) + 1.0).cos()) * 1e-3
+    });
+    (jacobian, positions)
+}
+
+fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
+    let (jacobian, positions) = skin();
+    let options =
+        SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 4 };
+    let model = SpotModel::new(jacobian.as_ref(), &vec![noise_v; 60], &positions, 0.005, options).unwrap();
+    (model, jacobian, positions)
+}
+
+fn frame(jacobian: &Mat<f64>, positions: &[[f64; 2]], spots: &[([f64; 2], f64, f64)]) -> Vec<f64> {
+    let sigma: Vec<f64> = positions
+        .iter()
+        .map(|q| {
+            let of = |(p, r, a): &([f64; 2], f64, f64)| {
+                a * (-((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)) / (2.0 * r * r)).exp()
+            };
+            spots.iter().map(of).sum()
+        })
+        .collect();
+    (jacobian * faer::ColRef::from_slice(&sigma)).iter().copied().collect()
+}
+
+fn normal(random: &mut StdRng) -> f64 {
+    (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt() * (std::f64::consts::TAU * random.random::<f64>()).cos()
+}
+
+#[test]
+fn spots_without_noise_are_recovered_together() {
+    let (model, jacobian, positions) = model(1e-6);
+    let truth = [([0.012, -0.02], 0.011, 0.2), ([-0.017, 0.013], 0.016, 0.1)];
+    let mut scratch = model.scratch();
+    let starts = [[0.016, -0.016], [-0.021, 0.01]];
+    let outcome = model.fit(&frame(&jacobian, &positions, &truth), &starts, &mut scratch).unwrap();
+    for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
+        // The cubics' error between tabulated places (5 mm steps, spots of 11 mm and more) and radii (half as large again).
+        assert!((spot.position_m[0] - place[0]).hypot(spot.position_m[1] - place[1]) < 1e-4, "{spot:?} {outcome:?}");
+        assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
+    }
+    // 1.2 % of the frame: the same cubics.
+    assert!(outcome.residual < 3e-4 * outcome.energy, "{outcome:?}");
+}
+
+#[test]
+fn errors_of_noisy_fits_are_those_that_covariances_say() {
+    let noise_v = 1e-4;
+    let (model, jacobian, positions) = model(noise_v);
+    let truth = ([0.007, -0.0135], 0.012, 0.1);
+    let clean = frame(&jacobian, &positions, &[truth]);
+    let mut random = StdRng::seed_from_u64(3);
+    let mut scratch = model.scratch();
+    let (mut squares, mut expected, runs) = ([0.0; 3], [0.0; 3], 500);
+    for _ in 0..runs {
+        let noisy: Vec<f64> = clean.iter().map(|v| v + noise_v * normal(&mut random)).collect();
+        model.fit(&noisy, &[[0.01, -0.01]], &mut scratch).unwrap();
+        let spot = scratch.spots()[0];
+        let off = [spot.position_m[0] - truth.0[0], spot.position_m[1] - truth.0[1], spot.amplitude - truth.2];
+        (0..3).for_each(|k| {
+            squares[k] += off[k] * off[k];
+            expected[k] += spot.covariance[k][k];
+        });
+    }
+    for k in 0..3 {
+        let ratio: f64 = (squares[k] / expected[k]).sqrt();
+        // 500 fits give a deviation within 3.2 % (one standard error); covariances are the bound times the residual.
+        assert!((ratio - 1.0).abs() < 0.15, "{k}: {ratio}");
+    }
+}
+
+#[test]
+fn derivatives_are_those_of_the_values() {
+    let (model, ..) = model(1e-4);
+    let length = model.combinations();
+    let at = |p: [f64; 2], log_r: f64| {
+        let mut out = vec![0.0; 4 * length];
+        model.table.evaluate(p, log_r, &mut out).unwrap();
+        out
+    };
+    let (p, log_r, step) = ([0.0031, -0.0123], 0.0125_f64.ln(), 2e-4);
+    let here = at(p, log_r);
+    let pairs = [
+        (at([p[0] + step, p[1]], log_r), at([p[0] - step, p[1]], log_r), step),
+        (at([p[0], p[1] + step], log_r), at([p[0], p[1] - step], log_r), step),
+        (at(p, log_r + 0.02), at(p, log_r - 0.02), 0.02),
+    ];
+    for (k, (more, less, step)) in pairs.iter().enumerate() {
+        let of = |n: usize| f64::from(here[(k + 1) * length + n]);
+        let scale = (0..length).map(|n| of(n).abs()).fold(0.0, f64::max);
+        for n in 0..length {
+            let difference = f64::from(more[n] - less[n]) / (2.0 * step);
+            // Single precision over the step, and the cubic's third derivative.
+            assert!((difference - of(n)).abs() < 0.01 * scale, "{k} {n}: {difference} {}", of(n));
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_is_refused() {
+    let (jacobian, positions) = skin();
+    let good = SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 2 };
+    let make = |noise: &[f64], options| SpotModel::new(jacobian.as_ref(), noise, &positions, 0.005, options);
+    assert!(make(&[1.0; 3], good).is_err());
+    assert!(make(&[0.0; 60], good).is_err());
+    assert!(make(&[1.0; 60], SpotOptions { largest_radius_m: 0.006, ..good }).is_err());
+    assert!(make(&[1.0; 60], SpotOptions { smallest_radius_m: f64::NAN, ..good }).is_err());
+    let model = make(&[1.0; 60], good).unwrap();
+    let mut scratch = model.scratch();
+    let clean = vec![0.0; 60];
+    assert!(model.fit(&clean[1..], &[[0.0; 2]], &mut scratch).is_err());
+    assert!(model.fit(&clean, &[], &mut scratch).is_err());
+    assert!(model.fit(&clean, &[[0.0; 2]; 3], &mut scratch).is_err());
+    assert!(model.fit(&clean, &[[1.0, 0.0]], &mut scratch).is_err());
+    let mut broken = clean.clone();
+    broken[4] = f64::NAN;
+    assert!(model.fit(&broken, &[[0.0; 2]], &mut scratch).is_err());
+    // A frame of nothing has an answer: no amplitude.
+    model.fit(&clean, &[[0.0; 2]], &mut scratch).unwrap();
+    assert!(scratch.spots()[0].amplitude.abs() < 1e-9);
+}
