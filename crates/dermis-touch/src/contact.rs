@@ -219,6 +219,9 @@ pub struct Contact {
     pub strength: ContactStrength,
     /// Normal force, where a calibration has read one; the finder has none.
     pub force: Option<ForceReading>,
+    /// Radius of the spot that a forward model fitted, metres, where position and covariance are that fit's; the finder has
+    /// none.
+    pub radius_m: Option<f64>,
 }
 
 /// What is summed over a contact's pixels; positions in pixels from the peak.
@@ -443,6 +446,7 @@ impl ContactFinder {
             sign,
             strength: if begins { ContactStrength::Strong } else { ContactStrength::Weak },
             force: None,
+            radius_m: None,
         }
     }
 

@@ -155,6 +155,9 @@ pub struct Touch {
     /// The contact's force, where a calibration has read one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<ForceReading>,
+    /// The contact's fitted radius, metres, where a forward model placed it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radius_m: Option<f64>,
     /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
     pub age_frames: u32,
     /// Time of its first contact, nanoseconds.
@@ -596,6 +599,7 @@ fn first_touch(id: u64, blob: &Blob) -> Touch {
         amplitude: blob.contact.amplitude,
         area_m2: blob.contact.area_m2,
         force: blob.contact.force,
+        radius_m: blob.contact.radius_m,
         age_frames: blob.age.saturating_sub(1),
         begin_time_ns: blob.first_time_ns,
         time_ns: blob.first_time_ns,
@@ -629,6 +633,7 @@ fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &Tracke
     touch.covariance_m2 = blob.contact.covariance_m2;
     touch.area_m2 = blob.contact.area_m2;
     touch.force = blob.contact.force;
+    touch.radius_m = blob.contact.radius_m;
     let keep = match (params.amplitude_time_constant_s, rider.filtered_time_ns) {
         (Some(tau), Some(before_ns)) => (-seconds_between(before_ns, time_ns) / tau).exp(),
         _ => 0.0,

@@ -132,7 +132,7 @@ impl Prepared {
             imager.image(difference, &mut image)?;
             let time_ns = k as u64 * 1_000_000_000;
             stage.forget(time_ns);
-            stage.process(time_ns, &image, None)?;
+            stage.process(time_ns, &image, imager.filled(), None)?;
             let (position_m, force_n) = (pokes.positions_m[k], forces[k]);
             let strongest = stage.contacts().first().map(|contact| contact.peak_value);
             samples.extend(strongest.map(|signal| ForceSample { position_m, force_n, signal }));

@@ -211,6 +211,11 @@ impl Imager {
         Ok(image)
     }
 
+    /// The last frame imaged, missing channels filled in with what the others let expect.
+    pub fn filled(&self) -> &[f64] {
+        &self.scratch.filled
+    }
+
     /// Images one frame of difference data (model volts, `NaN` where missing) into a row-major image, `NaN` outside.
     /// Allocates only when the set of missing channels changes.
     ///

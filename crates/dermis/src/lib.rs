@@ -26,6 +26,7 @@ pub mod reference;
 pub mod sink;
 pub mod skin;
 pub mod solve;
+mod spots;
 pub mod touches;
 pub mod twin_source;
 pub mod twins;

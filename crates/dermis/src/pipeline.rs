@@ -4,6 +4,7 @@
 use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, Layout};
+use dermis_tomo::inverse::SpotModel;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::{
     Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceRecord, TareGuard,
@@ -17,6 +18,7 @@ use crate::latency::LatencyHistogram;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::sink::Output;
+use crate::spots::SpotStage;
 use crate::touches::TouchStage;
 
 /// Frames averaged by a tare.
@@ -69,6 +71,8 @@ pub struct Pipeline {
     ready: Option<Ready>,
     /// The operator, until there is a baseline to use it with.
     prebuilt: Option<Imager>,
+    /// What touches are refined by, until the noise is known.
+    spots: Option<SpotModel>,
     hyperparameter: Option<f64>,
     forces: Option<ForceCalibration>,
     channels: Vec<f64>,
@@ -106,11 +110,14 @@ impl Pipeline {
         } else {
             None
         };
+        let refines = prepared.skin.touch.refine && calibration.is_none() && prepared.skin.backend.circuit.is_none();
+        let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
         Ok(Self {
             reader,
             baseline,
             ready: None,
             prebuilt,
+            spots,
             hyperparameter: None,
             forces: None,
             channels: Vec::new(),
@@ -157,7 +164,7 @@ impl Pipeline {
                 Some(finder) => finder.place(&self.difference)?,
                 None => None,
             };
-            ready.touches.process(time_ns, &self.image, placement)?;
+            ready.touches.process(time_ns, &self.image, ready.imager.filled(), placement)?;
             self.latencies.touches.record(imaged.elapsed());
             if ready.touches.is_loaded() {
                 load = Load::Touched;
@@ -214,6 +221,9 @@ impl Pipeline {
         }
         let mut touches = TouchStage::new(&self.prepared, imager.noise_image())?;
         touches.set_forces(self.forces.clone());
+        if let Some(model) = self.spots.take() {
+            touches.set_spots(Some(SpotStage::new(&self.prepared, model.reweighted(&reference.noise)?)));
+        }
         self.ready = Some(Ready { reference, imager, touches, placement });
         Ok(())
     }

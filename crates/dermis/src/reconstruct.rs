@@ -112,6 +112,9 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     };
     let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
     stage.set_forces(forces.clone());
+    if prepared.skin.touch.refine && calibration.is_none() && prepared.skin.backend.circuit.is_none() {
+        stage.refine_by(&prepared, &reference.noise)?;
+    }
     let grid = prepared.map.grid();
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
@@ -128,9 +131,9 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     for (index, difference) in differences.iter().enumerate() {
         let seconds = frame_table.times_s().map_or(index as f64 / rate, |times| times[index] - times[0]);
         let time_ns = (seconds.max(0.0) * 1e9) as u64;
-        match refined.get(index) {
-            Some(refined) => image.copy_from_slice(refined),
-            None => imager.image(difference, &mut image)?,
+        imager.image(difference, &mut image)?;
+        if let Some(refined) = refined.get(index) {
+            image.copy_from_slice(refined);
         }
         let place = match &mut placement {
             Some(finder) => finder.place(difference)?,
@@ -139,7 +142,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         if paired {
             stage.forget(time_ns);
         }
-        stage.process(time_ns, &image, place)?;
+        stage.process(time_ns, &image, imager.filled(), place)?;
         if let Some(refinement) = &refinement {
             refinement.threshold(&mut image);
         }

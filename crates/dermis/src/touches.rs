@@ -8,6 +8,7 @@ use dermis_touch::{
 
 use crate::Error;
 use crate::prepare::Prepared;
+use crate::spots::SpotStage;
 
 /// Where a touch lies according to a calibration, in place of the image's own position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +30,7 @@ pub struct TouchStage {
     events: Vec<TouchEvent>,
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
+    spots: Option<SpotStage>,
 }
 
 impl TouchStage {
@@ -71,6 +73,7 @@ impl TouchStage {
             events: Vec::new(),
             noise,
             forces: None,
+            spots: None,
         })
     }
 
@@ -84,12 +87,32 @@ impl TouchStage {
         self.noise = noise;
     }
 
-    /// Follows the touches of one image. A `placement` is where a calibration puts the only touch of the frame: it takes
+    /// Refines contacts by the forward model from now on, at this noise of the channels (model volts).
+    ///
+    /// # Errors
+    /// See [`Prepared::spot_model`].
+    pub fn refine_by(&mut self, prepared: &Prepared, noise: &[f64]) -> Result<(), Error> {
+        self.set_spots(Some(SpotStage::new(prepared, prepared.spot_model(noise)?)));
+        Ok(())
+    }
+
+    pub(crate) fn set_spots(&mut self, spots: Option<SpotStage>) {
+        self.spots = spots;
+    }
+
+    /// Follows the touches of one image. `difference` is the frame that it was made of (model volts, missing channels filled
+    /// in), by which contacts are refined where that is set up. A `placement` is where a calibration puts the only touch of the frame: it takes
     /// the place of the image's contacts, whose strongest lends its amplitude and area.
     ///
     /// # Errors
     /// An image of another size, or a time before the last one.
-    pub fn process(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
+    pub fn process(
+        &mut self,
+        time_ns: u64,
+        image: &[f32],
+        difference: &[f64],
+        placement: Option<Placement>,
+    ) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
         let several = self.contacts.len() > 1;
         if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
@@ -103,6 +126,9 @@ impl TouchStage {
                 // The calibration has judged the whole frame; the image's threshold has nothing to add.
                 only.strength = ContactStrength::Strong;
             }
+        }
+        if let (Some(spots), None) = (&mut self.spots, &placement) {
+            spots.refine(difference, &mut self.contacts);
         }
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {
@@ -136,6 +162,7 @@ impl TouchStage {
             sign: ContactSign::Positive,
             strength: ContactStrength::Strong,
             force: None,
+            radius_m: None,
         })
     }
 

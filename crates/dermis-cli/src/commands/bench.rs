@@ -93,9 +93,16 @@ impl Arguments {
         let took = time(&mut || {
             clock += 1_000_000;
             imager.image(&difference, &mut image)?;
-            Ok(stage.process(clock, &image, None)?)
+            Ok(stage.process(clock, &image, imager.filled(), None)?)
         })?;
-        line(out, "frame of 208 channels to image to touches (64 x 64, two)", took)
+        line(out, "frame of 208 channels to image to touches (64 x 64, two)", took)?;
+        stage.refine_by(&prepared, &reference.noise)?;
+        let took = time(&mut || {
+            clock += 1_000_000;
+            imager.image(&difference, &mut image)?;
+            Ok(stage.process(clock, &image, imager.filled(), None)?)
+        })?;
+        line(out, "the same, both refined by the forward model", took)
     }
 }
 

@@ -79,6 +79,7 @@ pub fn contact(x_mm: f64, y_mm: f64, strength: ContactStrength) -> Contact {
         sign: ContactSign::Positive,
         strength,
         force: None,
+        radius_m: None,
     }
 }
 

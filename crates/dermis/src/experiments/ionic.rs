@@ -73,10 +73,10 @@ fn several_touches() -> Result<Report, Error> {
     Ok(Report { id: "I1", title: EXPERIMENTS[0].title, rows, figures, notes })
 }
 
-/// I2: error of the peak pixel (as published) and of the centroid.
+/// I2: error of the peak pixel (as published) and of the fitted touch.
 fn positions() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
-    let (mut by_peak, mut by_centroid, mut curves, mut missed) = (Vec::new(), Vec::new(), Vec::new(), 0);
+    let (mut by_peak, mut by_touch, mut curves, mut missed) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for radius in RADII_MM {
         let mut points = Vec::new();
         for repeat in 0..4 {
@@ -91,11 +91,11 @@ fn positions() -> Result<Report, Error> {
                     missed += 1;
                     continue;
                 };
-                let centroid = distance_mm(first.centroid_m, place);
-                points.push([count as f64, centroid]);
+                let touch = distance_mm(first.centroid_m, place);
+                points.push([count as f64, touch]);
                 if count >= 2 {
                     by_peak.push(peak);
-                    by_centroid.push(centroid);
+                    by_touch.push(touch);
                 }
             }
             rig.frames(&[], 30)?;
@@ -107,11 +107,17 @@ fn positions() -> Result<Report, Error> {
     let rows = vec![
         row("largest error of the peak pixel, 2 to 9 weights", "mm", Some(6.0), most(&by_peak), Kind::Algorithm),
         row("mean error of the peak pixel", "mm", None, mean(&by_peak), Kind::Algorithm),
-        row("largest error of the centroid, 2 to 9 weights", "mm", Some(6.0), most(&by_centroid), Kind::Algorithm),
-        row("mean error of the centroid", "mm", None, mean(&by_centroid), Kind::Algorithm),
+        row(
+            "largest error of the touch (fitted to the forward model), 2 to 9 weights",
+            "mm",
+            Some(6.0),
+            most(&by_touch),
+            Kind::Algorithm,
+        ),
+        row("mean error of the touch", "mm", None, mean(&by_touch), Kind::Algorithm),
         row("presses without a touch, of 108", "", Some(0.0), f64::from(missed), Kind::Algorithm),
     ];
-    let (x_label, y_label) = ("weights of 6.5 g", "error of the centroid (mm)");
+    let (x_label, y_label) = ("weights of 6.5 g", "error of the touch (mm)");
     let title = "I2: position error".into();
     let figures = vec![Figure::Curves { name: "errors", title, x_label, y_label, curves }];
     Ok(Report { id: "I2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })

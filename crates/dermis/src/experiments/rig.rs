@@ -68,13 +68,26 @@ impl Rig {
         let reference = prepared.reference(&rest)?;
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = prepared.imager(&reference, &data)?;
-        let stage = TouchStage::new(&prepared, imager.noise_image())?;
+        let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
+        if prepared.skin.touch.refine {
+            stage.refine_by(&prepared, &reference.noise)?;
+        }
         Ok(Self { frontend, instrument, prepared, frame_s, reference, imager, stage, frames: 0 })
     }
 
     /// The skin's model.
     pub fn prepared(&self) -> &Prepared {
         &self.prepared
+    }
+
+    /// What differences are taken against.
+    pub fn reference(&self) -> &Reference {
+        &self.reference
+    }
+
+    /// Image noise of each pixel.
+    pub fn noise_image(&self) -> Vec<f32> {
+        self.imager.noise_image()
     }
 
     /// Seconds between frames.
@@ -120,7 +133,7 @@ impl Rig {
         Ok(image)
     }
 
-    /// Touches of an image that has nothing to do with the one before, strongest first.
+    /// Touches of the image made last ([`Rig::image`]), which has nothing to do with the one before, strongest first.
     ///
     /// # Errors
     /// An image of another size.
@@ -128,7 +141,7 @@ impl Rig {
         self.frames += 1;
         let time_ns = self.frames * 1_000_000_000;
         self.stage.forget(time_ns);
-        self.stage.process(time_ns, image, None)?;
+        self.stage.process(time_ns, image, self.imager.filled(), None)?;
         let begun = self.stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).count();
         Ok(self.stage.contacts().iter().take(begun).copied().collect())
     }

@@ -23,7 +23,8 @@ pub enum LinesFor {
 ///
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
 /// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
-/// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`); what is not finite is `null`. Numbers have as many digits as it
+/// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward model placed
+/// it, the fitted `radius_mm`; what is not finite is `null`. Numbers have as many digits as it
 /// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
 /// that is kept: nothing is allocated once the longest line has been seen.
 #[derive(Debug)]
@@ -112,6 +113,9 @@ fn push_touch(text: &mut String, touch: &Touch) {
     if let Some(force) = touch.force {
         let nearest = Number(force.nearest_n().unwrap_or(f64::NAN));
         let _ = write!(text, ",\"force_n\":{nearest},\"force_range\":\"{}\"", force.range());
+    }
+    if let Some(radius_m) = touch.radius_m {
+        let _ = write!(text, ",\"radius_mm\":{}", Number(1e3 * radius_m));
     }
     text.push('}');
 }

@@ -110,6 +110,7 @@ pub(crate) mod testing {
             amplitude: 0.75,
             area_m2: 1e-4,
             force: None,
+            radius_m: None,
             age_frames: 1,
             begin_time_ns: 0,
             time_ns: 0,

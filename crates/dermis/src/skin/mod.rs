@@ -538,6 +538,8 @@ pub struct TouchSettings {
     pub relative_size: f64,
     /// Error of positions that noise does not explain, mm.
     pub position_floor_mm: f64,
+    /// Refine touches by fitting place, amplitude and radius to the forward model.
+    pub refine: bool,
     /// Time constant of the drift compensation, seconds; 0 switches it off. It stands still under touch.
     pub drift_time_constant_s: f64,
 }
@@ -554,6 +556,7 @@ impl Default for TouchSettings {
             assumed_noise_share: 1e-4,
             relative_size: 0.1,
             position_floor_mm: 2.0,
+            refine: false,
             drift_time_constant_s: 60.0,
         }
     }

@@ -33,7 +33,8 @@ pub struct FitOutcome {
 const OF_SPOT: usize = 4;
 /// Steps at most.
 const MOST_STEPS: usize = 12;
-/// A fit has converged when no place moves by more than this share of its radius.
+/// A fit has converged when no place moves by more than this share of its radius, and no logarithm of a radius by ten times
+/// that.
 const CONVERGED: f64 = 2e-3;
 /// Standard deviation of the logarithm of the radius before anything is measured.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
@@ -234,7 +235,8 @@ impl SpotModel {
     }
 
     /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then the
-    /// uniform change.
+    /// uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and strong, and a step along
+    /// that valley would otherwise be cut short.
     fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch) {
         let length = self.combinations();
         let FitScratch { rows, columns, residual, normal, right, state, .. } = scratch;
@@ -242,13 +244,12 @@ impl SpotModel {
         for (k, state) in state.iter().enumerate() {
             let amplitude = state.amplitude as f32;
             // Responses are stored as value, by x, by y, by log r.
-            for (place, (source, factor)) in
-                [(1, amplitude), (2, amplitude), (0, 1.0), (3, amplitude)].into_iter().enumerate()
-            {
-                let from = (OF_SPOT * k + source) * length;
-                let to = (OF_SPOT * k + place) * length;
-                columns[to..to + length].iter_mut().zip(&rows[from..from + length]).for_each(|(c, v)| *c = factor * v);
+            let column = |of: usize| (OF_SPOT * k + of) * length..(OF_SPOT * k + of + 1) * length;
+            for (place, source, factor) in [(0, 1, amplitude), (1, 2, amplitude), (2, 0, 1.0)] {
+                columns[column(place)].iter_mut().zip(&rows[column(source)]).for_each(|(c, v)| *c = factor * v);
             }
+            let both = rows[column(3)].iter().zip(&rows[column(0)]);
+            columns[column(3)].iter_mut().zip(both).for_each(|(c, (by_r, v))| *c = amplitude * (by_r - 2.0 * v));
         }
         columns[(parameters - 1) * length..parameters * length].copy_from_slice(&self.uniform);
         products(columns, residual, length, parameters, normal, right);
@@ -262,7 +263,7 @@ impl SpotModel {
         right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
     }
 
-    /// A damped step to the trial state: the largest move relative to a radius, the uniform change and the cost there. `None`
+    /// A damped step to the trial state: the largest move (see [`CONVERGED`]), the uniform change and the cost there. `None`
     /// where the system cannot be solved or the step leaves the table.
     fn step(&self, damping: f64, uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
@@ -287,10 +288,12 @@ impl SpotModel {
             let share = if distance > 0.5 * radius { 0.5 * radius / distance } else { 1.0 };
             let position_m = [state.position_m[0] + share * change[0], state.position_m[1] + share * change[1]];
             let log_radius = (state.log_radius + change[3].clamp(-0.5, 0.5)).clamp(least, most);
-            moved = moved.max(share * distance / radius);
+            let wider = log_radius - state.log_radius;
+            moved = moved.max(share * distance / radius).max(0.1 * wider.abs());
             let rows = &mut trial_rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
             self.table.evaluate(position_m, log_radius, rows)?;
-            trial.push(State { position_m, amplitude: state.amplitude + change[2], log_radius });
+            let amplitude = (state.amplitude + change[2]) * (-2.0 * wider).exp();
+            trial.push(State { position_m, amplitude, log_radius });
         }
         let uniform = uniform + right[parameters - 1];
         self.residual(trial, trial_rows, data, uniform, trial_residual);
@@ -314,6 +317,10 @@ impl SpotModel {
                     (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
                 }
             }
+            // From a r^2 back to a.
+            let slope = -2.0 * state.amplitude;
+            (0..OF_SPOT).for_each(|k| covariance[2][k] += slope * covariance[3][k]);
+            (0..OF_SPOT).for_each(|k| covariance[k][2] += slope * covariance[k][3]);
             let radius_m = state.log_radius.exp();
             spots.push(Spot { position_m: state.position_m, amplitude: state.amplitude, radius_m, covariance });
         }

@@ -2,8 +2,9 @@
 //! itself rather than read off an image. The responses of spots are tabulated once over places and radii, whitened and
 //! projected on the few combinations of channels that spots can change; a fit then interpolates, and allocates nothing.
 //!
-//! A spot at p with radius r and amplitude a is a relative change of conductivity `a exp(-|q - p|^2 / (2 r^2))`; the
-//! change of the channels is the Jacobian times that. All spots of a frame and a uniform change of the whole skin
+//! A spot at p with radius r and amplitude a is a load `a exp(-|q - p|^2 / (2 r^2))`; the change of the channels is the
+//! response to loads, pixel by pixel, times that. Where what is pressed is what changes, the response is the Jacobian; a
+//! membrane spreads loads, and the response is then the Jacobian times what a load in one pixel changes in the others. All spots of a frame and a uniform change of the whole skin
 //! (temperature, or liquid that was pushed aside) are fitted together by Levenberg and Marquardt. The inverse of the
 //! Fisher matrix, times the mean square of the whitened residual where that exceeds the noise, is the covariance: the
 //! Cramer-Rao bound where the model is right (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
@@ -13,7 +14,8 @@ mod table;
 
 pub use fit::{FitOutcome, FitScratch, Spot};
 
-use faer::{Mat, MatRef};
+use faer::linalg::solvers::DenseSolveCore;
+use faer::{Mat, MatRef, Side};
 
 use self::table::Table;
 use super::InverseError;
@@ -49,33 +51,72 @@ pub struct SpotModel {
 }
 
 impl SpotModel {
-    /// Tabulates spots. `jacobian` is channels x pixels in volts per relative change of a pixel, with the sign that makes
-    /// pressed places positive; `positions_m` are the pixels' centres, `pixel_m` their side; `deviations` the standard
-    /// deviation of each channel, volts. Channels without a positive, finite one are left out.
+    /// Tabulates spots. `response` is channels x pixels in volts per unit of load on a pixel; `uniform` the response of the
+    /// channels to a uniform change of the whole skin; `positions_m` are the pixels' centres, row by row, `pixel_m` their
+    /// side; `deviations` the standard deviation of each channel, volts. Channels without a positive, finite one are left
+    /// out.
     ///
     /// # Errors
     /// Counts that disagree, radii that are not positive or not in order, values that are not finite, no usable channel.
     pub fn new(
-        jacobian: MatRef<'_, f64>,
+        response: MatRef<'_, f64>,
+        uniform: &[f64],
         deviations: &[f64],
         positions_m: &[[f64; 2]],
         pixel_m: f64,
         options: SpotOptions,
     ) -> Result<Self, InverseError> {
-        check(jacobian, deviations, positions_m, pixel_m, &options)?;
+        if uniform.len() != response.nrows() {
+            let (expected, got) = (response.nrows(), uniform.len());
+            return Err(InverseError::Size { what: "response to a uniform change", expected, got });
+        }
+        check(response, deviations, positions_m, pixel_m, &options)?;
         let root = |channel: usize| {
             let deviation = deviations[channel];
             if deviation > 0.0 && deviation.is_finite() { 1.0 / deviation } else { 0.0 }
         };
-        let whitened = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| root(c) * jacobian[(c, p)]);
+        let whitened = Mat::from_fn(response.nrows(), response.ncols(), |c, p| root(c) * response[(c, p)]);
         let basis = combinations(whitened.as_ref())?;
         let reduced = basis.transpose() * &whitened;
         let table = Table::new(reduced.as_ref(), positions_m, pixel_m, &options);
         let count = basis.ncols();
         let projection =
-            (0..jacobian.nrows() * count).map(|k| (root(k / count) * basis[(k / count, k % count)]) as f32).collect();
-        let uniform = (0..count).map(|k| reduced.row(k).iter().sum::<f64>() as f32).collect();
-        Ok(Self { options, table, projection, channels: jacobian.nrows(), uniform })
+            (0..response.nrows() * count).map(|k| (root(k / count) * basis[(k / count, k % count)]) as f32).collect();
+        let of_uniform = |k: usize| (0..uniform.len()).map(|c| basis[(c, k)] * root(c) * uniform[c]).sum::<f64>();
+        let uniform = (0..count).map(|k| of_uniform(k) as f32).collect();
+        Ok(Self { options, table, projection, channels: response.nrows(), uniform })
+    }
+
+    /// The same responses at another noise, at a hundredth of the cost: within the combinations that are kept, estimates are
+    /// those of generalised least squares. Channels without a positive, finite deviation count as the noisiest of the
+    /// others.
+    ///
+    /// # Errors
+    /// Another number of channels, or none with a usable deviation.
+    pub fn reweighted(&self, deviations: &[f64]) -> Result<Self, InverseError> {
+        let (channels, count) = (self.channels, self.combinations());
+        if deviations.len() != channels {
+            let (expected, got) = (channels, deviations.len());
+            return Err(InverseError::Size { what: "deviations of channels", expected, got });
+        }
+        let usable = |d: &f64| *d > 0.0 && d.is_finite();
+        let noisiest = deviations.iter().copied().filter(usable).fold(0.0, f64::max);
+        let deviation = |c: usize| if usable(&deviations[c]) { deviations[c] } else { noisiest };
+        let noise = Mat::from_fn(channels, count, |c, k| deviation(c) * f64::from(self.projection[c * count + k]));
+        let factor = (noise.transpose() * &noise).llt(Side::Lower).map_err(|_| InverseError::Singular {
+            what: "the noise of combinations of channels",
+            hint: "at least one channel must have a positive deviation",
+        })?;
+        let inverse = factor.L().partial_piv_lu().inverse();
+        let single = Mat::from_fn(count, count, |row, column| inverse[(row, column)] as f32);
+        let row = |row: &[f32]| -> Vec<f32> { (&single * faer::ColRef::from_slice(row)).iter().copied().collect() };
+        Ok(Self {
+            options: self.options,
+            table: self.table.transformed(single.as_ref()),
+            projection: self.projection.chunks_exact(count).flat_map(row).collect(),
+            channels,
+            uniform: row(&self.uniform),
+        })
     }
 
     /// Number of channels of a frame.
@@ -119,18 +160,18 @@ impl SpotModel {
 }
 
 fn check(
-    jacobian: MatRef<'_, f64>,
+    response: MatRef<'_, f64>,
     deviations: &[f64],
     positions_m: &[[f64; 2]],
     pixel_m: f64,
     options: &SpotOptions,
 ) -> Result<(), InverseError> {
-    if deviations.len() != jacobian.nrows() {
-        let (expected, got) = (jacobian.nrows(), deviations.len());
+    if deviations.len() != response.nrows() {
+        let (expected, got) = (response.nrows(), deviations.len());
         return Err(InverseError::Size { what: "deviations of channels", expected, got });
     }
-    if positions_m.len() != jacobian.ncols() || positions_m.is_empty() {
-        let (expected, got) = (jacobian.ncols(), positions_m.len());
+    if positions_m.len() != response.ncols() || positions_m.is_empty() {
+        let (expected, got) = (response.ncols(), positions_m.len());
         return Err(InverseError::Size { what: "positions of pixels", expected, got });
     }
     let positive = |what: &'static str, value: f64| {
@@ -148,9 +189,9 @@ fn check(
     )?;
     positive("typical radius of a spot (m)", options.typical_radius_m)?;
     positive("most spots", options.most_spots as f64)?;
-    let sum: f64 = jacobian.col_iter().map(|column| column.iter().sum::<f64>()).sum();
+    let sum: f64 = response.col_iter().map(|column| column.iter().sum::<f64>()).sum();
     if !sum.is_finite() {
-        return Err(InverseError::Value { what: "sum of the Jacobian", index: None, value: sum, expected: "finite" });
+        return Err(InverseError::Value { what: "sum of the responses", index: None, value: sum, expected: "finite" });
     }
     Ok(())
 }

@@ -1,13 +1,18 @@
 //! Responses of spots over places and radii, interpolated by cubics (Catmull and Rom) along x, y and log r.
 
 use faer::{Mat, MatRef};
+use rayon::prelude::*;
 
 use super::SpotOptions;
 
 /// Radii of the table grow by this factor at most: a spot then changes little enough from one to the next for cubics.
-const RADIUS_FACTOR: f64 = 1.5;
+const RADIUS_FACTOR: f64 = 1.4;
 /// Places beyond the outermost pixels, in steps: what cubics need, and spots whose middle is on the rim.
 const MARGIN: usize = 2;
+/// Most places along the longer side.
+const MOST_ALONG: f64 = 44.0;
+/// Exponent from which a spot counts as zero: 6e-6.
+const NOTHING: f64 = 12.0;
 
 #[derive(Clone, Debug)]
 pub(super) struct Table {
@@ -32,8 +37,9 @@ impl Table {
             |axis: usize, of: fn(f64, f64) -> f64, start: f64| positions_m.iter().map(|p| p[axis]).fold(start, of);
         let low = [0, 1].map(|axis| extreme(axis, f64::min, f64::INFINITY));
         let high = [0, 1].map(|axis| extreme(axis, f64::max, f64::NEG_INFINITY));
-        // Finer than the smallest spot, at least as fine as a pixel.
-        let step_m = pixel_m.min(0.9 * options.smallest_radius_m);
+        // Finer than the smallest spot; never finer than it takes.
+        let extent = (high[0] - low[0]).max(high[1] - low[1]);
+        let step_m = pixel_m.min(0.9 * options.smallest_radius_m).max(extent / MOST_ALONG);
         let count = |axis: usize| ((high[axis] - low[axis]) / step_m).ceil() as usize + 1 + 2 * MARGIN;
         let (columns, rows) = (count(0), count(1));
         let span = (options.largest_radius_m / options.smallest_radius_m).ln();
@@ -42,24 +48,26 @@ impl Table {
         let (log_step, radii) = (span / intervals, intervals as usize + 3);
         let log_first = options.smallest_radius_m.ln() - log_step;
         let low_m = low.map(|l| l - MARGIN as f64 * step_m);
-        let mut values = Vec::with_capacity(radii * rows * columns * reduced.nrows());
-        for radius in 0..radii {
-            let r = (log_first + radius as f64 * log_step).exp();
-            for row in 0..rows {
-                // A whole row of places at once: pixels x places.
-                let y = low_m[1] + row as f64 * step_m;
-                let spots = Mat::from_fn(positions_m.len(), columns, |pixel, column| {
-                    let [px, py] = positions_m[pixel];
-                    let x = low_m[0] + column as f64 * step_m;
-                    let exponent = ((px - x).powi(2) + (py - y).powi(2)) / (2.0 * r * r);
-                    if exponent < 18.0 { (-exponent).exp() } else { 0.0 }
-                });
-                let responses = reduced * &spots;
-                for column in responses.col_iter() {
-                    values.extend(column.iter().map(|value| *value as f32));
-                }
-            }
-        }
+        let places: Vec<(f64, f64)> = (0..radii)
+            .flat_map(|radius| (0..rows).map(move |row| (radius as f64, row as f64)))
+            .map(|(radius, row)| ((log_first + radius * log_step).exp(), low_m[1] + row * step_m))
+            .collect();
+        // A whole row of places at once, and only the pixels near it, which are one after the other.
+        let of_row = |&(r, y): &(f64, f64)| {
+            let reach = r * (2.0 * NOTHING).sqrt();
+            let near = |p: &[f64; 2]| (p[1] - y).abs() <= reach;
+            let first = positions_m.iter().position(near).unwrap_or(0);
+            let end = positions_m.iter().rposition(near).map_or(first, |last| last + 1);
+            let spots = Mat::from_fn(end - first, columns, |pixel, column| {
+                let [px, py] = positions_m[first + pixel];
+                let x = low_m[0] + column as f64 * step_m;
+                let exponent = ((px - x).powi(2) + (py - y).powi(2)) / (2.0 * r * r);
+                if exponent < NOTHING { (-exponent).exp() } else { 0.0 }
+            });
+            let responses = reduced.subcols(first, end - first) * &spots;
+            responses.col_iter().flat_map(|column| column.iter().map(|v| *v as f32).collect::<Vec<_>>()).collect()
+        };
+        let values: Vec<f32> = places.par_iter().flat_map_iter(|place| -> Vec<f32> { of_row(place) }).collect();
         Self { low_m, step_m, columns, rows, log_first, log_step, radii, length: reduced.nrows(), values }
     }
 
@@ -94,6 +102,15 @@ impl Table {
             }
         }
         Some(())
+    }
+
+    /// The table with every response multiplied by a square matrix.
+    pub(super) fn transformed(&self, matrix: MatRef<'_, f32>) -> Self {
+        let columns = self.values.len() / self.length;
+        let before = MatRef::from_column_major_slice(&self.values, self.length, columns);
+        let after = matrix * before;
+        let values = after.col_iter().flat_map(|column| column.iter().copied().collect::<Vec<_>>()).collect();
+        Self { values, ..self.clone() }
     }
 
     /// Whether a place lies where spots are tabulated.

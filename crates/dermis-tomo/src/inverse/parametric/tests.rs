@@ -15,11 +15,17 @@ fn skin() -> (Mat<f64>, Vec<[f64; 2]>) {
     (jacobian, positions)
 }
 
+/// Response to a uniform change.
+fn uniform(jacobian: &Mat<f64>) -> Vec<f64> {
+    jacobian.row_iter().map(|row| row.iter().sum()).collect()
+}
+
 fn model(noise_v: f64) -> (SpotModel, Mat<f64>, Vec<[f64; 2]>) {
     let (jacobian, positions) = skin();
     let options =
         SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 4 };
-    let model = SpotModel::new(jacobian.as_ref(), &vec![noise_v; 60], &positions, 0.005, options).unwrap();
+    let model =
+        SpotModel::new(jacobian.as_ref(), &uniform(&jacobian), &vec![noise_v; 60], &positions, 0.005, options).unwrap();
     (model, jacobian, positions)
 }
 
@@ -83,6 +89,29 @@ fn errors_of_noisy_fits_are_those_that_covariances_say() {
 }
 
 #[test]
+fn another_noise_is_that_of_a_model_made_for_it() {
+    let (first, jacobian, positions) = model(1e-4);
+    let noise: Vec<f64> = (0..60).map(|c| 1e-4 * (1.0 + 0.8 * (c as f64).sin())).collect();
+    let direct =
+        SpotModel::new(jacobian.as_ref(), &uniform(&jacobian), &noise, &positions, 0.005, *first.options()).unwrap();
+    let again = first.reweighted(&noise).unwrap();
+    let mut random = StdRng::seed_from_u64(5);
+    let clean = frame(&jacobian, &positions, &[([0.01, 0.02], 0.012, 0.1)]);
+    let noisy: Vec<f64> = clean.iter().zip(&noise).map(|(v, n)| v + n * normal(&mut random)).collect();
+    let fit = |model: &SpotModel| {
+        let mut scratch = model.scratch();
+        model.fit(&noisy, &[[0.012, 0.017]], &mut scratch).unwrap();
+        scratch.spots()[0]
+    };
+    let (a, b) = (fit(&direct), fit(&again));
+    let sigma = b.covariance[0][0].sqrt();
+    // The combinations that are kept differ a little; the estimates by a part of their deviation.
+    assert!((a.position_m[0] - b.position_m[0]).abs() < 0.2 * sigma, "{a:?} {b:?}");
+    assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.1, "{a:?} {b:?}");
+    assert!(first.reweighted(&noise[1..]).is_err());
+}
+
+#[test]
 fn derivatives_are_those_of_the_values() {
     let (model, ..) = model(1e-4);
     let length = model.combinations();
@@ -113,7 +142,9 @@ fn derivatives_are_those_of_the_values() {
 fn what_cannot_be_is_refused() {
     let (jacobian, positions) = skin();
     let good = SpotOptions { smallest_radius_m: 0.006, largest_radius_m: 0.03, typical_radius_m: 0.012, most_spots: 2 };
-    let make = |noise: &[f64], options| SpotModel::new(jacobian.as_ref(), noise, &positions, 0.005, options);
+    let make = |noise: &[f64], options| {
+        SpotModel::new(jacobian.as_ref(), &uniform(&jacobian), noise, &positions, 0.005, options)
+    };
     assert!(make(&[1.0; 3], good).is_err());
     assert!(make(&[0.0; 60], good).is_err());
     assert!(make(&[1.0; 60], SpotOptions { largest_radius_m: 0.006, ..good }).is_err());
