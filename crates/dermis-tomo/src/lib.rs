@@ -8,5 +8,6 @@
 pub mod eit;
 pub mod inverse;
 pub mod mesh;
+pub mod mit;
 pub mod quality;
 pub mod sparse;

@@ -1,0 +1,97 @@
+//! What can be wrong with coils, bodies and frequencies.
+
+use thiserror::Error;
+
+/// Why a magnetic problem could not be set up or solved.
+#[derive(Clone, Debug, Error, PartialEq)]
+#[non_exhaustive]
+pub enum MitError {
+    /// A number that makes no sense.
+    #[error("{field} = {value}: expected {expected}")]
+    Value {
+        /// What it stands for, with its unit.
+        field: &'static str,
+        /// The number.
+        value: f64,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// Counts that disagree.
+    #[error("{what}: expected {expected}, got {got}")]
+    Count {
+        /// What was counted.
+        what: &'static str,
+        /// How many there should be.
+        expected: usize,
+        /// How many there are.
+        got: usize,
+    },
+    /// Two coils that reach into each other.
+    #[error("coils {first} and {second} overlap: {distance_m} m apart, {needed_m} m needed")]
+    CoilsOverlap {
+        /// Number of one, from 1.
+        first: usize,
+        /// Number of the other, from 1.
+        second: usize,
+        /// Between their centres.
+        distance_m: f64,
+        /// Sum of their half widths.
+        needed_m: f64,
+    },
+    /// Wire inside the sphere around a body, where multipoles do not hold.
+    #[error(
+        "body {body} at {position_m:?} m: wire of coil {coil} is {distance_m} m from its centre, within its sphere of {radius_m} m"
+    )]
+    WireInside {
+        /// Number of the body, from 1.
+        body: usize,
+        /// Its centre.
+        position_m: [f64; 3],
+        /// Number of the coil, from 1.
+        coil: usize,
+        /// Distance of the nearest wire from the centre.
+        distance_m: f64,
+        /// Radius of the sphere around the body.
+        radius_m: f64,
+    },
+    /// Bodies whose spheres reach into each other.
+    #[error("bodies {first} and {second} are {distance_m} m apart, their spheres need {needed_m} m")]
+    BodiesOverlap {
+        /// Number of one, from 1.
+        first: usize,
+        /// Number of the other, from 1.
+        second: usize,
+        /// Between their centres.
+        distance_m: f64,
+        /// Sum of their radii.
+        needed_m: f64,
+    },
+    /// A height outside the table that was made.
+    #[error("body {body}: height {height_m} m is outside the table, {low_m} to {high_m} m")]
+    OutsideTable {
+        /// Number of the body, from 1.
+        body: usize,
+        /// Its height.
+        height_m: f64,
+        /// Lowest height tabulated.
+        low_m: f64,
+        /// Highest height tabulated.
+        high_m: f64,
+    },
+}
+
+/// A number that must be finite and above zero.
+pub(super) fn positive(field: &'static str, value: f64) -> Result<(), MitError> {
+    if value > 0.0 && value.is_finite() {
+        return Ok(());
+    }
+    Err(MitError::Value { field, value, expected: "positive and finite" })
+}
+
+/// A frequency that this physics (quasi-static, whole windings) serves.
+pub(super) fn frequency(value_hz: f64) -> Result<(), MitError> {
+    if (1.0..=1e6).contains(&value_hz) {
+        return Ok(());
+    }
+    Err(MitError::Value { field: "frequency_hz", value: value_hz, expected: "1 Hz to 1 MHz" })
+}
