@@ -73,7 +73,7 @@ impl Default for HealingSquareOptions {
             cover: Cover::default(),
             contact: ContactLaw::default(),
             memory: None,
-            instrument: InstrumentOptions::default(),
+            instrument: InstrumentOptions::healing(),
             scene: SceneOptions::default(),
             script: None,
             seed: 1,
@@ -264,6 +264,7 @@ impl Twin<HealingSquare> {
     pub fn healing_square(options: &HealingSquareOptions) -> Result<Self, TwinError> {
         let frontend = HealingSquare::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+        let instrument = instrument.with_protocol(frontend.stimulation())?;
         let scene = Scene::new(options.scene, options.script.clone())?;
         Ok(Self::new(frontend, instrument, scene))
     }

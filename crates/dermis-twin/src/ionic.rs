@@ -21,8 +21,6 @@ const ELECTRODES: usize = 16;
 const LEAST_FILM: f64 = 0.02;
 /// Loads that differ by less than this in all, newtons, are the same: 1/60,000 of paper I's smallest weight.
 const SAME_LOAD_N: f64 = 1e-6;
-/// SNR of paper I, decibels; its eq. 1 takes ten times the logarithm of a ratio of amplitudes.
-const PRINTED_SNR_DB: f64 = 59.7;
 
 /// Outline of a liquid skin.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,7 +117,7 @@ impl Default for IonicOptions {
             electrode_element_size_m: 1.2e-3,
             current_a: 6e-3,
             frame_rate_hz: 16.0,
-            instrument: InstrumentOptions { noise: Self::amplitude_noise(), ..InstrumentOptions::ideal() },
+            instrument: InstrumentOptions::ionic(),
             scene: SceneOptions::default(),
             script: None,
             seed: 1,
@@ -141,13 +139,13 @@ impl IonicOptions {
     /// Noise in proportion to each reading that has the paper's 59.7 dB if they are an amplitude ratio as usual,
     /// `20 log10(mean / deviation)`: 1.0e-3 of the reading. The default, and the harder of the two readings.
     pub fn amplitude_noise() -> Noise {
-        Noise { floor_v: 0.0, proportional: 10_f64.powf(-PRINTED_SNR_DB / 20.0) }
+        InstrumentOptions::ionic().noise
     }
 
     /// The same if they are what the paper's eq. 1 prints, `10 log10(mean / deviation)`: 1.1e-6 of the reading, better
     /// than converters of 16 bits can do.
     pub fn printed_noise() -> Noise {
-        Noise { floor_v: 0.0, proportional: 10_f64.powf(-PRINTED_SNR_DB / 10.0) }
+        InstrumentOptions::ionic_as_printed().noise
     }
 
     /// Outline of the liquid.
@@ -349,6 +347,7 @@ impl Twin<IonicSkin> {
     pub fn ionic(options: &IonicOptions) -> Result<Self, TwinError> {
         let frontend = IonicSkin::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+        let instrument = instrument.with_protocol(frontend.fields().protocol())?;
         let scene = Scene::new(options.scene, options.script.clone())?;
         Ok(Self::new(frontend, instrument, scene))
     }

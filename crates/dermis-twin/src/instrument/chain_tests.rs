@@ -99,7 +99,7 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
     let voltages: Vec<f64> = (0..208).map(|k| 1e-3 * 1.02_f64.powi(k) * if k % 3 == 0 { -1.0 } else { 1.0 }).collect();
     let floor_v = floor_for_ionic_snr_v(&voltages, 59.7, 100, 5e-7).unwrap();
     let tuned = InstrumentOptions { noise: Noise { floor_v, proportional: 5e-7 }, ..InstrumentOptions::ideal() };
-    for options in [InstrumentOptions::ionic(), tuned] {
+    for options in [InstrumentOptions::ionic_as_printed(), tuned] {
         let mut instrument = Instrument::new(options, 208, 11).unwrap();
         let (mut sum, mut squares) = (vec![0.0; 208], vec![0.0; 208]);
         for _ in 0..100 {
@@ -132,6 +132,27 @@ fn presets_keep_the_papers_time_and_steps() {
     let piezo = Instrument::new(InstrumentOptions::piezo(), 4096, 1).unwrap();
     assert!((piezo.frame_period_s() - 4096.0 * (1e-5 + 1.0 / 860.0)).abs() < 1e-9);
     assert!((InstrumentOptions::piezo().drive.unwrap().actual_a() - 39e-6).abs() < 1e-18);
+}
+
+#[test]
+fn options_without_a_converter_come_back_from_toml() {
+    let drift = Some(Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 2e-5 });
+    let presets = [
+        InstrumentOptions::ideal(),
+        InstrumentOptions::ionic(),
+        InstrumentOptions::ionic_as_printed(),
+        InstrumentOptions::piezo(),
+        InstrumentOptions { drift, ..InstrumentOptions::healing() },
+    ];
+    for options in presets {
+        let text = toml::to_string(&options).unwrap();
+        assert_eq!(toml::from_str::<InstrumentOptions>(&text).unwrap(), options, "{text}");
+    }
+    assert_eq!(toml::from_str::<InstrumentOptions>("").unwrap().converter, Some(Converter::default()));
+    let bits = toml::from_str::<InstrumentOptions>("converter = { bits = 12 }").unwrap().converter;
+    assert_eq!(bits, Some(Converter { bits: 12, ..Converter::default() }));
+    assert!(toml::from_str::<InstrumentOptions>("converter = \"nothing\"").is_err());
+    assert!(toml::from_str::<InstrumentOptions>("converter = { bit = 12 }").is_err());
 }
 
 #[test]

@@ -47,7 +47,8 @@ pub enum Fault {
 }
 
 /// What becomes of a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum FrameFate {
     /// It arrives.
     #[default]
@@ -106,10 +107,12 @@ impl Faults {
     }
 
     pub fn set(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
-        faults.iter().try_for_each(|fault| self.check(fault))?;
+        self.check_all(&faults)?;
         self.floating.clear();
         self.dead.clear();
         self.tied.clear();
+        // What was read before is no frame that these faults could repeat.
+        self.previous.clear();
         for fault in &faults {
             match *fault {
                 Fault::OpenElectrode { electrode } => self.open(electrode),
@@ -119,6 +122,10 @@ impl Faults {
         }
         self.list = faults;
         Ok(())
+    }
+
+    pub fn check_all(&self, faults: &[Fault]) -> Result<(), TwinError> {
+        faults.iter().try_for_each(|fault| self.check(fault))
     }
 
     fn check(&self, fault: &Fault) -> Result<(), TwinError> {

@@ -6,6 +6,7 @@ mod chain;
 mod faults;
 mod noise;
 mod presets;
+mod schedule;
 mod snr;
 
 use rand::SeedableRng;
@@ -17,6 +18,8 @@ use crate::error::{TwinError, check, check_positive};
 pub use chain::{DriveSteps, GainRanges, Mains, Multiplexer, Temperature, Timing};
 pub use faults::{Fault, FrameFate};
 pub use noise::{Drift, Noise};
+pub(crate) use schedule::FaultSchedule;
+pub use schedule::TimedFault;
 pub use snr::{expected_ionic_snr_db, floor_for_ionic_snr_v, snr_db};
 
 use dermis_tomo::eit::Protocol;
@@ -64,7 +67,8 @@ pub struct InstrumentOptions {
     pub noise: Noise,
     /// Slow change, where wanted.
     pub drift: Option<Drift>,
-    /// Rounding and saturation; `None` reads without either.
+    /// Rounding and saturation; `None` (`"none"` in TOML) reads without either.
+    #[serde(with = "converter_or_none")]
     pub converter: Option<Converter>,
     /// Steps of the current source.
     pub drive: Option<DriveSteps>,
@@ -95,7 +99,7 @@ pub enum Reading {
 
 impl Default for InstrumentOptions {
     fn default() -> Self {
-        Self { noise: Noise::default(), converter: Some(Converter::default()), ..Self::ideal() }
+        Self::healing()
     }
 }
 
@@ -191,6 +195,14 @@ impl Instrument {
         self.faults.list()
     }
 
+    /// Checks faults without taking them on.
+    ///
+    /// # Errors
+    /// As [`Instrument::set_faults`].
+    pub fn check_faults(&self, faults: &[Fault]) -> Result<(), TwinError> {
+        self.faults.check_all(faults)
+    }
+
     /// What became of the last frame. Whoever passes frames on leaves dropped ones out.
     pub fn frame_fate(&self) -> FrameFate {
         self.faults.fate()
@@ -254,6 +266,37 @@ impl InstrumentOptions {
         let full_scale_v = converter.range_v / converter.gain;
         let extra = self.gain_ranges.map_or(1.0, |ranges| ranges.gain(voltage_v.abs(), full_scale_v));
         Converter { gain: converter.gain * extra, ..converter }.read_v(voltage_v)
+    }
+}
+
+/// A converter as a table, none as the word `"none"`: TOML has no null, and a key left out means the default.
+mod converter_or_none {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::Converter;
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    enum Word {
+        None,
+    }
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Word(Word),
+        Table(Converter),
+    }
+
+    pub fn serialize<S: Serializer>(converter: &Option<Converter>, serializer: S) -> Result<S::Ok, S::Error> {
+        converter.map_or(Written::Word(Word::None), Written::Table).serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Converter>, D::Error> {
+        Ok(match Written::deserialize(deserializer)? {
+            Written::Word(Word::None) => None,
+            Written::Table(converter) => Some(converter),
+        })
     }
 }
 
