@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+use dermis_twin::instrument::FrameFate;
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, TwinError};
 
@@ -43,8 +44,15 @@ pub struct TwinSource {
     commands: Receiver<TwinCommand>,
     period: Duration,
     started: Option<Instant>,
+    /// Paced by the clock, or as fast as asked.
+    paced: bool,
+    /// Frames that the instrument took, whatever became of them.
+    ticks: u64,
+    /// Frames skipped because this machine was too slow.
+    skipped: u64,
+    /// Frames that a fault of the instrument lost.
+    dropped: u64,
     frames: u64,
-    lost: u64,
     values: Vec<f64>,
 }
 
@@ -72,11 +80,19 @@ impl TwinSource {
             commands,
             period: Duration::from_secs_f64(1.0 / rate),
             started: None,
+            paced: true,
+            ticks: 0,
+            skipped: 0,
+            dropped: 0,
             frames: 0,
-            lost: 0,
             values: Vec::new(),
         };
         Ok((source, sender))
+    }
+
+    /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps up.
+    pub fn unpaced(self) -> Self {
+        Self { paced: false, ..self }
     }
 
     /// What people may press with.
@@ -84,8 +100,27 @@ impl TwinSource {
         self.press
     }
 
+    /// Sleeps until the next frame is due, at most `timeout`; true if it is due.
+    fn wait(&mut self, timeout: Duration) -> bool {
+        let started = *self.started.get_or_insert_with(Instant::now);
+        let mut due = started + self.period.mul_f64((self.ticks + self.skipped) as f64);
+        let now = Instant::now();
+        if due > now + timeout {
+            std::thread::sleep(timeout);
+            return false;
+        }
+        // A machine too slow for the rate skips frames, as an instrument would overrun, and counts them.
+        let behind = now.saturating_duration_since(due).as_secs_f64() / self.period.as_secs_f64();
+        if behind > 4.0 {
+            self.skipped += behind as u64;
+            due = now;
+        }
+        std::thread::sleep(due.saturating_duration_since(now));
+        true
+    }
+
     fn obey(&mut self) -> Result<(), TwinError> {
-        if self.frames == REST_FRAMES && self.demo.is_some() {
+        if self.ticks >= REST_FRAMES && self.demo.is_some() {
             self.twin.scene_mut().set_script(self.demo.take())?;
         }
         for command in self.commands.try_iter() {
@@ -110,31 +145,27 @@ impl Source for TwinSource {
     }
 
     fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError> {
-        let started = *self.started.get_or_insert_with(Instant::now);
-        let sequence = self.frames + self.lost;
-        let mut due = started + self.period.mul_f64(sequence as f64);
-        let now = Instant::now();
-        if due > now + timeout {
-            std::thread::sleep(timeout);
+        if self.paced && !self.wait(timeout) {
             return Ok(SourceEvent::Idle);
         }
-        // A machine too slow for the rate skips frames, as an instrument would overrun, and counts them.
-        let behind = now.saturating_duration_since(due).as_secs_f64() / self.period.as_secs_f64();
-        if behind > 4.0 {
-            self.lost += behind as u64;
-            due = now;
+        let time_s = (self.ticks + self.skipped) as f64 * self.period.as_secs_f64();
+        let obeyed = self.obey();
+        let stepped = obeyed.and_then(|()| self.twin.step(time_s, &mut self.values));
+        let stepped = stepped.map(|truth| (truth.sequence, truth.fate));
+        let (sequence, fate) = stepped
+            .map_err(|error| DeviceError::SourceFailed { name: self.name.clone(), reason: error.to_string() })?;
+        self.ticks += 1;
+        if fate == FrameFate::Dropped {
+            self.dropped += 1;
+            return Ok(SourceEvent::Idle);
         }
-        std::thread::sleep(due.saturating_duration_since(now));
-        let time_s = (self.frames + self.lost) as f64 * self.period.as_secs_f64();
-        let stepped = self.obey().and_then(|()| self.twin.step(time_s, &mut self.values).map(|_| ()));
-        stepped.map_err(|error| DeviceError::SourceFailed { name: self.name.clone(), reason: error.to_string() })?;
-        frame.refill(self.frames + self.lost, HostStamp::now(), &self.values, &[]);
+        frame.refill(sequence + self.skipped, HostStamp::now(), &self.values, &[]);
         frame.device_time_ns = Some((time_s * 1e9) as u64);
         self.frames += 1;
         Ok(SourceEvent::Frame)
     }
 
     fn counters(&self) -> Counters {
-        Counters { frames: self.frames, lost: self.lost, bad: 0 }
+        Counters { frames: self.frames, lost: self.skipped + self.dropped, bad: 0 }
     }
 }

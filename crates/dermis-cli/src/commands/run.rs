@@ -135,6 +135,9 @@ impl Arguments {
             server.shutdown();
         }
         outcome?;
+        if counters.repeated > 0 {
+            tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
+        }
         let lost = counters.total() + run.recorder_dropped;
         if lost > 0 {
             tracing::error!(
