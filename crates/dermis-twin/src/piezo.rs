@@ -215,6 +215,7 @@ pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
 /// The skin itself; see the module.
 #[derive(Clone, Debug)]
 pub struct PiezoSkin {
+    outline: Outline,
     body: ElectrodedMesh,
     surface: Surface,
     protocol: Protocol,
@@ -250,6 +251,7 @@ impl PiezoSkin {
         let cells = places_m.len();
         Ok(Self {
             voltages_v: vec![0.0; protocol.channel_count()],
+            outline: options.outline(),
             surface: options.surface,
             cover: options.cover,
             contact: options.contact,
@@ -329,6 +331,10 @@ impl Frontend for PiezoSkin {
         self.protocol.channel_count()
     }
 
+    fn extent(&self) -> Outline {
+        self.outline.clone()
+    }
+
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
@@ -356,7 +362,7 @@ impl Twin<PiezoSkin> {
         let frontend = PiezoSkin::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
         let instrument = instrument.with_protocol(frontend.stimulation())?;
-        let scene = Scene::new(options.scene, options.script.clone())?;
+        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
         Ok(Self::new(frontend, instrument, scene))
     }
 }

@@ -1,16 +1,33 @@
 //! A twin: scene, frontend and instrument stepped together, one frame a step.
 
+use dermis_tomo::mesh::Outline;
 use serde::Serialize;
 
 use crate::error::{TwinError, check};
 use crate::instrument::{FaultSchedule, FrameFate, Instrument, TimedFault};
-use crate::mechanics::Indenter;
+use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene};
 
 /// The physical part of a skin: from what presses on it to true voltages.
 pub trait Frontend: std::fmt::Debug + Send {
     /// Channels of a frame.
     fn channel_count(&self) -> usize;
+
+    /// Outline of the skin, laid flat.
+    fn extent(&self) -> Outline;
+
+    /// Refuses an indenter that this skin cannot bear. [`Frontend::voltages`] takes any and drops what hangs over the rim.
+    ///
+    /// # Errors
+    /// As [`check_on_skin`].
+    fn check_indenter(&self, indenter: &Indenter) -> Result<(), TwinError> {
+        check_on_skin(&self.extent(), indenter)
+    }
+
+    /// What of the last frame lies outside the model's validity, said for people; `None` where nothing does.
+    fn outside_validity(&self) -> Option<String> {
+        None
+    }
 
     /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
     /// call.
@@ -23,6 +40,14 @@ pub trait Frontend: std::fmt::Debug + Send {
 impl<F: Frontend + ?Sized> Frontend for Box<F> {
     fn channel_count(&self) -> usize {
         (**self).channel_count()
+    }
+
+    fn extent(&self) -> Outline {
+        (**self).extent()
+    }
+
+    fn outside_validity(&self) -> Option<String> {
+        (**self).outside_validity()
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
@@ -120,7 +145,7 @@ impl<F: Frontend> Twin<F> {
     /// true then. `frame` is resized to the channels, volts; its memory is reused.
     ///
     /// # Errors
-    /// A time that is not finite; fields that cannot be solved. `frame` then holds nothing of use.
+    /// A time that is not finite; an indenter off the skin or larger than it; fields that cannot be solved. `frame` then holds nothing of use.
     pub fn step(&mut self, time_s: f64, frame: &mut Vec<f64>) -> Result<&Truth, TwinError> {
         check("time_s", time_s, f64::MIN, f64::MAX, "finite")?;
         let now = self.last_time_s.map_or(time_s, |last| last.max(time_s));
@@ -134,6 +159,7 @@ impl<F: Frontend> Twin<F> {
         self.indenters.clear();
         self.truth.touches.clear();
         for (pointer, indenter) in self.scene.indenters() {
+            self.frontend.check_indenter(&indenter)?;
             self.indenters.push(indenter);
             self.truth.touches.push(TouchTruth {
                 pointer,
