@@ -237,6 +237,9 @@ impl Run {
         );
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
+        for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
+            self.hub.announce(Level::Warning, text);
+        }
         if self.pipeline.baseline_records().len() > before {
             self.new_baseline(frame.host_wall_ns);
         }

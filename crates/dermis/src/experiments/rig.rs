@@ -84,7 +84,7 @@ impl Rig {
     /// Readings under these indenters, one frame after the other.
     ///
     /// # Errors
-    /// Fields that cannot be solved.
+    /// Loads off the skin or larger than it; fields that cannot be solved.
     pub fn frames(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<Vec<f64>>, Error> {
         read(&mut self.frontend, &mut self.instrument, indenters, count, self.frame_s)
     }
@@ -191,6 +191,8 @@ fn read(
     count: usize,
     frame_s: f64,
 ) -> Result<Vec<Vec<f64>>, Error> {
+    // A load that the skin cannot bear would be dropped in silence, and the experiment be one of nothing.
+    indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
     let mut frames = Vec::with_capacity(count);
     for _ in 0..count {
         let mut frame = vec![0.0; frontend.channel_count()];
