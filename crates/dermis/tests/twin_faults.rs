@@ -105,10 +105,3 @@ fn an_open_electrode_comes_and_goes_in_its_time() {
         assert!(changed.len() > used * 9 / 10, "frame {frame}: {} of {used}", changed.len());
     }
 }
-
-#[test]
-fn faults_that_do_not_exist_are_refused_when_the_twin_is_made() {
-    let skin = broken("{ stuck_channels = [{ channel = 208, value_mv = 0.0 }] }");
-    let error = TwinKit::of(&skin).unwrap_err().to_string();
-    assert!(error.contains("stuck channel: 208"), "{error}");
-}

@@ -646,7 +646,9 @@ impl Skin {
                 &format!("2 to {MOST_ELECTRODES} electrodes"),
             ));
         }
-        self.twin.check(electrodes, file)?;
+        let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
+        let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
+        self.twin.check(electrodes, channels, file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
         }

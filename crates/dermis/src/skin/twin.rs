@@ -43,7 +43,7 @@ pub struct TwinFaults {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StuckChannel {
-    /// Which, counted from 0 as in frames.
+    /// Which, counted from 1 as on the page.
     pub channel: usize,
     /// What it reads.
     pub value_mv: f64,
@@ -55,7 +55,16 @@ impl TwinSettings {
         self.faults.iter().flat_map(TwinFaults::timed).collect()
     }
 
-    pub(super) fn check(&self, electrodes: usize, file: &str) -> Result<(), Error> {
+    pub(super) fn check(&self, electrodes: usize, channels: Option<usize>, file: &str) -> Result<(), Error> {
+        let stuck = self.faults.iter().flat_map(|faults| &faults.stuck_channels);
+        for StuckChannel { channel, .. } in stuck {
+            // A protocol that cannot be made is refused elsewhere, by name.
+            let most = channels.unwrap_or(usize::MAX);
+            if !(1..=most).contains(channel) {
+                let expected = format!("channels 1 to {most}");
+                return Err(refused(file, "twin.faults.stuck_channels.channel", channel, &expected));
+            }
+        }
         self.faults.iter().try_for_each(|faults| faults.check(electrodes, file))
     }
 }
@@ -65,7 +74,8 @@ impl TwinFaults {
         // Checked: electrodes are counted from 1.
         let open = self.open_electrodes.iter().map(|n| Fault::OpenElectrode { electrode: n.wrapping_sub(1) });
         let short = self.shorted_pairs.iter().map(|p| Fault::ShortedPair { electrodes: p.map(|n| n.wrapping_sub(1)) });
-        let stuck = |s: &StuckChannel| Fault::StuckChannel { channel: s.channel, value_v: 1e-3 * s.value_mv };
+        let stuck =
+            |s: &StuckChannel| Fault::StuckChannel { channel: s.channel.wrapping_sub(1), value_v: 1e-3 * s.value_mv };
         let dropped = Fault::DroppedFrames { probability: self.dropped_share };
         let repeated = Fault::DuplicatedFrames { probability: self.repeated_share };
         let frames = [(self.dropped_share, dropped), (self.repeated_share, repeated)];
@@ -118,7 +128,7 @@ mod tests {
 
     #[test]
     fn electrodes_are_counted_from_one_and_times_go_with_all_of_a_group() {
-        let skin = with("{ open_electrodes = [1], shorted_pairs = [[15, 16]], from_s = 2.0, until_s = 3.0 }, { stuck_channels = [{ channel = 0, value_mv = 5.0 }], dropped_share = 0.1 }").unwrap();
+        let skin = with("{ open_electrodes = [1], shorted_pairs = [[15, 16]], from_s = 2.0, until_s = 3.0 }, { stuck_channels = [{ channel = 1, value_mv = 5.0 }], dropped_share = 0.1 }").unwrap();
         let timed = skin.twin.timed_faults();
         let faults: Vec<Fault> = timed.iter().map(|timed| timed.fault).collect();
         let expected = [
@@ -146,6 +156,9 @@ mod tests {
         assert!(error("{ from_s = 2.0, until_s = 1.0 }").contains("until_s = 1: expected a number above from_s"));
         assert!(error("{ from_s = -1.0 }").contains("from_s = -1"));
         assert!(error("{ stuck_channels = [{ channel = 1, value_mv = inf }] }").contains("value_mv = inf"));
+        let stuck = error("{ stuck_channels = [{ channel = 209, value_mv = 0.0 }] }");
+        assert_eq!(stuck, "a page: twin.faults.stuck_channels.channel = 209: expected channels 1 to 208");
+        assert!(error("{ stuck_channels = [{ channel = 0, value_mv = 0.0 }] }").contains("channel = 0"));
         assert!(error("{ open = [1] }").contains("unknown field"));
     }
 }

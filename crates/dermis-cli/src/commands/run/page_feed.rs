@@ -8,6 +8,7 @@ use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::record::RecorderStatus;
 use dermis::sink::Output;
+use dermis::skin::Bend;
 use dermis::twins::PressRange;
 use dermis_cli::page::{
     Counter, ElectrodeView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView,
@@ -166,6 +167,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         modality: "eit".into(),
         is_twin: press.is_some(),
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
+        bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
         electrodes: electrodes(prepared),
         grid: GridView {
             rows: grid.rows,
