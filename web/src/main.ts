@@ -81,9 +81,6 @@ function begin(next: Scene): void {
   view.stage.classList.toggle("twin", next.is_twin);
   showSolid(false);
   find("solid-choice").hidden = !next.bend_diameter_mm;
-  find("stage-help").textContent = next.is_twin
-    ? "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius."
-    : "";
   chooseChannels();
 }
 
@@ -93,6 +90,8 @@ function showSolid(isSolid: boolean): void {
   presser.release();
   view.stage.classList.toggle("solid", isSolid);
   view.solid.show(isSolid);
+  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius.";
+  find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
 }
 
 function receiveState(next: State): void {

@@ -213,7 +213,7 @@ impl Source for TwinSource {
             self.dropped += 1;
             return Ok(SourceEvent::Idle);
         }
-        frame.refill(sequence + self.skipped, HostStamp::now(), &self.values, &[]);
+        frame.refill(sequence + self.skipped, HostStamp::now(), &self.values, self.twin.instrument().imaginary_v());
         frame.device_time_ns = Some((time_s * 1e9) as u64);
         self.frames += 1;
         Ok(SourceEvent::Frame)

@@ -1,11 +1,12 @@
 //! The twins of the built-in skins: which twin stands for a skin file, how hard people may press on it, and what it
 //! demonstrates by itself.
 
+use dermis_twin::instrument::{InstrumentOptions, Reading};
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
-use crate::skin::Skin;
+use crate::skin::{Reads, Skin};
 
 /// A twin of any skin.
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
@@ -87,12 +88,14 @@ impl TwinKit {
     }
 
     fn sandwich(mut options: HealingSquareOptions, skin: &Skin) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
         Ok(Self { twin: Twin::healing_square(&options)?.boxed(), press: SANDWICH, demo: Script::demo() })
     }
 
     /// A liquid skin, `length` times as large as the sandwich and far softer.
     fn ionic(mut options: IonicOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
         let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
@@ -101,9 +104,20 @@ impl TwinKit {
 
     /// A skin of loose patches, `length` times as large as the sandwich.
     fn piezo(mut options: PiezoOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
         let softness = PATCHES.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
         Ok(Self { twin: Twin::piezo(&options)?.boxed(), press: PATCHES, demo })
     }
+}
+
+/// An instrument that reports what the skin file says its backend reads.
+fn as_the_skin_reads(instrument: InstrumentOptions, skin: &Skin) -> InstrumentOptions {
+    let reading = match skin.backend.reads {
+        Reads::Signed => Reading::Signed,
+        Reads::Magnitude => Reading::Magnitude,
+        Reads::Complex => Reading::Complex,
+    };
+    InstrumentOptions { reading, phase_error_rad: skin.twin.phase_error_deg.to_radians(), ..instrument }
 }

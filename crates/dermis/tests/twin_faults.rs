@@ -1,4 +1,4 @@
-//! A broken instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and an open
+//! A broken or turned instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and an open
 //! electrode reaches the channels that use it.
 
 use std::time::Duration;
@@ -103,5 +103,24 @@ fn an_open_electrode_comes_and_goes_in_its_time() {
         // those that share its partners; all floating channels change, dead ones too unless they read 0 before.
         let used = (0..208).filter(uses).count();
         assert!(changed.len() > used * 9 / 10, "frame {frame}: {} of {used}", changed.len());
+    }
+}
+
+#[test]
+fn complex_and_rectified_readings_come_to_the_same_channels() {
+    let skin = |reads: &str, phase_deg: f64| {
+        let text =
+            builtin_text("healing-square").unwrap().replace("[backend]", &format!("[backend]\nreads = \"{reads}\""));
+        Skin::parse(&format!("{text}\n[twin]\nphase_error_deg = {phase_deg:.1}\n"), "a test").unwrap()
+    };
+    let (_, signed, _) = run(&skin("signed", 0.0), 33);
+    let (_, complex, _) = run(&skin("complex", 30.0), 33);
+    let (_, magnitude, _) = run(&skin("magnitude", 30.0), 33);
+    let largest = signed[32].iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+    for channel in 0..208 {
+        // In phase with the baseline the complex reading has its whole size; noise is 3e-4 of the largest channel.
+        let size = signed[32][channel].abs();
+        let apart = (complex[32][channel].abs() - size).abs().max((magnitude[32][channel].abs() - size).abs());
+        assert!(apart < 5e-3 * largest, "channel {channel}: {apart} of {largest}");
     }
 }

@@ -70,6 +70,7 @@ pub(super) struct Faults {
     dead: Vec<usize>,
     /// Channel and the channel that it is averaged with.
     tied: Vec<(usize, usize)>,
+    /// The last frame delivered: real parts, then imaginary ones if any.
     previous: Vec<f64>,
     fate: FrameFate,
 }
@@ -203,12 +204,15 @@ impl Faults {
         }
     }
 
-    /// Acts on readings.
-    pub fn of_frames(&mut self, readings_v: &mut [f64]) {
+    /// Acts on readings; imaginary parts may be none.
+    pub fn of_frames(&mut self, readings_v: &mut [f64], imaginary_v: &mut [f64]) {
         self.fate = FrameFate::Delivered;
         for fault in &self.list {
             match *fault {
-                Fault::StuckChannel { channel, value_v } => readings_v[channel] = value_v,
+                Fault::StuckChannel { channel, value_v } => {
+                    readings_v[channel] = value_v;
+                    imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value = 0.0);
+                }
                 Fault::DroppedFrames { probability } if self.random.random_bool(probability) => {
                     self.fate = FrameFate::Dropped;
                 }
@@ -226,8 +230,13 @@ impl Faults {
             FrameFate::Delivered if !self.list.is_empty() => {
                 self.previous.clear();
                 self.previous.extend_from_slice(readings_v);
+                self.previous.extend_from_slice(imaginary_v);
             }
-            FrameFate::Duplicated => readings_v.copy_from_slice(&self.previous),
+            FrameFate::Duplicated => {
+                let (real, imaginary) = self.previous.split_at(readings_v.len());
+                readings_v.copy_from_slice(real);
+                imaginary_v.copy_from_slice(imaginary);
+            }
             _ => {}
         }
     }

@@ -59,6 +59,8 @@ impl Converter {
     }
 }
 
+const RIGHT_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+
 /// Parameters of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -84,6 +86,9 @@ pub struct InstrumentOptions {
     pub timing: Option<Timing>,
     /// What of the voltage is reported.
     pub reading: Reading,
+    /// Angle by which the demodulator's reference leads: a signed reading is `V cos`, a complex one has `V sin` as its
+    /// imaginary part; a rectifier knows nothing of it. Radians, within a right angle.
+    pub phase_error_rad: f64,
 }
 
 /// What of a voltage an instrument reports.
@@ -95,6 +100,9 @@ pub enum Reading {
     Signed,
     /// Its size only, as behind a rectifier.
     Magnitude,
+    /// In-phase and quadrature voltage, each with its noise; the latter is [`Instrument::imaginary_v`]. A resistive skin
+    /// has none, so that only the phase error shows there.
+    Complex,
 }
 
 impl Default for InstrumentOptions {
@@ -117,6 +125,7 @@ impl InstrumentOptions {
             temperature: None,
             timing: None,
             reading: Reading::Signed,
+            phase_error_rad: 0.0,
         }
     }
 
@@ -137,6 +146,7 @@ impl InstrumentOptions {
             check_positive("converter range_v", converter.range_v)?;
             check_positive("converter gain", converter.gain)?;
         }
+        check("phase_error_rad", self.phase_error_rad, -RIGHT_ANGLE, RIGHT_ANGLE, "within a right angle")?;
         self.check_chain()
     }
 }
@@ -153,6 +163,8 @@ pub struct Instrument {
     /// Last voltage before the converter's multiplexer in the frame before.
     last_v: f64,
     faults: Faults,
+    /// Quadrature readings of the last frame, where there are any.
+    imaginary_v: Vec<f64>,
 }
 
 impl Instrument {
@@ -165,7 +177,7 @@ impl Instrument {
         let random = ChaCha8Rng::seed_from_u64(seed);
         let channel = vec![0.0; channel_count];
         let faults = Faults::new(channel_count, seed);
-        Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults })
+        Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults, imaginary_v: Vec::new() })
     }
 
     /// Tells it which electrodes its channels use, which faults of electrodes need.
@@ -208,6 +220,11 @@ impl Instrument {
         self.faults.fate()
     }
 
+    /// Quadrature readings of the last frame, volts; empty unless the instrument reads complex.
+    pub fn imaginary_v(&self) -> &[f64] {
+        &self.imaginary_v
+    }
+
     /// True time from one frame to the next, seconds; 0 where channels take no time.
     pub fn frame_period_s(&self) -> f64 {
         self.options.timing.map_or(0.0, |timing| timing.frame_period_s(self.channel.len()))
@@ -230,6 +247,23 @@ impl Instrument {
             multiplexer.pass(settling_s, self.last_v, voltages_v);
             self.last_v = last_v;
         }
+        let (sine, cosine) = self.options.phase_error_rad.sin_cos();
+        self.imaginary_v.clear();
+        if self.options.reading == Reading::Complex {
+            self.imaginary_v.extend(voltages_v.iter().map(|voltage| *voltage * sine));
+        }
+        if self.options.reading != Reading::Magnitude {
+            voltages_v.iter_mut().for_each(|voltage| *voltage *= cosine);
+        }
+        let mut imaginary_v = std::mem::take(&mut self.imaginary_v);
+        self.digitise(voltages_v);
+        self.digitise(&mut imaginary_v);
+        self.faults.of_frames(voltages_v, &mut imaginary_v);
+        self.imaginary_v = imaginary_v;
+    }
+
+    /// Noise, pickup and converter.
+    fn digitise(&mut self, voltages_v: &mut [f64]) {
         for (channel, voltage) in voltages_v.iter_mut().enumerate() {
             *voltage += self.options.noise.deviation_v(*voltage) * normal(&mut self.random);
             if let Some(mains) = self.options.mains {
@@ -238,7 +272,6 @@ impl Instrument {
             }
             *voltage = self.options.convert(*voltage);
         }
-        self.faults.of_frames(voltages_v);
     }
 
     /// Everything that multiplies: random walk, current steps, temperature.

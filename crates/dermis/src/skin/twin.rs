@@ -13,9 +13,16 @@ pub struct TwinSettings {
     /// Seed of the instrument's noise and of its faults; left out: the twin's own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
+    /// Angle by which the demodulator's reference leads, for `reads = "complex"` above all.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub phase_error_deg: f64,
     /// What is broken, and when.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<TwinFaults>,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Faults that act at the same time.
@@ -56,6 +63,9 @@ impl TwinSettings {
     }
 
     pub(super) fn check(&self, electrodes: usize, channels: Option<usize>, file: &str) -> Result<(), Error> {
+        if !(-90.0..=90.0).contains(&self.phase_error_deg) {
+            return Err(refused(file, "twin.phase_error_deg", self.phase_error_deg, "-90 to 90"));
+        }
         let stuck = self.faults.iter().flat_map(|faults| &faults.stuck_channels);
         for StuckChannel { channel, .. } in stuck {
             // A protocol that cannot be made is refused elsewhere, by name.
