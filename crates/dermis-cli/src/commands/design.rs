@@ -139,7 +139,13 @@ fn write_maps(folder: &Path, name: &str, maps: &Maps) -> anyhow::Result<()> {
         let least = values.iter().copied().fold(f64::INFINITY, f64::min);
         let logs: Vec<f64> = values.iter().map(|value| (value / least).log10()).collect();
         let values = maps.image(&logs);
-        panels.push(Panel { name: title.to_string(), columns: maps.grid.columns, values, marks: Vec::new() });
+        panels.push(Panel {
+            name: title.to_string(),
+            columns: maps.grid.columns,
+            values,
+            marks: Vec::new(),
+            bend: None,
+        });
     }
     let picture = Heatmap { title: format!("{name}: before it is built"), panels, own_scales: true }.picture();
     let content = draw::png(&picture)?;

@@ -4,6 +4,7 @@ use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
+use dermis_twin::physics::Surface;
 
 use super::ImagePanel;
 use crate::Error;
@@ -137,7 +138,12 @@ impl Rig {
         let grid = self.prepared.map.grid();
         let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
         let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
-        ImagePanel { name: name.into(), values: values.to_vec(), marks: places_m.iter().map(share).collect() }
+        let bend = match self.prepared.skin.surface() {
+            Surface::Cylinder { radius_m } => Some(radius_m / width),
+            Surface::Flat => None,
+        };
+        let marks = places_m.iter().map(share).collect();
+        ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
     }
 
     /// Pixels in a row of an image.
