@@ -23,7 +23,7 @@ function find<T extends Element = HTMLElement>(id: string): T {
   return found as unknown as T;
 }
 
-const view = new View(find("stage"), find<HTMLCanvasElement>("image"), find<SVGSVGElement>("overlay"), find<HTMLCanvasElement>("bar"));
+const view = new View(find("stage"), find<HTMLCanvasElement>("image"), find<SVGSVGElement>("overlay"), find<HTMLCanvasElement>("bar"), find<HTMLCanvasElement>("solid"));
 const amplitudes = new AmplitudeStrip(find("amplitudes"));
 const traces = new ChannelStrip(find("traces"));
 const noise = new NoiseBars(find<HTMLCanvasElement>("noise"), find("noise-pick"));
@@ -79,10 +79,19 @@ function begin(next: Scene): void {
   find("press-controls").hidden = !next.is_twin;
   slider.disabled = !(next.hyperparameter_range[0] > 0 && next.hyperparameter_range[1] > next.hyperparameter_range[0]);
   view.stage.classList.toggle("twin", next.is_twin);
-  find("stage-help").textContent = next.is_twin
-    ? "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius."
-    : "";
+  showSolid(false);
+  find("solid-choice").hidden = !next.bend_diameter_mm;
   chooseChannels();
+}
+
+/** The bent skin in space, or laid flat. */
+function showSolid(isSolid: boolean): void {
+  find<HTMLInputElement>("solid-box").checked = isSolid;
+  presser.release();
+  view.stage.classList.toggle("solid", isSolid);
+  view.solid.show(isSolid);
+  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius.";
+  find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
 }
 
 function receiveState(next: State): void {
@@ -224,6 +233,7 @@ function bindPicture(): void {
     view.colour((event.target as HTMLSelectElement).value as MapName);
     redraw();
   });
+  find("solid-box").addEventListener("change", (event) => showSolid((event.target as HTMLInputElement).checked));
   for (const id of ["smooth", "numbers", "trails"]) {
     const box = find<HTMLInputElement>(id);
     const apply = () => view.stage.classList.toggle(`no-${id}`, !box.checked);

@@ -62,6 +62,12 @@ export class Presser {
     this.show();
   }
 
+  /** Lets go of everything. */
+  release(): void {
+    for (const pointer of [...this.held.keys()]) this.up(pointer);
+    this.leave();
+  }
+
   /** Sends what moved since the last drawn frame. */
   flush(): void {
     for (const press of this.held.values()) {
@@ -128,7 +134,7 @@ export class Presser {
   }
 
   private key(event: KeyboardEvent): void {
-    if (!this.scene?.is_twin || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!this.scene?.is_twin || this.view.solid.isShown || event.ctrlKey || event.metaKey || event.altKey) return;
     const size = (this.scene.grid.x_max_mm - this.scene.grid.x_min_mm) / (event.shiftKey ? 100 : 40);
     const steps: Record<string, () => void> = {
       ArrowLeft: () => this.shift(-size, 0),

@@ -24,6 +24,8 @@ export interface Scene {
   modality: string;
   is_twin: boolean;
   outline_mm: Point[][];
+  /** Of the cylinder that the sheet is bent on; null: flat. */
+  bend_diameter_mm: number | null;
   electrodes: Electrode[];
   grid: Grid;
   channel_labels: string[];

@@ -3,6 +3,7 @@
 
 import { Range, paint, table } from "./colour";
 import type { Electrode, Image, Point, Scene, Touch } from "./protocol";
+import { SolidView } from "./solid";
 
 const SVG = "http://www.w3.org/2000/svg";
 const TRAIL_POINTS = 120;
@@ -31,6 +32,7 @@ const path = (points: Point[], isClosed: boolean) => points.map(([x, y], index) 
 
 export class View {
   readonly range = new Range();
+  readonly solid: SolidView;
   private readonly context: CanvasRenderingContext2D;
   private readonly touchLayer = element("g", { class: "touches" });
   private readonly trailLayer = element("g", { class: "trails" });
@@ -47,7 +49,9 @@ export class View {
     private readonly canvas: HTMLCanvasElement,
     readonly overlay: SVGSVGElement,
     private readonly bar: HTMLCanvasElement,
+    solid: HTMLCanvasElement,
   ) {
+    this.solid = new SolidView(solid, stage);
     this.context = canvas.getContext("2d")!;
     new ResizeObserver(() => this.place()).observe(stage);
     this.colour("viridis");
@@ -76,6 +80,7 @@ export class View {
     this.canvas.width = Math.max(grid.cols, 1);
     this.canvas.height = Math.max(grid.rows, 1);
     this.pixels = null;
+    this.solid.begin(scene, touchColour);
     this.place();
   }
 
@@ -89,6 +94,7 @@ export class View {
     const range = this.range.update(image.values);
     paint(image.values, new Uint32Array(this.pixels.data.buffer), this.colours, range);
     this.context.putImageData(this.pixels, 0, 0);
+    this.solid.image(new Uint32Array(this.pixels.data.buffer), image.rows, image.cols);
     return range;
   }
 
@@ -102,6 +108,7 @@ export class View {
   }
 
   touches(touches: Touch[]): void {
+    this.solid.touches(touches);
     const live = new Set<number>();
     for (const touch of touches) {
       if (touch.phase === "end") continue;
@@ -130,8 +137,9 @@ export class View {
     this.pressLayer.replaceChildren(...rings);
   }
 
-  /** Where on the skin a point of the window lies, in millimetres. */
+  /** Where on the skin a point of the window lies, in millimetres; in space the mouse turns the skin and presses nowhere. */
   skinFromWindow(clientX: number, clientY: number): Point | null {
+    if (this.solid.isShown) return null;
     const matrix = this.overlay.getScreenCTM();
     if (!matrix || !this.scene) return null;
     const point = new DOMPoint(clientX, clientY).matrixTransform(matrix.inverse());

@@ -159,3 +159,30 @@ test("nothing is loaded from elsewhere and nothing complains", () => {
   assert.deepEqual(foreign, []);
   assert.deepEqual(opened.complaints, []);
 });
+
+test("a bent skin is drawn on its cylinder and turned; a flat one offers no such picture", async () => {
+  const { page } = opened;
+  if (!(await page.locator("#solid-choice").isVisible())) {
+    assert.ok(await page.locator("#solid").isHidden());
+    return;
+  }
+  await page.locator("#solid-box").check();
+  const picture = () => page.locator("#solid").evaluate((canvas) => {
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let [sum, count] = [0, 0];
+    for (let at = 0; at < data.length; at += 4) if (data[at + 3] > 200) [sum, count] = [sum + ((at / 4) % canvas.width) / canvas.width, count + 1];
+    return { count, middle: sum / count };
+  });
+  const before = await picture();
+  assert.ok(before.count > 5000, `${before.count} pixels are drawn`);
+  const box = await page.locator("#stage").boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width / 2 + 120, box.y + box.height / 2, { steps: 10 });
+  await page.mouse.up();
+  const turned = await picture();
+  assert.ok(turned.middle > before.middle + 0.05, `dragged to the right: ${before.middle} to ${turned.middle}`);
+  assert.ok(await page.locator("#overlay .press.down").count() === 0, "nothing was pressed");
+  await page.locator("#solid-box").uncheck();
+  assert.ok(await page.locator("#solid").isHidden());
+});

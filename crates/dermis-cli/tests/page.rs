@@ -33,6 +33,7 @@ fn scene(is_twin: bool) -> Scene {
     Scene {
         skin: "test".into(),
         is_twin,
+        outline_mm: vec![vec![[-50.0, -50.0], [50.0, -50.0], [50.0, 50.0], [-50.0, 50.0]]],
         grid: GridView { rows: 2, cols: 2, x_min_mm: -50.0, x_max_mm: 50.0, y_min_mm: -50.0, y_max_mm: 50.0 },
         channel_labels: (0..4).map(|channel| channel.to_string()).collect(),
         ..Scene::default()
@@ -358,6 +359,7 @@ async fn what_no_pipeline_could_do_is_refused_with_the_value_and_the_expectation
         (json!({"hyperparameter": -1.0}), "hyperparameter -1 refused: expected a positive"),
         (json!({"choose_channels": [4]}), "channel 4 refused: expected an index below 4"),
         (press(1, 1e6), "x_mm is 1000000, expected -100 to 100"),
+        (press(1, 70.0), "press refused: (70.0, 0.0) mm is off the skin"),
         (json!({"release": {"pointer_id": 9}}), "pointer_id 9 refused: it does not press"),
         (json!("explode"), "unknown variant `explode`"),
         (press(u64::from(u32::MAX) + 1, 0.0), "expected at most 4294967295"),

@@ -73,7 +73,7 @@ impl Default for HealingSquareOptions {
             cover: Cover::default(),
             contact: ContactLaw::default(),
             memory: None,
-            instrument: InstrumentOptions::default(),
+            instrument: InstrumentOptions::healing(),
             scene: SceneOptions::default(),
             script: None,
             seed: 1,
@@ -238,6 +238,10 @@ impl Frontend for HealingSquare {
         self.protocol.channel_count()
     }
 
+    fn extent(&self) -> Outline {
+        Self::outline()
+    }
+
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
@@ -264,7 +268,8 @@ impl Twin<HealingSquare> {
     pub fn healing_square(options: &HealingSquareOptions) -> Result<Self, TwinError> {
         let frontend = HealingSquare::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
-        let scene = Scene::new(options.scene, options.script.clone())?;
+        let instrument = instrument.with_protocol(frontend.stimulation())?;
+        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
         Ok(Self::new(frontend, instrument, scene))
     }
 }

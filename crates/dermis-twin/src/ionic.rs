@@ -8,7 +8,7 @@ use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline};
 use serde::{Deserialize, Serialize};
 
-use crate::error::{TwinError, check, check_positive};
+use crate::error::{TwinError, check_positive};
 use crate::instrument::{Instrument, InstrumentOptions, Noise};
 use crate::mechanics::{Cover, Indenter, Membrane, MembraneSpec, Memory, PressureState, STANDARD_GRAVITY_M_PER_S2};
 use crate::physics::{LiquidElectrodes, LiquidFields, LiquidSpec};
@@ -21,8 +21,6 @@ const ELECTRODES: usize = 16;
 const LEAST_FILM: f64 = 0.02;
 /// Loads that differ by less than this in all, newtons, are the same: 1/60,000 of paper I's smallest weight.
 const SAME_LOAD_N: f64 = 1e-6;
-/// SNR of paper I, decibels; its eq. 1 takes ten times the logarithm of a ratio of amplitudes.
-const PRINTED_SNR_DB: f64 = 59.7;
 
 /// Outline of a liquid skin.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -119,7 +117,7 @@ impl Default for IonicOptions {
             electrode_element_size_m: 1.2e-3,
             current_a: 6e-3,
             frame_rate_hz: 16.0,
-            instrument: InstrumentOptions { noise: Self::amplitude_noise(), ..InstrumentOptions::ideal() },
+            instrument: InstrumentOptions::ionic(),
             scene: SceneOptions::default(),
             script: None,
             seed: 1,
@@ -141,13 +139,13 @@ impl IonicOptions {
     /// Noise in proportion to each reading that has the paper's 59.7 dB if they are an amplitude ratio as usual,
     /// `20 log10(mean / deviation)`: 1.0e-3 of the reading. The default, and the harder of the two readings.
     pub fn amplitude_noise() -> Noise {
-        Noise { floor_v: 0.0, proportional: 10_f64.powf(-PRINTED_SNR_DB / 20.0) }
+        InstrumentOptions::ionic().noise
     }
 
     /// The same if they are what the paper's eq. 1 prints, `10 log10(mean / deviation)`: 1.1e-6 of the reading, better
     /// than converters of 16 bits can do.
     pub fn printed_noise() -> Noise {
-        Noise { floor_v: 0.0, proportional: 10_f64.powf(-PRINTED_SNR_DB / 10.0) }
+        InstrumentOptions::ionic_as_printed().noise
     }
 
     /// Outline of the liquid.
@@ -285,23 +283,6 @@ impl IonicSkin {
         self.bottomed_frames
     }
 
-    /// Refuses an indenter that this skin cannot bear: one whose middle lies off the skin, or whose face is larger than it.
-    /// [`Frontend::voltages`] takes any and drops what hangs over the rim.
-    ///
-    /// # Errors
-    /// As said, with the value; and as [`Indenter::check`].
-    pub fn check_indenter(&self, indenter: &Indenter) -> Result<(), TwinError> {
-        indenter.check()?;
-        let [x, y] = indenter.centre_m;
-        let (field, value, most) = match self.outline {
-            Outline::Disc { radius_m } => ("distance of the indenter from the middle, m", x.hypot(y), radius_m),
-            _ => ("larger coordinate of the indenter, m", x.abs().max(y.abs()), self.outline.bounds_m().1[0]),
-        };
-        check(field, value, 0.0, most, "no farther out than the skin's rim")?;
-        let area = indenter.shape.area_m2();
-        check("area of the indenter, m^2", area, 0.0, self.outline.area_m2(), "no larger than the skin's")
-    }
-
     fn solve(&mut self) -> Result<(), TwinError> {
         self.membrane.deflect(&self.load_n);
         let film = LEAST_FILM * self.depth_m;
@@ -322,6 +303,21 @@ impl IonicSkin {
 impl Frontend for IonicSkin {
     fn channel_count(&self) -> usize {
         self.voltages_v.len()
+    }
+
+    fn extent(&self) -> Outline {
+        self.outline.clone()
+    }
+
+    fn outside_validity(&self) -> Option<String> {
+        (self.bottomed_nodes > 0).then(|| {
+            let share = 100.0 * self.bottomed_nodes as f64 / self.depth_at_m.len() as f64;
+            format!(
+                "the membrane touches the bottom over {share:.1} % of its nodes; the model ends there: the liquid is taken to \
+                 be a film of {:.0} % of its depth, and the bottom bears no load",
+                100.0 * LEAST_FILM
+            )
+        })
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
@@ -349,7 +345,8 @@ impl Twin<IonicSkin> {
     pub fn ionic(options: &IonicOptions) -> Result<Self, TwinError> {
         let frontend = IonicSkin::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
-        let scene = Scene::new(options.scene, options.script.clone())?;
+        let instrument = instrument.with_protocol(frontend.fields().protocol())?;
+        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
         Ok(Self::new(frontend, instrument, scene))
     }
 }

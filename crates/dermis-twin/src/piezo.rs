@@ -13,7 +13,7 @@ use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check, check_positive};
-use crate::instrument::{Converter, Instrument, InstrumentOptions, Noise};
+use crate::instrument::{Instrument, InstrumentOptions};
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
 use crate::physics::{ContactCell, PatchLayout, PatchedSheet, Surface};
 use crate::scene::{Scene, SceneOptions, Script};
@@ -100,7 +100,6 @@ impl PiezoOptions {
     /// surfaces while the gap still closes; at saturation current turns into the fabric within
     /// `sqrt(0.5 mS / 200 S/m^2)` = 1.6 mm.
     pub fn square() -> Self {
-        let floor_v = 20e-6;
         Self {
             shape: PiezoShape::Square { side_m: 0.15 },
             surface: Surface::Flat,
@@ -115,12 +114,7 @@ impl PiezoOptions {
             cover: Cover { smoothing_m: 5.5e-3 / 3_f64.sqrt() },
             contact: ContactLaw { threshold_pa: 50.0, reference_pa: 888.0, exponent: 1.5, saturation_s_per_m2: 200.0 },
             memory: None,
-            // 16 bits over +-512 mV; the noise is assumed at about a step of the converter and 80 dB of the voltage.
-            instrument: InstrumentOptions {
-                noise: Noise { floor_v, proportional: 1e-4 },
-                converter: Some(Converter { bits: 16, range_v: 4.096, gain: 8.0 }),
-                ..InstrumentOptions::default()
-            },
+            instrument: InstrumentOptions::piezo(),
             scene: SceneOptions::default(),
             script: None,
             seed: 1,
@@ -221,6 +215,7 @@ pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
 /// The skin itself; see the module.
 #[derive(Clone, Debug)]
 pub struct PiezoSkin {
+    outline: Outline,
     body: ElectrodedMesh,
     surface: Surface,
     protocol: Protocol,
@@ -256,6 +251,7 @@ impl PiezoSkin {
         let cells = places_m.len();
         Ok(Self {
             voltages_v: vec![0.0; protocol.channel_count()],
+            outline: options.outline(),
             surface: options.surface,
             cover: options.cover,
             contact: options.contact,
@@ -335,6 +331,10 @@ impl Frontend for PiezoSkin {
         self.protocol.channel_count()
     }
 
+    fn extent(&self) -> Outline {
+        self.outline.clone()
+    }
+
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
@@ -361,7 +361,8 @@ impl Twin<PiezoSkin> {
     pub fn piezo(options: &PiezoOptions) -> Result<Self, TwinError> {
         let frontend = PiezoSkin::new(options)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
-        let scene = Scene::new(options.scene, options.script.clone())?;
+        let instrument = instrument.with_protocol(frontend.stimulation())?;
+        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
         Ok(Self::new(frontend, instrument, scene))
     }
 }

@@ -1,16 +1,33 @@
 //! A twin: scene, frontend and instrument stepped together, one frame a step.
 
+use dermis_tomo::mesh::Outline;
 use serde::Serialize;
 
 use crate::error::{TwinError, check};
-use crate::instrument::Instrument;
-use crate::mechanics::Indenter;
+use crate::instrument::{FaultSchedule, FrameFate, Instrument, TimedFault};
+use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene};
 
 /// The physical part of a skin: from what presses on it to true voltages.
 pub trait Frontend: std::fmt::Debug + Send {
     /// Channels of a frame.
     fn channel_count(&self) -> usize;
+
+    /// Outline of the skin, laid flat.
+    fn extent(&self) -> Outline;
+
+    /// Refuses an indenter that this skin cannot bear. [`Frontend::voltages`] takes any and drops what hangs over the rim.
+    ///
+    /// # Errors
+    /// As [`check_on_skin`].
+    fn check_indenter(&self, indenter: &Indenter) -> Result<(), TwinError> {
+        check_on_skin(&self.extent(), indenter)
+    }
+
+    /// What of the last frame lies outside the model's validity, said for people; `None` where nothing does.
+    fn outside_validity(&self) -> Option<String> {
+        None
+    }
 
     /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
     /// call.
@@ -23,6 +40,14 @@ pub trait Frontend: std::fmt::Debug + Send {
 impl<F: Frontend + ?Sized> Frontend for Box<F> {
     fn channel_count(&self) -> usize {
         (**self).channel_count()
+    }
+
+    fn extent(&self) -> Outline {
+        (**self).extent()
+    }
+
+    fn outside_validity(&self) -> Option<String> {
+        (**self).outside_validity()
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
@@ -48,8 +73,11 @@ pub struct TouchTruth {
 /// What was true when a frame was taken.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Truth {
-    /// Number of the frame, from 0.
+    /// Number that the device gives the frame, from 0: a dropped frame takes its number with it, a duplicated one has that
+    /// of the frame before.
     pub sequence: u64,
+    /// What becomes of the frame. Whoever passes frames on leaves dropped ones out.
+    pub fate: FrameFate,
     /// Time of the frame on the twin's clock.
     pub device_time_s: f64,
     /// The touches, in order of pointer.
@@ -65,6 +93,10 @@ pub struct Twin<F> {
     indenters: Vec<Indenter>,
     truth: Truth,
     next_sequence: u64,
+    delivered_sequence: u64,
+    /// Time since the first frame, seconds.
+    running_s: f64,
+    faults: FaultSchedule,
     last_time_s: Option<f64>,
 }
 
@@ -78,6 +110,9 @@ impl<F: Frontend> Twin<F> {
             indenters: Vec::new(),
             truth: Truth::default(),
             next_sequence: 0,
+            delivered_sequence: 0,
+            running_s: 0.0,
+            faults: FaultSchedule::default(),
             last_time_s: None,
         }
     }
@@ -87,8 +122,18 @@ impl<F: Frontend> Twin<F> {
     where
         F: 'static,
     {
-        let Self { frontend, instrument, scene, indenters, truth, next_sequence, last_time_s } = self;
-        Twin { frontend: Box::new(frontend), instrument, scene, indenters, truth, next_sequence, last_time_s }
+        Twin {
+            frontend: Box::new(self.frontend),
+            instrument: self.instrument,
+            scene: self.scene,
+            indenters: self.indenters,
+            truth: self.truth,
+            next_sequence: self.next_sequence,
+            delivered_sequence: self.delivered_sequence,
+            running_s: self.running_s,
+            faults: self.faults,
+            last_time_s: self.last_time_s,
+        }
     }
 
     /// Its parts, to press and read them without a scene.
@@ -100,16 +145,21 @@ impl<F: Frontend> Twin<F> {
     /// true then. `frame` is resized to the channels, volts; its memory is reused.
     ///
     /// # Errors
-    /// A time that is not finite; fields that cannot be solved. `frame` then holds nothing of use.
+    /// A time that is not finite; an indenter off the skin or larger than it; fields that cannot be solved. `frame` then holds nothing of use.
     pub fn step(&mut self, time_s: f64, frame: &mut Vec<f64>) -> Result<&Truth, TwinError> {
         check("time_s", time_s, f64::MIN, f64::MAX, "finite")?;
         let now = self.last_time_s.map_or(time_s, |last| last.max(time_s));
         let dt = now - self.last_time_s.unwrap_or(now);
         self.last_time_s = Some(now);
+        self.running_s += dt;
+        if let Some(faults) = self.faults.change_at(self.running_s) {
+            self.instrument.set_faults(faults)?;
+        }
         self.scene.advance(dt);
         self.indenters.clear();
         self.truth.touches.clear();
         for (pointer, indenter) in self.scene.indenters() {
+            self.frontend.check_indenter(&indenter)?;
             self.indenters.push(indenter);
             self.truth.touches.push(TouchTruth {
                 pointer,
@@ -122,10 +172,37 @@ impl<F: Frontend> Twin<F> {
         frame.resize(self.frontend.channel_count(), 0.0);
         self.frontend.voltages(&self.indenters, dt, frame)?;
         self.instrument.read(dt, frame);
-        self.truth.sequence = self.next_sequence;
+        self.truth.fate = self.instrument.frame_fate();
+        self.number();
         self.truth.device_time_s = now;
-        self.next_sequence += 1;
         Ok(&self.truth)
+    }
+
+    /// Numbers the frame just read. A copy has the number of the frame that it is of, the last delivered.
+    fn number(&mut self) {
+        self.truth.fate = self.instrument.frame_fate();
+        self.truth.sequence = match self.truth.fate {
+            FrameFate::Duplicated => self.delivered_sequence,
+            FrameFate::Delivered | FrameFate::Dropped => self.next_sequence,
+        };
+        self.next_sequence += u64::from(self.truth.fate != FrameFate::Duplicated);
+        if self.truth.fate == FrameFate::Delivered {
+            self.delivered_sequence = self.truth.sequence;
+        }
+    }
+
+    /// Replaces the faults of its instrument, each acting in its time; those whose time has come act from the next frame on.
+    /// An empty list makes it sound again.
+    ///
+    /// # Errors
+    /// Faults of electrodes or channels that do not exist, probabilities outside 0 to 1, times out of order.
+    pub fn set_faults(&mut self, faults: Vec<TimedFault>) -> Result<(), TwinError> {
+        faults.iter().try_for_each(TimedFault::check)?;
+        let all: Vec<_> = faults.iter().map(|timed| timed.fault).collect();
+        self.instrument.check_faults(&all)?;
+        self.instrument.set_faults(Vec::new())?;
+        self.faults = FaultSchedule::new(faults);
+        Ok(())
     }
 
     /// What presses on it.

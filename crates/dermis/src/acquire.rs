@@ -1,5 +1,6 @@
 //! Acquisition: a thread that reads a source into a bounded queue. When the pipeline is too slow, frames are dropped and
-//! counted, never queued without bound; a source that fails ends the queue with its error.
+//! counted, never queued without bound; copies of a frame, which have its number, are left out and counted; a source that
+//! fails ends the queue with its error.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,6 +19,7 @@ struct Shared {
     dropped: AtomicU64,
     lost: AtomicU64,
     bad: AtomicU64,
+    repeated: AtomicU64,
 }
 
 /// A source being read by a thread of its own.
@@ -40,10 +42,12 @@ pub struct AcquisitionCounters {
     pub lost: u64,
     /// Damaged on the way.
     pub bad: u64,
+    /// Copies of the frame before, with its number, that were left out. Nothing is lost with them.
+    pub repeated: u64,
 }
 
 impl AcquisitionCounters {
-    /// Frames that did not make it, for whatever reason.
+    /// Frames that did not make it, for whatever reason; copies are not among them.
     pub fn total(&self) -> u64 {
         self.dropped + self.lost + self.bad
     }
@@ -110,6 +114,11 @@ impl Acquisition {
         let _ = self.free.try_send(frame);
     }
 
+    /// Frames that wait for the pipeline now.
+    pub fn waiting(&self) -> usize {
+        self.frames.len()
+    }
+
     /// Frames dropped and lost so far.
     pub fn counters(&self) -> AcquisitionCounters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -117,6 +126,7 @@ impl Acquisition {
             dropped: read(&self.shared.dropped),
             lost: read(&self.shared.lost),
             bad: read(&self.shared.bad),
+            repeated: read(&self.shared.repeated),
         }
     }
 
@@ -146,6 +156,7 @@ fn read(
     wait: bool,
 ) -> Result<(), DeviceError> {
     let mut spare: Option<Frame> = None;
+    let mut last: Option<u64> = None;
     while !shared.stop.load(Ordering::Relaxed) {
         let mut frame = match spare.take() {
             Some(frame) => frame,
@@ -161,7 +172,12 @@ fn read(
         match event {
             SourceEvent::Idle => spare = Some(frame),
             SourceEvent::End => return Ok(()),
+            SourceEvent::Frame if last == Some(frame.sequence) => {
+                shared.repeated.fetch_add(1, Ordering::Relaxed);
+                spare = Some(frame);
+            }
             SourceEvent::Frame => {
+                last = Some(frame.sequence);
                 let mut pending = frame;
                 loop {
                     match filled.try_send(pending) {

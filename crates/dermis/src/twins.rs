@@ -1,11 +1,12 @@
 //! The twins of the built-in skins: which twin stands for a skin file, how hard people may press on it, and what it
 //! demonstrates by itself.
 
+use dermis_twin::instrument::{InstrumentOptions, Reading};
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
-use crate::skin::Skin;
+use crate::skin::{Reads, Skin};
 
 /// A twin of any skin.
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
@@ -62,18 +63,22 @@ impl TwinKit {
     /// The twin of a skin.
     ///
     /// # Errors
-    /// A skin without twin, or one that cannot be made.
+    /// A skin without twin, one that cannot be made, faults of channels that it does not have.
     pub fn of(skin: &Skin) -> Result<Self, Error> {
+        let mut kit = Self::sound(skin)?;
+        kit.twin.set_faults(skin.twin.timed_faults())?;
+        Ok(kit)
+    }
+
+    /// The same without the faults that the skin file asks for.
+    fn sound(skin: &Skin) -> Result<Self, Error> {
         match skin.name.as_str() {
-            "healing-square" => {
-                let twin = Twin::healing_square(&HealingSquareOptions::default())?.boxed();
-                Ok(Self { twin, press: SANDWICH, demo: Script::demo() })
-            }
-            "ionic-disc" => Self::ionic(&IonicOptions::disc(), 1.7),
-            "ionic-square" => Self::ionic(&IonicOptions::square(), 2.1),
-            "piezo-square" => Self::piezo(&PiezoOptions::square(), 1.5),
-            "piezo-disc" => Self::piezo(&PiezoOptions::disc(), 1.2),
-            "piezo-cylinder" => Self::piezo(&PiezoOptions::cylinder(), 1.5),
+            "healing-square" => Self::sandwich(HealingSquareOptions::default(), skin),
+            "ionic-disc" => Self::ionic(IonicOptions::disc(), skin, 1.7),
+            "ionic-square" => Self::ionic(IonicOptions::square(), skin, 2.1),
+            "piezo-square" => Self::piezo(PiezoOptions::square(), skin, 1.5),
+            "piezo-disc" => Self::piezo(PiezoOptions::disc(), skin, 1.2),
+            "piezo-cylinder" => Self::piezo(PiezoOptions::cylinder(), skin, 1.5),
             other => Err(Error::Frames {
                 what: "twin".into(),
                 expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
@@ -82,17 +87,37 @@ impl TwinKit {
         }
     }
 
+    fn sandwich(mut options: HealingSquareOptions, skin: &Skin) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
+        options.seed = skin.twin.seed.unwrap_or(options.seed);
+        Ok(Self { twin: Twin::healing_square(&options)?.boxed(), press: SANDWICH, demo: Script::demo() })
+    }
+
     /// A liquid skin, `length` times as large as the sandwich and far softer.
-    fn ionic(options: &IonicOptions, length: f64) -> Result<Self, Error> {
+    fn ionic(mut options: IonicOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
+        options.seed = skin.twin.seed.unwrap_or(options.seed);
         let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
-        Ok(Self { twin: Twin::ionic(options)?.boxed(), press: LIQUID, demo })
+        Ok(Self { twin: Twin::ionic(&options)?.boxed(), press: LIQUID, demo })
     }
 
     /// A skin of loose patches, `length` times as large as the sandwich.
-    fn piezo(options: &PiezoOptions, length: f64) -> Result<Self, Error> {
+    fn piezo(mut options: PiezoOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
+        options.seed = skin.twin.seed.unwrap_or(options.seed);
         let softness = PATCHES.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
-        Ok(Self { twin: Twin::piezo(options)?.boxed(), press: PATCHES, demo })
+        Ok(Self { twin: Twin::piezo(&options)?.boxed(), press: PATCHES, demo })
     }
+}
+
+/// An instrument that reports what the skin file says its backend reads.
+fn as_the_skin_reads(instrument: InstrumentOptions, skin: &Skin) -> InstrumentOptions {
+    let reading = match skin.backend.reads {
+        Reads::Signed => Reading::Signed,
+        Reads::Magnitude => Reading::Magnitude,
+        Reads::Complex => Reading::Complex,
+    };
+    InstrumentOptions { reading, phase_error_rad: skin.twin.phase_error_deg.to_radians(), ..instrument }
 }

@@ -202,7 +202,7 @@ fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
         npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &image)?;
         let least = image.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         let values = image.iter().map(|value| (value / least).log10()).collect();
-        panels.push(Panel { name: title.to_string(), columns: shape[1], values, marks: Vec::new() });
+        panels.push(Panel { name: title.to_string(), columns: shape[1], values, marks: Vec::new(), bend: None });
     }
     let picture = Heatmap { title: format!("{name}: before it is built"), panels, own_scales: true }.picture();
     let content = draw::png(&picture)?;

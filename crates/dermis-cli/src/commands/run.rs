@@ -142,6 +142,9 @@ impl Arguments {
             server.shutdown();
         }
         outcome?;
+        if counters.repeated > 0 {
+            tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
+        }
         let lost = counters.total() + run.recorder_dropped;
         if lost > 0 {
             tracing::error!(
@@ -241,6 +244,9 @@ impl Run {
         );
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
+        for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
+            self.hub.announce(Level::Warning, text);
+        }
         if self.pipeline.baseline_records().len() > before {
             self.new_baseline(frame.host_wall_ns);
         }

@@ -25,7 +25,13 @@ pub struct Panel {
     pub values: Vec<f32>,
     /// Marks, as shares of the image's width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
+    /// Radius of the upright cylinder on which the image lies, as a share of its width; none where it is flat.
+    pub bend: Option<f64>,
 }
+
+/// Turn and tilt from which an image on a cylinder is seen, radians.
+const TURN: f64 = -0.35;
+const TILT: f64 = 0.4;
 
 /// Panels on one colour scale, blue below zero, red above.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,6 +84,8 @@ impl Panel {
             while start < values.len() {
                 let here = level(values[start]);
                 let end = (start + 1..values.len()).find(|&k| level(values[k]) != here).unwrap_or(values.len());
+                // On a cylinder a run is no rectangle.
+                let end = if self.bend.is_some() { start + 1 } else { end };
                 if let Some(here) = here {
                     // A little over the edge, so that no seams show.
                     let (x0, x1) = (left + start as f64 * pixel, left + end as f64 * pixel + 0.4);
@@ -88,22 +96,43 @@ impl Panel {
             }
         }
         let filled = runs.into_iter().enumerate().filter(|(_, lines)| !lines.is_empty());
+        let (width, height) = (pixel * columns as f64, pixel * rows as f64);
+        let lay = |mut line: Polyline| {
+            if let Some(bend) = self.bend {
+                let middle = [left + 0.5 * width, top + 0.5 * height];
+                line.points.iter_mut().for_each(|point| *point = bent(*point, middle, width, bend));
+            }
+            line
+        };
         let mut shapes: Vec<Shape> = filled
             .map(|(level, lines)| {
+                let lines = lines.into_iter().map(lay).collect();
                 let fill = Some(colour(level as f64 / LEVELS as f64 - 1.0));
                 Shape { class: "pixels", lines, fill, stroke: None }
             })
             .collect();
-        let (width, height) = (pixel * columns as f64, pixel * rows as f64);
         let cross = |[x, y]: &[f64; 2]| {
             let (x, y) = (left + x * width, top + y * height);
             [Polyline::open(vec![[x - 6.0, y], [x + 6.0, y]]), Polyline::open(vec![[x, y - 6.0], [x, y + 6.0]])]
         };
-        let lines: Vec<Polyline> = self.marks.iter().flat_map(cross).collect();
+        let lines: Vec<Polyline> = self.marks.iter().flat_map(cross).map(lay).collect();
         let stroke = Some(Stroke { colour: INK, width: 1.6 });
         shapes.push(Shape { class: "truth", lines, fill: None, stroke });
         shapes
     }
+}
+
+/// Where a point of an image that is laid on an upright cylinder of radius `bend` times its width is seen. Angles of up to
+/// a right one from the view are assumed, so that nothing hides anything.
+fn bent([x, y]: [f64; 2], [across, down]: [f64; 2], width: f64, bend: f64) -> [f64; 2] {
+    let radius = bend * width;
+    let (half, angle) = (0.5 / bend, (x - across) / radius);
+    // The picture keeps to the middle of its panel, and its depth to the middle of what it spans.
+    let centre = 0.5 * ((TURN + half).sin() + (TURN - half).sin());
+    let depth = (TURN + angle).cos() - 0.5 * (1.0 + (TURN - half).cos());
+    let scale = 0.85;
+    let right = scale * radius * ((TURN + angle).sin() - centre);
+    [across + right, down + scale * ((y - down) * TILT.cos() + radius * depth * TILT.sin())]
 }
 
 /// White at 0, through orange to dark red at 1, through light to dark blue at -1.
@@ -129,7 +158,7 @@ mod tests {
     #[test]
     fn pixels_of_one_colour_in_a_row_are_one_rectangle() {
         let values = vec![1.0, 1.0, f32::NAN, 0.0, -1.0, -1.0];
-        let panel = Panel { name: "a".into(), columns: 3, values, marks: vec![[0.5, 0.5]] };
+        let panel = Panel { name: "a".into(), columns: 3, values, marks: vec![[0.5, 0.5]], bend: None };
         let picture = Heatmap { title: "t".into(), panels: vec![panel], own_scales: false }.picture();
         let pixels: Vec<usize> =
             picture.shapes.iter().filter(|shape| shape.class == "pixels").map(|shape| shape.lines.len()).collect();
@@ -141,5 +170,16 @@ mod tests {
         assert_eq!(colour(0.0), Colour(247, 247, 247));
         assert_eq!(colour(1.0), Colour(127, 0, 0));
         assert_eq!(colour(-1.0), Colour(5, 48, 97));
+    }
+
+    #[test]
+    fn an_image_on_a_cylinder_is_narrower_towards_its_sides_and_stays_in_its_panel() {
+        // 150 mm on a radius of 95 mm, in a panel of 280 pixels.
+        let (bend, middle) = (95.0 / 150.0, [140.0, 140.0]);
+        let at = |x: f64, y: f64| bent([x, y], middle, 280.0, bend);
+        let widths: Vec<f64> = [0.0, 130.0, 270.0].map(|x| at(x + 10.0, 140.0)[0] - at(x, 140.0)[0]).to_vec();
+        assert!(widths[0] > 0.0 && widths[1] > widths[0] && widths[1] > widths[2], "{widths:?}");
+        let corners = [[0.0, 0.0], [280.0, 0.0], [280.0, 280.0], [0.0, 280.0], [200.0, 280.0]].map(|[x, y]| at(x, y));
+        assert!(corners.iter().flatten().all(|value| (-5.0..285.0).contains(value)), "{corners:?}");
     }
 }

@@ -107,7 +107,8 @@ impl Command {
             Self::Hyperparameter(value) => {
                 Err(format!("hyperparameter {value} refused: expected a positive finite number"))
             }
-            Self::Press(press) | Self::Move(press) => press.check(scene),
+            Self::Press(press) => press.check(scene).and_then(|()| press.check_on_skin(scene)),
+            Self::Move(press) => press.check(scene),
             Self::Release { .. } if scene.is_twin => Ok(()),
             Self::Release { .. } => Err("release refused: this skin is real".into()),
             Self::ChooseChannels(indices) => check_channels(indices, scene),
@@ -116,6 +117,20 @@ impl Command {
 }
 
 impl Press {
+    /// Refuses a press that begins off the skin. One that slides off it may come back.
+    fn check_on_skin(&self, scene: &Scene) -> Result<(), String> {
+        let (x, y) = (self.x_mm, self.y_mm);
+        // Crossings of a ray to the right with all rings: odd inside, holes included.
+        let crosses =
+            |[ax, ay]: [f64; 2], [bx, by]: [f64; 2]| (ay > y) != (by > y) && x < ax + (y - ay) / (by - ay) * (bx - ax);
+        let rings = scene.outline_mm.iter();
+        let crossings = rings.flat_map(|ring| (0..ring.len()).map(move |k| (ring[k], ring[(k + 1) % ring.len()])));
+        if scene.outline_mm.is_empty() || crossings.filter(|(a, b)| crosses(*a, *b)).count() % 2 == 1 {
+            return Ok(());
+        }
+        Err(format!("press refused: ({x:.1}, {y:.1}) mm is off the skin"))
+    }
+
     fn check(&self, scene: &Scene) -> Result<(), String> {
         if !scene.is_twin {
             return Err("press refused: this skin is real, press it by hand".into());

@@ -13,6 +13,9 @@ pub struct Scene {
     pub is_twin: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
     pub outline_mm: Vec<Vec<[f64; 2]>>,
+    /// Diameter of the cylinder that the sheet is bent on, its axis along y behind the sheet; none where it is flat. All other
+    /// lengths are those of the sheet laid flat.
+    pub bend_diameter_mm: Option<f64>,
     /// Electrodes (or coils) in the order of their numbers.
     pub electrodes: Vec<ElectrodeView>,
     /// The image's grid.

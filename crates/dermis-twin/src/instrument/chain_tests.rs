@@ -71,6 +71,45 @@ fn small_voltages_take_finer_ranges() {
 }
 
 #[test]
+fn complex_readings_turn_by_the_phase_error_and_each_part_has_its_noise() {
+    let ideal = InstrumentOptions { reading: Reading::Complex, phase_error_rad: 0.3, ..InstrumentOptions::ideal() };
+    let mut instrument = Instrument::new(ideal, 2, 1).unwrap();
+    let mut frame = [0.5, -0.2];
+    instrument.read(0.1, &mut frame);
+    for (k, voltage) in [0.5_f64, -0.2].into_iter().enumerate() {
+        let (real, imaginary): (f64, f64) = (frame[k], instrument.imaginary_v()[k]);
+        assert!(
+            (real.hypot(imaginary) - voltage.abs()).abs() < 1e-15 && (imaginary / real - 0.3_f64.tan()).abs() < 1e-14
+        );
+    }
+    let noise = Noise { floor_v: 1e-3, proportional: 0.0 };
+    let mut instrument = Instrument::new(InstrumentOptions { noise, ..ideal }, 4000, 2).unwrap();
+    let mut frame = vec![0.5; 4000];
+    instrument.read(0.1, &mut frame);
+    let parts = [(&frame[..], 0.3_f64.cos()), (instrument.imaginary_v(), 0.3_f64.sin())];
+    for (values, share) in parts {
+        let variance = values.iter().map(|v| (v - 0.5 * share).powi(2)).sum::<f64>() / 4000.0;
+        // 4,000 samples give the deviation within 5 % (4.5 standard errors).
+        assert!((variance.sqrt() / 1e-3 - 1.0).abs() < 0.05, "{variance:e}");
+    }
+    // A copy is of both parts, and a stuck channel has no quadrature.
+    let faults = vec![Fault::StuckChannel { channel: 1, value_v: 7.0 }, Fault::DuplicatedFrames { probability: 0.5 }];
+    instrument.set_faults(faults).unwrap();
+    let mut last = (Vec::new(), Vec::new());
+    for _ in 0..20 {
+        frame.fill(0.5);
+        instrument.read(0.1, &mut frame);
+        assert_eq!((frame[1], instrument.imaginary_v()[1]), (7.0, 0.0));
+        let now = (frame.clone(), instrument.imaginary_v().to_vec());
+        assert_eq!(instrument.frame_fate() == FrameFate::Duplicated, now == last);
+        last = now;
+    }
+    assert_eq!(read(InstrumentOptions { reading: Reading::Signed, ..ideal }, &[1.0])[0], 0.3_f64.cos());
+    assert_eq!(read(InstrumentOptions { reading: Reading::Magnitude, ..ideal }, &[-1.0])[0], 1.0);
+    assert!(Instrument::new(InstrumentOptions { phase_error_rad: 2.0, ..ideal }, 1, 0).is_err());
+}
+
+#[test]
 fn mains_is_sampled_at_each_channels_time_and_warmth_scales() {
     let mains = Mains { amplitude_v: 2.0, frequency_hz: 50.0, phase_rad: 0.0 };
     let timing = Timing { settling_s: 1e-3, conversion_s: 4e-3, frame_overhead_s: 0.01 };
@@ -99,7 +138,7 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
     let voltages: Vec<f64> = (0..208).map(|k| 1e-3 * 1.02_f64.powi(k) * if k % 3 == 0 { -1.0 } else { 1.0 }).collect();
     let floor_v = floor_for_ionic_snr_v(&voltages, 59.7, 100, 5e-7).unwrap();
     let tuned = InstrumentOptions { noise: Noise { floor_v, proportional: 5e-7 }, ..InstrumentOptions::ideal() };
-    for options in [InstrumentOptions::ionic(), tuned] {
+    for options in [InstrumentOptions::ionic_as_printed(), tuned] {
         let mut instrument = Instrument::new(options, 208, 11).unwrap();
         let (mut sum, mut squares) = (vec![0.0; 208], vec![0.0; 208]);
         for _ in 0..100 {
@@ -132,6 +171,27 @@ fn presets_keep_the_papers_time_and_steps() {
     let piezo = Instrument::new(InstrumentOptions::piezo(), 4096, 1).unwrap();
     assert!((piezo.frame_period_s() - 4096.0 * (1e-5 + 1.0 / 860.0)).abs() < 1e-9);
     assert!((InstrumentOptions::piezo().drive.unwrap().actual_a() - 39e-6).abs() < 1e-18);
+}
+
+#[test]
+fn options_without_a_converter_come_back_from_toml() {
+    let drift = Some(Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 2e-5 });
+    let presets = [
+        InstrumentOptions::ideal(),
+        InstrumentOptions::ionic(),
+        InstrumentOptions::ionic_as_printed(),
+        InstrumentOptions::piezo(),
+        InstrumentOptions { drift, ..InstrumentOptions::healing() },
+    ];
+    for options in presets {
+        let text = toml::to_string(&options).unwrap();
+        assert_eq!(toml::from_str::<InstrumentOptions>(&text).unwrap(), options, "{text}");
+    }
+    assert_eq!(toml::from_str::<InstrumentOptions>("").unwrap().converter, Some(Converter::default()));
+    let bits = toml::from_str::<InstrumentOptions>("converter = { bits = 12 }").unwrap().converter;
+    assert_eq!(bits, Some(Converter { bits: 12, ..Converter::default() }));
+    assert!(toml::from_str::<InstrumentOptions>("converter = \"nothing\"").is_err());
+    assert!(toml::from_str::<InstrumentOptions>("converter = { bit = 12 }").is_err());
 }
 
 #[test]

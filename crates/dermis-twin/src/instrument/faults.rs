@@ -47,7 +47,8 @@ pub enum Fault {
 }
 
 /// What becomes of a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum FrameFate {
     /// It arrives.
     #[default]
@@ -69,6 +70,7 @@ pub(super) struct Faults {
     dead: Vec<usize>,
     /// Channel and the channel that it is averaged with.
     tied: Vec<(usize, usize)>,
+    /// The last frame delivered: real parts, then imaginary ones if any.
     previous: Vec<f64>,
     fate: FrameFate,
 }
@@ -106,10 +108,12 @@ impl Faults {
     }
 
     pub fn set(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
-        faults.iter().try_for_each(|fault| self.check(fault))?;
+        self.check_all(&faults)?;
         self.floating.clear();
         self.dead.clear();
         self.tied.clear();
+        // What was read before is no frame that these faults could repeat.
+        self.previous.clear();
         for fault in &faults {
             match *fault {
                 Fault::OpenElectrode { electrode } => self.open(electrode),
@@ -119,6 +123,10 @@ impl Faults {
         }
         self.list = faults;
         Ok(())
+    }
+
+    pub fn check_all(&self, faults: &[Fault]) -> Result<(), TwinError> {
+        faults.iter().try_for_each(|fault| self.check(fault))
     }
 
     fn check(&self, fault: &Fault) -> Result<(), TwinError> {
@@ -196,12 +204,15 @@ impl Faults {
         }
     }
 
-    /// Acts on readings.
-    pub fn of_frames(&mut self, readings_v: &mut [f64]) {
+    /// Acts on readings; imaginary parts may be none.
+    pub fn of_frames(&mut self, readings_v: &mut [f64], imaginary_v: &mut [f64]) {
         self.fate = FrameFate::Delivered;
         for fault in &self.list {
             match *fault {
-                Fault::StuckChannel { channel, value_v } => readings_v[channel] = value_v,
+                Fault::StuckChannel { channel, value_v } => {
+                    readings_v[channel] = value_v;
+                    imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value = 0.0);
+                }
                 Fault::DroppedFrames { probability } if self.random.random_bool(probability) => {
                     self.fate = FrameFate::Dropped;
                 }
@@ -219,8 +230,13 @@ impl Faults {
             FrameFate::Delivered if !self.list.is_empty() => {
                 self.previous.clear();
                 self.previous.extend_from_slice(readings_v);
+                self.previous.extend_from_slice(imaginary_v);
             }
-            FrameFate::Duplicated => readings_v.copy_from_slice(&self.previous),
+            FrameFate::Duplicated => {
+                let (real, imaginary) = self.previous.split_at(readings_v.len());
+                readings_v.copy_from_slice(real);
+                imaginary_v.copy_from_slice(imaginary);
+            }
             _ => {}
         }
     }

@@ -6,6 +6,7 @@ mod chain;
 mod faults;
 mod noise;
 mod presets;
+mod schedule;
 mod snr;
 
 use rand::SeedableRng;
@@ -17,6 +18,8 @@ use crate::error::{TwinError, check, check_positive};
 pub use chain::{DriveSteps, GainRanges, Mains, Multiplexer, Temperature, Timing};
 pub use faults::{Fault, FrameFate};
 pub use noise::{Drift, Noise};
+pub(crate) use schedule::FaultSchedule;
+pub use schedule::TimedFault;
 pub use snr::{expected_ionic_snr_db, floor_for_ionic_snr_v, snr_db};
 
 use dermis_tomo::eit::Protocol;
@@ -56,6 +59,8 @@ impl Converter {
     }
 }
 
+const RIGHT_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+
 /// Parameters of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -64,7 +69,8 @@ pub struct InstrumentOptions {
     pub noise: Noise,
     /// Slow change, where wanted.
     pub drift: Option<Drift>,
-    /// Rounding and saturation; `None` reads without either.
+    /// Rounding and saturation; `None` (`"none"` in TOML) reads without either.
+    #[serde(with = "converter_or_none")]
     pub converter: Option<Converter>,
     /// Steps of the current source.
     pub drive: Option<DriveSteps>,
@@ -80,6 +86,9 @@ pub struct InstrumentOptions {
     pub timing: Option<Timing>,
     /// What of the voltage is reported.
     pub reading: Reading,
+    /// Angle by which the demodulator's reference leads: a signed reading is `V cos`, a complex one has `V sin` as its
+    /// imaginary part; a rectifier knows nothing of it. Radians, within a right angle.
+    pub phase_error_rad: f64,
 }
 
 /// What of a voltage an instrument reports.
@@ -91,11 +100,14 @@ pub enum Reading {
     Signed,
     /// Its size only, as behind a rectifier.
     Magnitude,
+    /// In-phase and quadrature voltage, each with its noise; the latter is [`Instrument::imaginary_v`]. A resistive skin
+    /// has none, so that only the phase error shows there.
+    Complex,
 }
 
 impl Default for InstrumentOptions {
     fn default() -> Self {
-        Self { noise: Noise::default(), converter: Some(Converter::default()), ..Self::ideal() }
+        Self::healing()
     }
 }
 
@@ -113,6 +125,7 @@ impl InstrumentOptions {
             temperature: None,
             timing: None,
             reading: Reading::Signed,
+            phase_error_rad: 0.0,
         }
     }
 
@@ -133,6 +146,7 @@ impl InstrumentOptions {
             check_positive("converter range_v", converter.range_v)?;
             check_positive("converter gain", converter.gain)?;
         }
+        check("phase_error_rad", self.phase_error_rad, -RIGHT_ANGLE, RIGHT_ANGLE, "within a right angle")?;
         self.check_chain()
     }
 }
@@ -149,6 +163,8 @@ pub struct Instrument {
     /// Last voltage before the converter's multiplexer in the frame before.
     last_v: f64,
     faults: Faults,
+    /// Quadrature readings of the last frame, where there are any.
+    imaginary_v: Vec<f64>,
 }
 
 impl Instrument {
@@ -161,7 +177,7 @@ impl Instrument {
         let random = ChaCha8Rng::seed_from_u64(seed);
         let channel = vec![0.0; channel_count];
         let faults = Faults::new(channel_count, seed);
-        Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults })
+        Ok(Self { options, random, common: 0.0, channel, time_s: 0.0, last_v: 0.0, faults, imaginary_v: Vec::new() })
     }
 
     /// Tells it which electrodes its channels use, which faults of electrodes need.
@@ -191,9 +207,22 @@ impl Instrument {
         self.faults.list()
     }
 
+    /// Checks faults without taking them on.
+    ///
+    /// # Errors
+    /// As [`Instrument::set_faults`].
+    pub fn check_faults(&self, faults: &[Fault]) -> Result<(), TwinError> {
+        self.faults.check_all(faults)
+    }
+
     /// What became of the last frame. Whoever passes frames on leaves dropped ones out.
     pub fn frame_fate(&self) -> FrameFate {
         self.faults.fate()
+    }
+
+    /// Quadrature readings of the last frame, volts; empty unless the instrument reads complex.
+    pub fn imaginary_v(&self) -> &[f64] {
+        &self.imaginary_v
     }
 
     /// True time from one frame to the next, seconds; 0 where channels take no time.
@@ -218,6 +247,23 @@ impl Instrument {
             multiplexer.pass(settling_s, self.last_v, voltages_v);
             self.last_v = last_v;
         }
+        let (sine, cosine) = self.options.phase_error_rad.sin_cos();
+        self.imaginary_v.clear();
+        if self.options.reading == Reading::Complex {
+            self.imaginary_v.extend(voltages_v.iter().map(|voltage| *voltage * sine));
+        }
+        if self.options.reading != Reading::Magnitude {
+            voltages_v.iter_mut().for_each(|voltage| *voltage *= cosine);
+        }
+        let mut imaginary_v = std::mem::take(&mut self.imaginary_v);
+        self.digitise(voltages_v);
+        self.digitise(&mut imaginary_v);
+        self.faults.of_frames(voltages_v, &mut imaginary_v);
+        self.imaginary_v = imaginary_v;
+    }
+
+    /// Noise, pickup and converter.
+    fn digitise(&mut self, voltages_v: &mut [f64]) {
         for (channel, voltage) in voltages_v.iter_mut().enumerate() {
             *voltage += self.options.noise.deviation_v(*voltage) * normal(&mut self.random);
             if let Some(mains) = self.options.mains {
@@ -226,7 +272,6 @@ impl Instrument {
             }
             *voltage = self.options.convert(*voltage);
         }
-        self.faults.of_frames(voltages_v);
     }
 
     /// Everything that multiplies: random walk, current steps, temperature.
@@ -254,6 +299,37 @@ impl InstrumentOptions {
         let full_scale_v = converter.range_v / converter.gain;
         let extra = self.gain_ranges.map_or(1.0, |ranges| ranges.gain(voltage_v.abs(), full_scale_v));
         Converter { gain: converter.gain * extra, ..converter }.read_v(voltage_v)
+    }
+}
+
+/// A converter as a table, none as the word `"none"`: TOML has no null, and a key left out means the default.
+mod converter_or_none {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use super::Converter;
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(rename_all = "lowercase")]
+    enum Word {
+        None,
+    }
+
+    #[derive(Serialize, Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Word(Word),
+        Table(Converter),
+    }
+
+    pub fn serialize<S: Serializer>(converter: &Option<Converter>, serializer: S) -> Result<S::Ok, S::Error> {
+        converter.map_or(Written::Word(Word::None), Written::Table).serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Converter>, D::Error> {
+        Ok(match Written::deserialize(deserializer)? {
+            Written::Word(Word::None) => None,
+            Written::Table(converter) => Some(converter),
+        })
     }
 }
 

@@ -247,7 +247,9 @@ impl Indenter {
         match self.load {
             Load::PressurePa(value) => check("pressure_pa", value, 0.0, 1e9, "0 to 1e9 Pa"),
             Load::ForceN(value) => check("force_n", value, 0.0, 1e6, "0 to 1e6 N"),
-        }
+        }?;
+        // A force on a face too small for it is absurd too.
+        check("pressure_pa", self.pressure_pa(), 0.0, 1e9, "0 to 1e9 Pa")
     }
 }
 

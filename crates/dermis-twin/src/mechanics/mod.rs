@@ -3,12 +3,14 @@
 //! deflects a membrane over a liquid ([`Membrane`]).
 
 mod contact;
+mod extent;
 mod indenter;
 mod mask;
 mod membrane;
 mod memory;
 
 pub use contact::ContactLaw;
+pub use extent::check_on_skin;
 pub use indenter::{Cover, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
 pub use mask::{MOST_MASK_CELLS, Mask};
 pub use membrane::{Membrane, MembraneSpec};

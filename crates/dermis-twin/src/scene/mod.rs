@@ -3,15 +3,18 @@
 
 mod random;
 mod script;
+mod waveforms;
 
 use std::collections::BTreeMap;
 
+use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check_positive};
-use crate::mechanics::{Indenter, Load};
+use crate::mechanics::{Indenter, Load, check_on_skin};
 pub use random::RandomTouches;
 pub use script::{Event, Script};
+pub use waveforms::Place;
 
 /// Who makes a touch. Script and people count their pointers apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -56,6 +59,8 @@ pub struct Scene {
     script_time_s: f64,
     since_user_s: f64,
     touches: BTreeMap<Pointer, Touch>,
+    /// What presses must lie on, where it is known.
+    skin: Option<Outline>,
 }
 
 impl Scene {
@@ -67,15 +72,28 @@ impl Scene {
         check_positive("fade_s", options.fade_s)?;
         crate::error::check("script_waits_s", options.script_waits_s, 0.0, f64::MAX, "zero or more, finite")?;
         script.as_ref().map_or(Ok(()), Script::check)?;
-        Ok(Self { options, script, script_time_s: 0.0, since_user_s: f64::INFINITY, touches: BTreeMap::new() })
+        let touches = BTreeMap::new();
+        Ok(Self { options, script, script_time_s: 0.0, since_user_s: f64::INFINITY, touches, skin: None })
+    }
+
+    /// The same on a skin of this outline: presses off it are refused from here on.
+    ///
+    /// # Errors
+    /// A script that presses off the skin, or with more than it.
+    pub fn on(self, skin: Outline) -> Result<Self, TwinError> {
+        self.script.as_ref().map_or(Ok(()), |script| script.check_on(&skin))?;
+        Ok(Self { skin: Some(skin), ..self })
     }
 
     /// Replaces the script (`None` ends it); the new one starts from its beginning.
     ///
     /// # Errors
-    /// A script that fails [`Script::check`].
+    /// A script that fails [`Script::check`], or presses off the skin.
     pub fn set_script(&mut self, script: Option<Script>) -> Result<(), TwinError> {
-        script.as_ref().map_or(Ok(()), Script::check)?;
+        script.as_ref().map_or(Ok(()), |script| match &self.skin {
+            Some(skin) => script.check_on(skin),
+            None => script.check(),
+        })?;
         (self.script, self.script_time_s) = (script, 0.0);
         Ok(())
     }
@@ -83,7 +101,8 @@ impl Scene {
     /// Presses with a round indenter; a pointer that presses already moves and changes to this.
     ///
     /// # Errors
-    /// Numbers that are not finite, a radius that is not positive, a pressure below zero.
+    /// Numbers that are not finite, a radius that is not positive, a pressure below zero, a place off the skin, an indenter
+    /// larger than the skin.
     pub fn press(
         &mut self,
         pointer: u64,
@@ -98,9 +117,9 @@ impl Scene {
     /// Presses with any indenter.
     ///
     /// # Errors
-    /// As [`Indenter::check`].
+    /// As [`Scene::press`].
     pub fn press_with(&mut self, pointer: u64, indenter: Indenter) -> Result<(), TwinError> {
-        indenter.check()?;
+        self.check(&indenter)?;
         self.hold(Pointer::User(pointer), indenter);
         Ok(())
     }
@@ -108,16 +127,23 @@ impl Scene {
     /// Moves a pointer that presses.
     ///
     /// # Errors
-    /// A pointer that presses nothing; a position that is not finite.
+    /// A pointer that presses nothing; a position that is not finite, or off the skin.
     pub fn move_to(&mut self, pointer: u64, x_m: f64, y_m: f64) -> Result<(), TwinError> {
-        match self.touches.get_mut(&Pointer::User(pointer)).filter(|touch| touch.down) {
-            Some(touch) => {
-                let moved = Indenter { centre_m: [x_m, y_m], ..touch.indenter };
-                moved.check()?;
-                touch.indenter = moved;
-                Ok(())
-            }
-            None => Err(TwinError::Pointer { pointer }),
+        let touch = self.touches.get(&Pointer::User(pointer)).filter(|touch| touch.down);
+        let moved = touch.map(|touch| Indenter { centre_m: [x_m, y_m], ..touch.indenter });
+        let moved = moved.ok_or(TwinError::Pointer { pointer })?;
+        self.press_with(pointer, moved)
+    }
+
+    /// True while a person's pointer presses.
+    pub fn is_pressed_by(&self, pointer: u64) -> bool {
+        self.touches.get(&Pointer::User(pointer)).is_some_and(|touch| touch.down)
+    }
+
+    fn check(&self, indenter: &Indenter) -> Result<(), TwinError> {
+        match &self.skin {
+            Some(skin) => check_on_skin(skin, indenter),
+            None => indenter.check(),
         }
     }
 

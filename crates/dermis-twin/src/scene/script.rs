@@ -3,10 +3,11 @@
 
 use std::f64::consts::TAU;
 
+use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check_positive};
-use crate::mechanics::Indenter;
+use crate::mechanics::{Indenter, check_on_skin};
 
 /// Something that a pointer does at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -125,6 +126,18 @@ impl Script {
     /// Events out of order or beyond the duration, moves and releases of pointers that press nothing, presses of
     /// pointers that press already, numbers no indenter has.
     pub fn check(&self) -> Result<(), TwinError> {
+        self.check_with(Indenter::check)
+    }
+
+    /// The same, with every indenter on a skin of this outline.
+    ///
+    /// # Errors
+    /// As [`Script::check`]; presses and moves off the skin, indenters larger than it.
+    pub fn check_on(&self, outline: &Outline) -> Result<(), TwinError> {
+        self.check_with(|indenter| check_on_skin(outline, indenter))
+    }
+
+    fn check_with(&self, accept: impl Fn(&Indenter) -> Result<(), TwinError>) -> Result<(), TwinError> {
         check_positive("script duration_s", self.duration_s)?;
         let mut pressing: Vec<(u64, Indenter)> = Vec::new();
         let mut last = 0.0;
@@ -142,7 +155,7 @@ impl Script {
                 return refuse(format!("pointer {pointer} {state}"));
             }
             if let Some(indenter) = event.indenter(before) {
-                indenter.check().or_else(|error| refuse(error.to_string()))?;
+                accept(&indenter).or_else(|error| refuse(error.to_string()))?;
                 if !indenter.is_pressing() {
                     return refuse(format!("pointer {pointer} presses with 0 Pa; release it instead"));
                 }

@@ -66,6 +66,8 @@ pub struct ImagePanel {
     pub values: Vec<f32>,
     /// Where something truly pressed, as shares of width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
+    /// Radius of the upright cylinder that the skin lies on, as a share of the image's width; none where it is flat.
+    pub bend: Option<f64>,
 }
 
 /// A figure, without a look.

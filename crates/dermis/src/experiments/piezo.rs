@@ -86,7 +86,7 @@ fn cylinder() -> Result<Report, Error> {
     rows.push(row("two touches: touches found", "", Some(2.0), found.len() as f64, Kind::Algorithm));
     rows.push(row("two touches: worse of the two positions", "mm", None, worst, Kind::Algorithm));
     panels.push(rig.panel("two touches, 1 N each", &image, &places));
-    let title = "P3: sheet on a cylinder of 190 mm, unrolled".into();
+    let title = "P3: sheet on a cylinder of 190 mm".into();
     let figures = vec![Figure::Images { name: "cylinder", title, columns: rig.columns(), panels }];
     let notes = vec!["The paper shows images and gives no numbers.".into()];
     Ok(Report { id: "P3", title: EXPERIMENTS[2].title, rows, figures, notes })

@@ -5,6 +5,7 @@ use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
+use dermis_twin::physics::Surface;
 
 use super::ImagePanel;
 use crate::Error;
@@ -98,7 +99,7 @@ impl Rig {
     /// Readings under these indenters, one frame after the other.
     ///
     /// # Errors
-    /// Fields that cannot be solved.
+    /// Loads off the skin or larger than it; fields that cannot be solved.
     pub fn frames(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<Vec<f64>>, Error> {
         read(&mut self.frontend, &mut self.instrument, indenters, count, self.frame_s)
     }
@@ -156,7 +157,12 @@ impl Rig {
         let grid = self.prepared.map.grid();
         let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
         let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
-        ImagePanel { name: name.into(), values: values.to_vec(), marks: places_m.iter().map(share).collect() }
+        let bend = match self.prepared.skin.surface() {
+            Surface::Cylinder { radius_m } => Some(radius_m / width),
+            Surface::Flat => None,
+        };
+        let marks = places_m.iter().map(share).collect();
+        ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
     }
 
     /// Pixels in a row of an image.
@@ -210,6 +216,8 @@ fn read(
     count: usize,
     frame_s: f64,
 ) -> Result<Vec<Vec<f64>>, Error> {
+    // A load that the skin cannot bear would be dropped in silence, and the experiment be one of nothing.
+    indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
     let mut frames = Vec::with_capacity(count);
     for _ in 0..count {
         let mut frame = vec![0.0; frontend.channel_count()];

@@ -5,10 +5,12 @@ mod build;
 mod builtin;
 mod parts;
 mod refinement;
+mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
 pub use refinement::Refinement;
+pub use twin::{StuckChannel, TwinFaults, TwinSettings};
 
 use std::path::Path;
 
@@ -40,6 +42,13 @@ pub struct Skin {
     /// From images to touches.
     #[serde(default)]
     pub touch: TouchSettings,
+    /// Its twin.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub twin: TwinSettings,
+}
+
+fn is_default(twin: &TwinSettings) -> bool {
+    *twin == TwinSettings::default()
 }
 
 /// What physics reads a skin.
@@ -640,6 +649,9 @@ impl Skin {
                 &format!("2 to {MOST_ELECTRODES} electrodes"),
             ));
         }
+        let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
+        let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
+        self.twin.check(electrodes, channels, file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
         }

@@ -93,6 +93,7 @@ fn drawing(figure: &Figure) -> (&'static str, Picture) {
                 columns: *columns,
                 values: panel.values.clone(),
                 marks: panel.marks.clone(),
+                bend: panel.bend,
             };
             let panels = panels.iter().map(panel).collect();
             (*name, Heatmap { title: title.clone(), panels, own_scales: true }.picture())

@@ -8,6 +8,7 @@ use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::record::RecorderStatus;
 use dermis::sink::Output;
+use dermis::skin::Bend;
 use dermis::twins::PressRange;
 use dermis_cli::page::{
     Counter, ElectrodeView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView,
@@ -44,8 +45,12 @@ impl PageFeed {
             .stages()
             .map(|(stage, _)| StageLatency { stage: Cow::Borrowed(stage), ..StageLatency::default() })
             .to_vec();
-        update.counters = ["frames", "dropped", "lost", "damaged", "not recorded"]
-            .map(|name| Counter { name: Cow::Borrowed(name), value: 0, is_loss: name != "frames" })
+        update.counters = ["frames", "dropped", "lost", "damaged", "not recorded", "repeated"]
+            .map(|name| Counter {
+                name: Cow::Borrowed(name),
+                value: 0,
+                is_loss: !["frames", "repeated"].contains(&name),
+            })
             .to_vec();
         update.state.baseline_age_s = f64::NAN;
         Self { update, rate: Rate::new(), skipped: 0.0, tared_at_ns: None, records: 0 }
@@ -77,7 +82,8 @@ impl PageFeed {
             Some((_, status)) => (status.dropped, Some(status.written)),
             None => (0, None),
         };
-        let values = [self.update.counters[0].value + 1, lost.dropped, lost.lost, lost.bad, not_recorded];
+        let values =
+            [self.update.counters[0].value + 1, lost.dropped, lost.lost, lost.bad, not_recorded, lost.repeated];
         self.update.counters.iter_mut().zip(values).for_each(|(counter, value)| counter.value = value);
         self.update.state.recorded_frames = state.unwrap_or(0);
         match recording {
@@ -162,6 +168,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         modality: "eit".into(),
         is_twin: press.is_some(),
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
+        bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
         electrodes: electrodes(prepared),
         grid: GridView {
             rows: grid.rows,

@@ -30,6 +30,8 @@ pub struct TwinControl {
     pub commands: crossbeam_channel::Sender<TwinCommand>,
     /// What people may press with.
     pub press: PressRange,
+    /// What the twin has to say.
+    pub notices: crossbeam_channel::Receiver<String>,
 }
 
 /// Opens what `--source` names.
@@ -42,7 +44,7 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
     if selector == "twin" {
         let skin = super::skin(skin_name)?;
         let (source, commands) = TwinSource::new(&skin)?;
-        let twin = Some(TwinControl { commands, press: source.press_range() });
+        let twin = Some(TwinControl { commands, press: source.press_range(), notices: source.notices() });
         return Ok(Opened { skin, source: Box::new(source), twin, wait: false });
     }
     let pacing = |rate: Option<f64>| match (speed, rate) {

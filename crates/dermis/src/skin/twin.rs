@@ -1,0 +1,174 @@
+//! What a skin file says of its twin: the seed of its noise, and what is broken in its instrument.
+
+use dermis_twin::instrument::{Fault, TimedFault};
+use serde::{Deserialize, Serialize};
+
+use super::refused;
+use crate::Error;
+
+/// The table `[twin]`. Hardware and recordings know nothing of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TwinSettings {
+    /// Seed of the instrument's noise and of its faults; left out: the twin's own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Angle by which the demodulator's reference leads, for `reads = "complex"` above all.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub phase_error_deg: f64,
+    /// What is broken, and when.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub faults: Vec<TwinFaults>,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+/// Faults that act at the same time.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TwinFaults {
+    /// Seconds after the first frame from which they act.
+    pub from_s: f64,
+    /// Seconds after the first frame until which they act; left out: for good.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub until_s: Option<f64>,
+    /// Electrodes without contact, counted from 1.
+    pub open_electrodes: Vec<u32>,
+    /// Pairs of electrodes connected by a wire, counted from 1.
+    pub shorted_pairs: Vec<[u32; 2]>,
+    /// Channels that always read the same.
+    pub stuck_channels: Vec<StuckChannel>,
+    /// Probability of each frame to be lost on the way.
+    pub dropped_share: f64,
+    /// Probability of each frame to be a copy of the one before, number included.
+    pub repeated_share: f64,
+}
+
+/// A channel that always reads the same.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StuckChannel {
+    /// Which, counted from 1 as on the page.
+    pub channel: usize,
+    /// What it reads.
+    pub value_mv: f64,
+}
+
+impl TwinSettings {
+    /// The faults as the twin takes them, electrodes counted from 0.
+    pub fn timed_faults(&self) -> Vec<TimedFault> {
+        self.faults.iter().flat_map(TwinFaults::timed).collect()
+    }
+
+    pub(super) fn check(&self, electrodes: usize, channels: Option<usize>, file: &str) -> Result<(), Error> {
+        if !(-90.0..=90.0).contains(&self.phase_error_deg) {
+            return Err(refused(file, "twin.phase_error_deg", self.phase_error_deg, "-90 to 90"));
+        }
+        let stuck = self.faults.iter().flat_map(|faults| &faults.stuck_channels);
+        for StuckChannel { channel, .. } in stuck {
+            // A protocol that cannot be made is refused elsewhere, by name.
+            let most = channels.unwrap_or(usize::MAX);
+            if !(1..=most).contains(channel) {
+                let expected = format!("channels 1 to {most}");
+                return Err(refused(file, "twin.faults.stuck_channels.channel", channel, &expected));
+            }
+        }
+        self.faults.iter().try_for_each(|faults| faults.check(electrodes, file))
+    }
+}
+
+impl TwinFaults {
+    fn timed(&self) -> impl Iterator<Item = TimedFault> + '_ {
+        // Checked: electrodes are counted from 1.
+        let open = self.open_electrodes.iter().map(|n| Fault::OpenElectrode { electrode: n.wrapping_sub(1) });
+        let short = self.shorted_pairs.iter().map(|p| Fault::ShortedPair { electrodes: p.map(|n| n.wrapping_sub(1)) });
+        let stuck =
+            |s: &StuckChannel| Fault::StuckChannel { channel: s.channel.wrapping_sub(1), value_v: 1e-3 * s.value_mv };
+        let dropped = Fault::DroppedFrames { probability: self.dropped_share };
+        let repeated = Fault::DuplicatedFrames { probability: self.repeated_share };
+        let frames = [(self.dropped_share, dropped), (self.repeated_share, repeated)];
+        let frames = frames.into_iter().filter(|(share, _)| *share > 0.0).map(|(_, fault)| fault);
+        let all = open.chain(short).chain(self.stuck_channels.iter().map(stuck)).chain(frames);
+        all.map(|fault| TimedFault { fault, from_s: self.from_s, until_s: self.until_s })
+    }
+
+    fn check(&self, electrodes: usize, file: &str) -> Result<(), Error> {
+        let exists = |number: u32| number >= 1 && number as usize <= electrodes;
+        let expected = format!("electrodes 1 to {electrodes}");
+        if let Some(number) = self.open_electrodes.iter().find(|&&number| !exists(number)) {
+            return Err(refused(file, "twin.faults.open_electrodes", number, &expected));
+        }
+        if let Some([a, b]) = self.shorted_pairs.iter().find(|[a, b]| !exists(*a) || !exists(*b) || a == b) {
+            let expected = format!("two different {expected}");
+            return Err(refused(file, "twin.faults.shorted_pairs", format!("[{a}, {b}]"), &expected));
+        }
+        if let Some(stuck) = self.stuck_channels.iter().find(|stuck| !stuck.value_mv.is_finite()) {
+            return Err(refused(file, "twin.faults.stuck_channels.value_mv", stuck.value_mv, "a finite number"));
+        }
+        for (field, share) in
+            [("twin.faults.dropped_share", self.dropped_share), ("twin.faults.repeated_share", self.repeated_share)]
+        {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(refused(file, field, share, "0 to 1"));
+            }
+        }
+        if !(self.from_s >= 0.0 && self.from_s.is_finite()) {
+            return Err(refused(file, "twin.faults.from_s", self.from_s, "0 or more"));
+        }
+        match self.until_s {
+            Some(until) if !(until > self.from_s && until.is_finite()) => {
+                Err(refused(file, "twin.faults.until_s", until, "a number above from_s"))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Skin, builtin_text};
+    use super::*;
+
+    fn with(faults: &str) -> Result<Skin, Error> {
+        let text = builtin_text("healing-square").unwrap();
+        Skin::parse(&format!("{text}\n[twin]\nfaults = [{faults}]\n"), "a page")
+    }
+
+    #[test]
+    fn electrodes_are_counted_from_one_and_times_go_with_all_of_a_group() {
+        let skin = with("{ open_electrodes = [1], shorted_pairs = [[15, 16]], from_s = 2.0, until_s = 3.0 }, { stuck_channels = [{ channel = 1, value_mv = 5.0 }], dropped_share = 0.1 }").unwrap();
+        let timed = skin.twin.timed_faults();
+        let faults: Vec<Fault> = timed.iter().map(|timed| timed.fault).collect();
+        let expected = [
+            Fault::OpenElectrode { electrode: 0 },
+            Fault::ShortedPair { electrodes: [14, 15] },
+            Fault::StuckChannel { channel: 0, value_v: 5e-3 },
+            Fault::DroppedFrames { probability: 0.1 },
+        ];
+        assert_eq!(faults, expected);
+        let times: Vec<_> = timed.iter().map(|timed| (timed.from_s, timed.until_s)).collect();
+        assert_eq!(times, [(2.0, Some(3.0)), (2.0, Some(3.0)), (0.0, None), (0.0, None)]);
+        assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
+        assert!(!Skin::open("healing-square").unwrap().to_toml().contains("twin"), "a sound twin needs no table");
+    }
+
+    #[test]
+    fn faults_that_cannot_be_are_refused_with_value_and_field() {
+        let error = |faults: &str| with(faults).unwrap_err().to_string();
+        let open = error("{ open_electrodes = [3, 17] }");
+        assert_eq!(open, "a page: twin.faults.open_electrodes = 17: expected electrodes 1 to 16");
+        assert!(error("{ open_electrodes = [0] }").contains("open_electrodes = 0"));
+        assert!(error("{ shorted_pairs = [[2, 2]] }").contains("shorted_pairs = [2, 2]: expected two different"));
+        assert!(error("{ dropped_share = 1.5 }").contains("dropped_share = 1.5: expected 0 to 1"));
+        assert!(error("{ repeated_share = nan }").contains("repeated_share = NaN"));
+        assert!(error("{ from_s = 2.0, until_s = 1.0 }").contains("until_s = 1: expected a number above from_s"));
+        assert!(error("{ from_s = -1.0 }").contains("from_s = -1"));
+        assert!(error("{ stuck_channels = [{ channel = 1, value_mv = inf }] }").contains("value_mv = inf"));
+        let stuck = error("{ stuck_channels = [{ channel = 209, value_mv = 0.0 }] }");
+        assert_eq!(stuck, "a page: twin.faults.stuck_channels.channel = 209: expected channels 1 to 208");
+        assert!(error("{ stuck_channels = [{ channel = 0, value_mv = 0.0 }] }").contains("channel = 0"));
+        assert!(error("{ open = [1] }").contains("unknown field"));
+    }
+}
