@@ -40,7 +40,7 @@ impl SpotStage {
         Self {
             scratch: model.scratch(),
             starts_m: Vec::with_capacity(MOST_SPOTS),
-            grid: prepared.map.grid().clone(),
+            grid: *prepared.map.grid(),
             inside: prepared.map.inside_mask(),
             half_width_m: prepared.half_width_m(),
             model,

@@ -33,12 +33,13 @@ pub struct Material {
 }
 
 /// Order of the elements.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Order {
     /// First everywhere.
     First,
-    /// Second in the body and wherever a tetrahedron is nearer than twice the body's radius, first beyond.
-    Second,
+    /// Second in the body and in air nearer to the origin than this many times the body's radius, first beyond. 2 serves
+    /// small bodies; 0 is the body alone.
+    SecondWithin(f64),
 }
 
 /// A source: vector potential and flux density per ampere at a point.
@@ -79,11 +80,14 @@ impl EdgeModel {
             return Err(MitError::Count { what: "tetrahedra of the body", expected: 1, got: 0 });
         }
         let omega = 2.0 * std::f64::consts::PI * frequency_hz;
-        let reach = 2.0 * mesh.body_radius_m;
+        let reach = match order {
+            Order::First => None,
+            Order::SecondWithin(times) => Some(times * mesh.body_radius_m),
+        };
         let high: Vec<bool> = (0..mesh.tetrahedra.len())
             .map(|t| {
                 let centre = Shape::new(mesh.corners(t)).at(&[0.25; 4]);
-                order == Order::Second && (mesh.is_body[t] || norm(centre) < reach)
+                reach.is_some_and(|reach| mesh.is_body[t] || norm(centre) < reach)
             })
             .collect();
         let space = Space::new(&mesh, &high);
