@@ -66,12 +66,6 @@ pub enum MitError {
         /// Sum of their radii.
         needed_m: f64,
     },
-    /// A system that could not be factored.
-    #[error("edge elements: {reason}")]
-    Factor {
-        /// Why.
-        reason: String,
-    },
     /// A height outside the table that was made.
     #[error("body {body}: height {height_m} m is outside the table, {low_m} to {high_m} m")]
     OutsideTable {

@@ -8,7 +8,6 @@
 mod array;
 mod bodies;
 mod coil;
-pub mod edge;
 mod error;
 mod harmonics;
 mod ring;
