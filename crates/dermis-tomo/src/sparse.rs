@@ -3,6 +3,7 @@
 //! samples around it).
 
 mod dissection;
+mod lanes;
 mod multifrontal;
 mod substitution;
 
@@ -18,6 +19,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::linalg::{SupernodalThreshold, SymbolicSupernodalParams};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
+pub use lanes::{COMPLEX_LANES, LANES};
 use multifrontal::Fronts;
 use substitution::{Rows, Supernodal, WIDTH};
 use thiserror::Error;

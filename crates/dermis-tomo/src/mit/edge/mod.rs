@@ -1,0 +1,79 @@
+//! Eddy currents by edge elements: Nedelec's first kind (Numerische Mathematik 35, 1980), of first and second order, on
+//! tetrahedra with straight or parabolic edges, around conducting and permeable bodies in the field of given coils.
+//!
+//! With `A = As + Ar`, `As` that of the coils in free space, and everything divided by `nu0 = 1/mu0`:
+//! `int 1/mu_r curl Ar.curl v + j w mu0 sigma Ar.v + eps Ar.v = -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v`, so no coil is
+//! in the mesh; `Ar` has no tangential part on the outer boundary. The regularisation `eps` (per square metre) makes the
+//! potential in air unique. The change of a mutual inductance (lossy: its imaginary part is negative) is, by reciprocity,
+//! `dM_mn = -1/mu0 int j w mu0 sigma (As_m + Ar_m).As_n + (1/mu_r - 1)(Bs_m + Br_m).Bs_n`.
+
+mod cocg;
+mod elements;
+mod mesh;
+mod shapes;
+mod solution;
+mod symmetry;
+mod system;
+mod tau;
+
+pub use mesh::EdgeMesh;
+pub use shapes::{Grading, box_mesh, cylinder_mesh, plate_mesh, sphere_mesh};
+pub use solution::Fields;
+pub use symmetry::SymmetricBody;
+pub use system::{CoarseMesh, EddySystem, Material, Order, SystemInfo};
+pub use tau::{Harmonic, Shape, body_tau, symmetric_tau, tau};
+
+use super::{Coil, Ring, Segment, Vector};
+
+/// A field that bodies are put into, in free space.
+pub trait Source: Sync {
+    /// Vector potential, V.s/m (per ampere for coils).
+    fn vector_potential(&self, point_m: Vector) -> Vector;
+    /// Flux density, its curl, T (per ampere for coils).
+    fn flux_density(&self, point_m: Vector) -> Vector;
+}
+
+impl Source for Coil {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        Coil::vector_potential(self, point_m)
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        Coil::flux_density(self, point_m)
+    }
+}
+
+impl Source for Ring {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        Ring::vector_potential(self, point_m)
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        Ring::flux_density(self, point_m)
+    }
+}
+
+/// A winding of straight wires, 1 A times the factor of each.
+impl Source for [(Segment, f64)] {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        sum(self, |segment| segment.vector_potential(point_m))
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        sum(self, |segment| segment.flux_density(point_m))
+    }
+}
+
+impl<T: Source> Source for Vec<T> {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        self.iter().fold([0.0; 3], |all, source| super::add(all, source.vector_potential(point_m)))
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        self.iter().fold([0.0; 3], |all, source| super::add(all, source.flux_density(point_m)))
+    }
+}
+
+fn sum(wires: &[(Segment, f64)], of: impl Fn(&Segment) -> Vector) -> Vector {
+    wires.iter().fold([0.0; 3], |all, (segment, amperes)| super::add(all, super::scaled(of(segment), *amperes)))
+}
