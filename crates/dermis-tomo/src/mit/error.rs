@@ -84,7 +84,9 @@ pub enum MitError {
     #[error("the finite-element system: {0}")]
     System(#[from] SparseError),
     /// An iteration that did not come to its end.
-    #[error("field not found after {iterations} iterations: residual {residual:e} of the source, expected {tolerance:e}")]
+    #[error(
+        "field not found after {iterations} iterations: residual {residual:e} of the source, expected {tolerance:e}"
+    )]
     NotConverged {
         /// Iterations made.
         iterations: usize,

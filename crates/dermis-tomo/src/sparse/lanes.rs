@@ -30,13 +30,7 @@ impl SpdStructure {
     }
 
     /// Product of the complex symmetric matrix `real + j imaginary` (both in this structure) with [`COMPLEX_LANES`] vectors.
-    pub fn multiply_complex_lanes(
-        &self,
-        real: &[f64],
-        imaginary: &[f64],
-        x: &[[f64; LANES]],
-        y: &mut [[f64; LANES]],
-    ) {
+    pub fn multiply_complex_lanes(&self, real: &[f64], imaginary: &[f64], x: &[[f64; LANES]], y: &mut [[f64; LANES]]) {
         pulp::Arch::new().dispatch(Product { structure: self, real, imaginary, x, y });
     }
 }

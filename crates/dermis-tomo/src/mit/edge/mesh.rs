@@ -20,9 +20,6 @@ pub struct EdgeMesh {
     pub(super) faces_of: Vec<[u32; 4]>,
     /// Middle of each edge: off the chord where the mesh follows a curved body.
     pub(super) middles: Vec<Vector>,
-    /// Where each vertex lies in the mesh's own lattice, for the order of elimination: a stretched mesh is no longer
-    /// stretched there.
-    lattice: Vec<Vector>,
     /// True where only the eighth with positive coordinates is meshed.
     pub(super) is_octant: bool,
     /// Boundary that edges and faces lie on: [`OUTER`], or bit k for the plane of symmetry across axis k.
@@ -44,14 +41,12 @@ impl EdgeMesh {
         regions: Vec<u8>,
         middle: impl Fn(Vector, Vector) -> Vector,
     ) -> Result<Self, MitError> {
-        let lattice = vertices.clone();
-        Self::with_lattice(vertices, lattice, tetrahedra, regions, false, middle)
+        Self::part(vertices, tetrahedra, regions, false, middle)
     }
 
-    /// As [`EdgeMesh::new`], with places for the order of elimination, and whether this is an eighth.
-    pub(super) fn with_lattice(
+    /// As [`EdgeMesh::new`]; tells whether this is an eighth.
+    fn part(
         vertices: Vec<Vector>,
-        lattice: Vec<Vector>,
         mut tetrahedra: Vec<[u32; 4]>,
         regions: Vec<u8>,
         is_octant: bool,
@@ -108,7 +103,6 @@ impl EdgeMesh {
             edges_of,
             faces_of,
             middles,
-            lattice,
             is_octant,
             edge_bounds,
             face_bounds,
@@ -127,7 +121,11 @@ impl EdgeMesh {
                 let value = geometry.map(l).determinant / centre;
                 if value <= 0.0 || !value.is_finite() {
                     let expected = "above 0: an element is folded or flat";
-                    return Err(MitError::Value { field: "Jacobian at a corner over that at the centre", value, expected });
+                    return Err(MitError::Value {
+                        field: "Jacobian at a corner over that at the centre",
+                        value,
+                        expected,
+                    });
                 }
             }
         }
@@ -152,15 +150,13 @@ impl EdgeMesh {
             return Err(MitError::Count { what: "tetrahedra in an eighth of a symmetric mesh", expected, got });
         }
         let mut number = vec![u32::MAX; all.len()];
-        let (mut vertices, mut lattice) = (Vec::new(), Vec::new());
-        let mut tetrahedra = Vec::new();
+        let (mut vertices, mut tetrahedra) = (Vec::new(), Vec::new());
         let mut middles = HashMap::new();
         for &t in &kept {
             for v in self.tetrahedra[t].map(|v| v as usize) {
                 if number[v] == u32::MAX {
                     number[v] = vertices.len() as u32;
                     vertices.push(all[v]);
-                    lattice.push(self.lattice[v]);
                 }
             }
             tetrahedra.push(self.tetrahedra[t].map(|v| number[v as usize]));
@@ -171,16 +167,10 @@ impl EdgeMesh {
             }
         }
         let regions = kept.iter().map(|&t| self.regions[t]).collect();
-        let mut mesh = Self::with_lattice(vertices, lattice, tetrahedra, regions, true, chord)?;
+        let mut mesh = Self::part(vertices, tetrahedra, regions, true, chord)?;
         mesh.middles = mesh.edges.iter().map(|ends| middles[ends]).collect();
         mesh.check()?;
         Ok(mesh)
-    }
-
-    /// Middle of some vertices in the mesh's lattice.
-    pub(super) fn lattice_place<const N: usize>(&self, corners: [u32; N]) -> Vector {
-        let all = corners.iter().fold([0.0; 3], |sum, &v| add(sum, self.lattice[v as usize]));
-        scaled(all, 1.0 / N as f64)
     }
 
     /// Tetrahedra.

@@ -23,7 +23,7 @@ pub use symmetry::SymmetricBody;
 pub use system::{CoarseMesh, EddySystem, Material, Order, SystemInfo};
 pub use tau::{Harmonic, Shape, body_tau, symmetric_tau, tau};
 
-use super::{Coil, Ring, Segment, Vector};
+use super::{Coil, Ring, Segment, Vector, add, scaled};
 
 /// A field that bodies are put into, in free space.
 pub trait Source: Sync {
@@ -53,27 +53,22 @@ impl Source for Ring {
     }
 }
 
-/// A winding of straight wires, 1 A times the factor of each.
-impl Source for [(Segment, f64)] {
-    fn vector_potential(&self, point_m: Vector) -> Vector {
-        sum(self, |segment| segment.vector_potential(point_m))
-    }
+/// A winding of straight wires, each with its current in amperes; together they must close.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wires(pub Vec<(Segment, f64)>);
 
-    fn flux_density(&self, point_m: Vector) -> Vector {
-        sum(self, |segment| segment.flux_density(point_m))
-    }
-}
-
-impl<T: Source> Source for Vec<T> {
-    fn vector_potential(&self, point_m: Vector) -> Vector {
-        self.iter().fold([0.0; 3], |all, source| super::add(all, source.vector_potential(point_m)))
-    }
-
-    fn flux_density(&self, point_m: Vector) -> Vector {
-        self.iter().fold([0.0; 3], |all, source| super::add(all, source.flux_density(point_m)))
+impl Wires {
+    fn sum(&self, of: impl Fn(&Segment) -> Vector) -> Vector {
+        self.0.iter().fold([0.0; 3], |all, (segment, amperes)| add(all, scaled(of(segment), *amperes)))
     }
 }
 
-fn sum(wires: &[(Segment, f64)], of: impl Fn(&Segment) -> Vector) -> Vector {
-    wires.iter().fold([0.0; 3], |all, (segment, amperes)| super::add(all, super::scaled(of(segment), *amperes)))
+impl Source for Wires {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        self.sum(|segment| segment.vector_potential(point_m))
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        self.sum(|segment| segment.flux_density(point_m))
+    }
 }

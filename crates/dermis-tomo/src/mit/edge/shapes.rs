@@ -195,7 +195,14 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     positive("radius_m", radius_m)?;
     positive("height_m", height_m)?;
     grading.check(radius_m.max(0.5 * height_m))?;
-    let mut radii: Vec<f64> = grading.inward(radius_m).iter().rev().skip(1).map(|d| radius_m - d).collect();
+    // The rim of a thin disc needs no rings thinner than the disc itself.
+    let thin = radius_m > 1.5 * height_m;
+    let rim = if thin {
+        Grading { first_m: grading.first_m.max(0.8 * height_m), most_m: grading.most_m.max(radius_m / 8.0), ..*grading }
+    } else {
+        *grading
+    };
+    let mut radii: Vec<f64> = rim.inward(radius_m).iter().rev().skip(1).map(|d| radius_m - d).collect();
     radii.push(radius_m);
     let body_rings = radii.len();
     let side = TAU * radius_m / grading.around as f64;
@@ -211,10 +218,7 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     };
     let (tetrahedra, regions) = prisms(&sheet, levels.len() - 1, inside);
     let vertices = levels.iter().flat_map(|&z| plane.iter().map(move |p| [p[0], p[1], z])).collect();
-    let flat: Vec<[f64; 2]> = disc(&(1..=radii.len()).map(|ring| ring as f64).collect::<Vec<_>>(), &counts).0;
-    let lattice =
-        (0..levels.len()).flat_map(|level| flat.iter().map(move |p| [p[0], p[1], level as f64])).collect();
-    EdgeMesh::with_lattice(vertices, lattice, tetrahedra, regions, false, around_axis)
+    EdgeMesh::new(vertices, tetrahedra, regions, around_axis)
 }
 
 /// The middle of an edge in polar coordinates about the z axis.
@@ -271,9 +275,11 @@ pub fn box_mesh(axes: &[Vec<f64>; 3], region: impl Fn(Vector) -> u8) -> Result<E
     for j in 0..ny - 1 {
         for i in 0..nx - 1 {
             if (i + j).is_multiple_of(2) {
-                triangles.extend([[at(i, j), at(i + 1, j), at(i + 1, j + 1)], [at(i, j), at(i, j + 1), at(i + 1, j + 1)]]);
+                triangles
+                    .extend([[at(i, j), at(i + 1, j), at(i + 1, j + 1)], [at(i, j), at(i, j + 1), at(i + 1, j + 1)]]);
             } else {
-                triangles.extend([[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)]]);
+                triangles
+                    .extend([[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)]]);
             }
         }
     }
@@ -284,11 +290,8 @@ pub fn box_mesh(axes: &[Vec<f64>; 3], region: impl Fn(Vector) -> u8) -> Result<E
         region([middle(xs, i), middle(ys, j), middle(zs, layer)])
     };
     let (tetrahedra, regions) = prisms(&sheet, zs.len() - 1, of);
-    let vertices =
-        zs.iter().flat_map(|&z| ys.iter().flat_map(move |&y| xs.iter().map(move |&x| [x, y, z]))).collect();
-    let place = |v: usize| [v % nx, (v / nx) % ny, v / (nx * ny)].map(|k| k as f64);
-    let lattice = (0..nx * ny * zs.len()).map(place).collect();
-    EdgeMesh::with_lattice(vertices, lattice, tetrahedra, regions, false, chord)
+    let vertices = zs.iter().flat_map(|&z| ys.iter().flat_map(move |&y| xs.iter().map(move |&x| [x, y, z]))).collect();
+    EdgeMesh::new(vertices, tetrahedra, regions, chord)
 }
 
 /// A sphere about the origin, in air within a sphere: an icosahedron's faces divided, in shells. Region 1 is the body.
@@ -309,13 +312,9 @@ pub fn sphere_mesh(radius_m: f64, grading: &Grading) -> Result<EdgeMesh, MitErro
     let centre = (radii.len() * sheet.points) as u32;
     tetrahedra.extend(sheet.triangles.iter().map(|&[a, b, c]| [a, b, c, centre]));
     regions.resize(tetrahedra.len(), 1);
-    let mut vertices: Vec<Vector> =
-        radii.iter().flat_map(|&r| directions.iter().map(move |&d| scaled(d, r))).collect();
-    let mut lattice: Vec<Vector> =
-        (2..radii.len() + 2).flat_map(|shell| directions.iter().map(move |&d| scaled(d, shell as f64))).collect();
+    let mut vertices: Vec<Vector> = radii.iter().flat_map(|&r| directions.iter().map(move |&d| scaled(d, r))).collect();
     vertices.push([0.0; 3]);
-    lattice.push([0.0; 3]);
-    EdgeMesh::with_lattice(vertices, lattice, tetrahedra, regions, false, |a, b| {
+    EdgeMesh::new(vertices, tetrahedra, regions, |a, b| {
         let (ra, rb) = (norm(a), norm(b));
         if ra == 0.0 || rb == 0.0 {
             return chord(a, b);

@@ -1,9 +1,9 @@
 //! Solutions: changes of mutual inductance and the field of the eddy currents.
 
 use super::super::{Complex, MU0, add, scaled};
+use super::Vector;
 use super::elements::Point;
 use super::system::EddySystem;
-use super::Vector;
 
 /// Potentials of the eddy currents of several sources.
 #[derive(Debug)]

@@ -69,9 +69,8 @@ impl<'a> SymmetricBody<'a> {
             .par_iter()
             .enumerate()
             .map(|(odd, system)| {
-                let (kept, samples): (Vec<usize>, Vec<Samples>) = (0..count)
-                    .filter_map(|s| part(&reflected[s], odd).map(|samples| (s, samples)))
-                    .unzip();
+                let (kept, samples): (Vec<usize>, Vec<Samples>) =
+                    (0..count).filter_map(|s| part(&reflected[s], odd).map(|samples| (s, samples))).unzip();
                 let fields = system.solve_samples(&samples)?;
                 Ok((kept, fields.changes_h().to_vec()))
             })

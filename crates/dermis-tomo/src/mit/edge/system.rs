@@ -196,7 +196,8 @@ impl<'a> EddySystem<'a> {
     /// Right-hand sides, and the part of `dM` (over nu0) that needs no solution, for each pair row by row.
     fn sides(&self, samples: &[Samples]) -> (Vec<Vec<Complex>>, Vec<Complex>) {
         let (count, zero) = (samples.len(), Complex::new(0.0, 0.0));
-        let (mut sides, mut direct) = (vec![vec![zero; self.matrix.structure.size()]; count], vec![zero; count * count]);
+        let (mut sides, mut direct) =
+            (vec![vec![zero; self.matrix.structure.size()]; count], vec![zero; count * count]);
         for (body, element) in self.bodies().into_iter().enumerate() {
             let numbers = self.unknowns.of(self.mesh, element);
             let (loss, reluctivity) = self.coefficients[self.mesh.regions[element] as usize];
@@ -233,7 +234,6 @@ impl<'a> EddySystem<'a> {
 #[derive(Debug)]
 struct Unknowns {
     count: usize,
-    places: Vec<Vector>,
     whitney: Vec<u32>,
     gradients: Vec<u32>,
     faces: Vec<[u32; 2]>,
@@ -245,29 +245,27 @@ impl Unknowns {
         for (edges, _) in mesh.edges_of.iter().zip(&mesh.regions).filter(|(_, region)| **region != 0) {
             edges.iter().for_each(|&edge| conducting[edge as usize] = true);
         }
-        let mut places = Vec::new();
-        let mut number = |take: bool, place: Vector| {
+        let mut count = 0;
+        let mut number = |take: bool| {
             if !take {
                 return NONE;
             }
-            places.push(place);
-            places.len() as u32 - 1
+            count += 1;
+            count - 1
         };
         let second = order == Order::Second;
         let (mut whitney, mut gradients) = (Vec::new(), Vec::new());
-        for (edge, &ends) in mesh.edges.iter().enumerate() {
-            let middle = mesh.lattice_place(ends);
-            let inside = mesh.edge_bounds[edge] & fixed == 0;
-            whitney.push(number(inside, middle));
-            gradients.push(number(inside && second && conducting[edge], middle));
+        for (bounds, conducting) in mesh.edge_bounds.iter().zip(conducting) {
+            let inside = bounds & fixed == 0;
+            whitney.push(number(inside));
+            gradients.push(number(inside && second && conducting));
         }
         let mut faces = Vec::new();
-        for (face, &corners) in mesh.faces.iter().enumerate() {
-            let centre = mesh.lattice_place(corners);
-            let take = second && mesh.face_bounds[face] & fixed == 0;
-            faces.push([number(take, centre), number(take, centre)]);
+        for bounds in &mesh.face_bounds {
+            let take = second && bounds & fixed == 0;
+            faces.push([number(take), number(take)]);
         }
-        Self { count: places.len(), places, whitney, gradients, faces }
+        Self { count: count as usize, whitney, gradients, faces }
     }
 
     fn of(&self, mesh: &EdgeMesh, element: usize) -> [u32; FUNCTIONS] {
@@ -291,7 +289,8 @@ fn assemble(
         let numbers = unknowns.of(mesh, element);
         each_pair(&numbers, |_, _, i, j| positions.push((i, j)));
     }
-    let (structure, slots) = SpdStructure::new(unknowns.count, &positions, Ordering::Dissection(&unknowns.places))?;
+    // Two to three times less fill than nested dissection by coordinates, which cuts off thick separators here.
+    let (structure, slots) = SpdStructure::new(unknowns.count, &positions, Ordering::MinimumDegree)?;
     drop(positions);
     let (mut real, mut imaginary) = (vec![0.0; structure.value_count()], vec![0.0; structure.value_count()]);
     let mut slots = slots.into_iter();

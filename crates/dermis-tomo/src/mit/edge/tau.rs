@@ -4,7 +4,9 @@
 use super::super::error::positive;
 use super::super::harmonics::{DEGREES, regular_gradients};
 use super::super::{Body, Complex, HARMONICS, MU0, MitError, Vector, cross, scaled, skin_depth_m};
-use super::{EddySystem, EdgeMesh, Grading, Material, Order, Source, SymmetricBody, cylinder_mesh, plate_mesh, sphere_mesh};
+use super::{
+    EddySystem, EdgeMesh, Grading, Material, Order, Source, SymmetricBody, cylinder_mesh, plate_mesh, sphere_mesh,
+};
 
 /// The field of one solid harmonic h of degree l about the origin: `B = -mu0 grad h`, `A = mu0/(l + 1) r x grad h`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
