@@ -19,7 +19,6 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::linalg::{SupernodalThreshold, SymbolicSupernodalParams};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, Mat, MatMut, Par, Side};
-pub use lanes::{COMPLEX_LANES, LANES};
 use multifrontal::Fronts;
 use substitution::{Rows, Supernodal, WIDTH};
 use thiserror::Error;

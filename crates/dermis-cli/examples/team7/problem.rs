@@ -1,7 +1,7 @@
 //! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with a hole off its
 //! centre. Lengths of the problem sheet in millimetres, origin at the plate's corner.
 
-use dermis_tomo::mit::edge::{EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
+use dermis_tomo::mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
 use dermis_tomo::mit::{MitError, Segment};
 
 /// Places along the measured lines, mm.
@@ -80,13 +80,11 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
         all[0] *= 1e-3;
         all
     };
-    let flat = divided(
-        &[-800.0, -300.0, -110.0, -35.0, 0.0, 18.0, 72.0, 126.0, 180.0, 240.0, 294.0, 329.0, 404.0, 594.0, 1094.0],
-        fine,
-    );
-    let mut z = divided(&[-700.0, -250.0, -80.0, -20.0], fine);
-    z.extend(divided(&[-20.0, 0.0, 9.5, 19.0, 34.0, 60.0], fine).into_iter().skip(1));
-    z.extend(divided(&[60.0, 150.0, 330.0, 750.0], fine).into_iter().skip(1));
+    let mut flat = divided(&[-800.0, -250.0, -60.0, 0.0], fine);
+    let plate = [0.0, 18.0, 42.0, 72.0, 102.0, 126.0, 150.0, 186.0, 222.0, 255.0, 279.0, 294.0];
+    flat.extend(divided(&plate, fine).into_iter().skip(1));
+    flat.extend(divided(&[294.0, 354.0, 544.0, 1094.0], fine).into_iter().skip(1));
+    let z = divided(&[-700.0, -200.0, -45.0, 0.0, 9.5, 19.0, 64.0, 220.0, 720.0], fine);
     box_mesh(&[flat.clone(), flat, z], |[x, y, z]| {
         let within = |v: f64, low: f64, high: f64| v > low && v < high;
         let plate = within(x, 0.0, 0.294) && within(y, 0.0, 0.294) && within(z, 0.0, 0.019);
@@ -95,7 +93,7 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
 }
 
 /// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. The value at
-/// phase 90 is that a quarter of a period later with the sign of the problem sheet, which is that of the imaginary part.
+/// phase 90 is that a quarter of a period later: with `e^{j w t}`, minus the imaginary part.
 pub fn flux_density(mesh: &EdgeMesh, frequency_hz: f64) -> Result<Vec<[f64; 4]>, MitError> {
     let plate = Material { conductivity_s_per_m: CONDUCTIVITY_S_PER_M, relative_permeability: 1.0 };
     let system = EddySystem::new(mesh, &[plate], frequency_hz, Order::Second)?;
@@ -107,8 +105,9 @@ pub fn flux_density(mesh: &EdgeMesh, frequency_hz: f64) -> Result<Vec<[f64; 4]>,
     let source = coil(6, 16, 8);
     let at = |x: f64, y: f64| {
         let p = [1e-3 * x, 1e-3 * y, 1e-3 * LINES_Z_MM];
-        let added = fields.added(0, p).map_or(Default::default(), |(_, b)| b[2]);
-        [1e4 * (source.flux_density(p)[2] + added.re), 1e4 * added.im]
+        let upward = Dipole { position_m: p, moment: [0.0, 0.0, 1.0] };
+        let added = fields.linked(0, &upward).map_or([0.0; 2], |b| [b.re, b.im]);
+        [1e4 * (source.flux_density(p)[2] + added[0]), -1e4 * added[1]]
     };
     Ok(X_MM
         .iter()

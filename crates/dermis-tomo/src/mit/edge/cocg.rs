@@ -3,7 +3,7 @@
 //! `K + j M` factored, all eigenvalues lie on an arc between 1 and j: a few dozen iterations whatever the mesh.
 
 use super::super::{Complex, MitError};
-use crate::sparse::{COMPLEX_LANES, LANES, SpdFactor, SpdStructure};
+use crate::sparse::{SpdFactor, SpdStructure};
 
 /// Norm of the residual over that of the right-hand side at which the iteration ends.
 const TOLERANCE: f64 = 1e-8;
@@ -19,39 +19,54 @@ pub(super) struct Preconditioned {
     pub(super) factor: SpdFactor,
 }
 
-type Lanes = [f64; LANES];
+/// Most complex right-hand sides that are solved for together.
+const TOGETHER: usize = 8;
+
+type Solutions = (Vec<Vec<Complex>>, usize);
 
 impl Preconditioned {
     /// Solves for all right-hand sides; gives the solutions and the most iterations that any took.
-    pub(super) fn solve(&self, sides: &[Vec<Complex>]) -> Result<(Vec<Vec<Complex>>, usize), MitError> {
+    pub(super) fn solve(&self, sides: &[Vec<Complex>]) -> Result<Solutions, MitError> {
         let (mut solutions, mut most) = (Vec::with_capacity(sides.len()), 0);
-        for chunk in sides.chunks(COMPLEX_LANES) {
-            let mut residual = vec![[0.0; LANES]; self.structure.size()];
-            for (lane, side) in chunk.iter().enumerate() {
-                for (to, from) in residual.iter_mut().zip(side) {
-                    (to[lane], to[lane + COMPLEX_LANES]) = (from.re, from.im);
-                }
-            }
-            let (x, iterations) = self.solve_chunk(residual)?;
+        for chunk in sides.chunks(TOGETHER) {
+            let (found, iterations) = match chunk.len() {
+                1 => self.solve_chunk::<2>(chunk)?,
+                2 => self.solve_chunk::<4>(chunk)?,
+                3 | 4 => self.solve_chunk::<8>(chunk)?,
+                _ => self.solve_chunk::<16>(chunk)?,
+            };
             most = most.max(iterations);
-            let of_lane = |lane| x.iter().map(|x| Complex::new(x[lane], x[lane + COMPLEX_LANES])).collect();
-            solutions.extend((0..chunk.len()).map(of_lane));
+            solutions.extend(found);
         }
         Ok((solutions, most))
     }
 
-    fn solve_chunk(&self, mut residual: Vec<Lanes>) -> Result<(Vec<Lanes>, usize), MitError> {
+    /// Up to W/2 right-hand sides: the first half of the lanes holds real parts, the second imaginary ones.
+    fn solve_chunk<const W: usize>(&self, sides: &[Vec<Complex>]) -> Result<Solutions, MitError> {
+        let half = W / 2;
+        let mut residual = vec![[0.0; W]; self.structure.size()];
+        for (lane, side) in sides.iter().enumerate() {
+            for (to, from) in residual.iter_mut().zip(side) {
+                (to[lane], to[lane + half]) = (from.re, from.im);
+            }
+        }
+        let (x, iterations) = self.iterate(residual)?;
+        let of_lane = |lane: usize| x.iter().map(|x| Complex::new(x[lane], x[lane + half])).collect();
+        Ok(((0..sides.len()).map(of_lane).collect(), iterations))
+    }
+
+    fn iterate<const W: usize>(&self, mut residual: Vec<[f64; W]>) -> Result<(Vec<[f64; W]>, usize), MitError> {
         let size = residual.len();
         let start = norms(&residual);
-        let mut x = vec![[0.0; LANES]; size];
+        let mut x = vec![[0.0; W]; size];
         let mut z = residual.clone();
         self.structure.solve_lanes(&self.factor, &mut z);
         let mut direction = z.clone();
-        let mut product = vec![[0.0; LANES]; size];
+        let mut product = vec![[0.0; W]; size];
         let mut rho = products(&residual, &z);
         for iteration in 0..MOST {
             let now = norms(&residual);
-            let live: [bool; COMPLEX_LANES] = std::array::from_fn(|lane| now[lane] > TOLERANCE * start[lane]);
+            let live: [bool; W] = std::array::from_fn(|lane| now[lane] > TOLERANCE * start[lane]);
             if !live.contains(&true) {
                 return Ok((x, iteration));
             }
@@ -69,7 +84,7 @@ impl Preconditioned {
             std::mem::swap(&mut z, &mut direction);
         }
         let now = norms(&residual);
-        let residual = (0..COMPLEX_LANES)
+        let residual = (0..W / 2)
             .filter(|&lane| start[lane] > 0.0)
             .map(|lane| now[lane] / start[lane])
             .fold(0.0, |worst: f64, r| if r.is_nan() { r } else { worst.max(r) });
@@ -77,41 +92,45 @@ impl Preconditioned {
     }
 }
 
-/// Quotients where the lane is live, zero elsewhere.
-fn quotients(
-    a: &[Complex; COMPLEX_LANES],
-    b: &[Complex; COMPLEX_LANES],
-    live: &[bool; COMPLEX_LANES],
-) -> [Complex; COMPLEX_LANES] {
-    std::array::from_fn(|lane| if live[lane] { a[lane] / b[lane] } else { Complex::new(0.0, 0.0) })
+/// Complex quotients where the lane is live, zero elsewhere.
+fn quotients<const W: usize>(a: &[f64; W], b: &[f64; W], live: &[bool; W]) -> [f64; W] {
+    let half = W / 2;
+    let mut all = [0.0; W];
+    for lane in (0..half).filter(|&lane| live[lane]) {
+        let quotient = Complex::new(a[lane], a[lane + half]) / Complex::new(b[lane], b[lane + half]);
+        (all[lane], all[lane + half]) = (quotient.re, quotient.im);
+    }
+    all
 }
 
 /// Products without conjugation.
-fn products(a: &[Lanes], b: &[Lanes]) -> [Complex; COMPLEX_LANES] {
-    let mut sums = [0.0; LANES];
+fn products<const W: usize>(a: &[[f64; W]], b: &[[f64; W]]) -> [f64; W] {
+    let half = W / 2;
+    let mut sums = [0.0; W];
     for (a, b) in a.iter().zip(b) {
-        for lane in 0..COMPLEX_LANES {
-            let imaginary = lane + COMPLEX_LANES;
-            sums[lane] += a[lane] * b[lane] - a[imaginary] * b[imaginary];
-            sums[imaginary] += a[lane] * b[imaginary] + a[imaginary] * b[lane];
+        for lane in 0..half {
+            sums[lane] += a[lane] * b[lane] - a[lane + half] * b[lane + half];
+            sums[lane + half] += a[lane] * b[lane + half] + a[lane + half] * b[lane];
         }
     }
-    std::array::from_fn(|lane| Complex::new(sums[lane], sums[lane + COMPLEX_LANES]))
+    sums
 }
 
-fn norms(a: &[Lanes]) -> [f64; COMPLEX_LANES] {
-    let mut sums = [0.0; LANES];
-    a.iter().for_each(|a| (0..LANES).for_each(|lane| sums[lane] += a[lane] * a[lane]));
-    std::array::from_fn(|lane| (sums[lane] + sums[lane + COMPLEX_LANES]).sqrt())
+/// Norms of the complex vectors, in the first half; zero in the second.
+fn norms<const W: usize>(a: &[[f64; W]]) -> [f64; W] {
+    let mut sums = [0.0; W];
+    a.iter().for_each(|a| (0..W).for_each(|lane| sums[lane] += a[lane] * a[lane]));
+    std::array::from_fn(|lane| if lane < W / 2 { (sums[lane] + sums[lane + W / 2]).sqrt() } else { 0.0 })
 }
 
 /// `to += factor * from`.
-fn accumulate(to: &mut [Lanes], factor: &[Complex; COMPLEX_LANES], from: &[Lanes]) {
+fn accumulate<const W: usize>(to: &mut [[f64; W]], factor: &[f64; W], from: &[[f64; W]]) {
+    let half = W / 2;
     for (to, from) in to.iter_mut().zip(from) {
-        for lane in 0..COMPLEX_LANES {
-            let (re, im) = (from[lane], from[lane + COMPLEX_LANES]);
-            to[lane] += factor[lane].re * re - factor[lane].im * im;
-            to[lane + COMPLEX_LANES] += factor[lane].re * im + factor[lane].im * re;
+        for lane in 0..half {
+            let (re, im) = (from[lane], from[lane + half]);
+            to[lane] += factor[lane] * re - factor[lane + half] * im;
+            to[lane + half] += factor[lane] * im + factor[lane + half] * re;
         }
     }
 }

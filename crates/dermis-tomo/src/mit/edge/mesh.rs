@@ -222,7 +222,8 @@ impl EdgeMesh {
             let corners = self.geometry(element).corners;
             for (three, &face) in FACES.iter().zip(&self.faces_of[element]) {
                 let [a, b] = sides[face as usize];
-                if a == b {
+                // Inside the body, or on a plane of symmetry.
+                if a == b || b == u8::MAX {
                     continue;
                 }
                 let [p, q, r] = three.map(|i| corners[i]);

@@ -23,7 +23,7 @@ pub use symmetry::SymmetricBody;
 pub use system::{CoarseMesh, EddySystem, Material, Order, SystemInfo};
 pub use tau::{Harmonic, Shape, body_tau, symmetric_tau, tau};
 
-use super::{Coil, Ring, Segment, Vector, add, scaled};
+use super::{Coil, Ring, Segment, Vector, add, cross, dot, norm, scaled, subtract};
 
 /// A field that bodies are put into, in free space.
 pub trait Source: Sync {
@@ -50,6 +50,29 @@ impl Source for Ring {
 
     fn flux_density(&self, point_m: Vector) -> Vector {
         Ring::flux_density(self, point_m)
+    }
+}
+
+/// A magnetic dipole: the smallest of coils.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dipole {
+    /// Its place, metres.
+    pub position_m: Vector,
+    /// Its moment, A.m^2.
+    pub moment: Vector,
+}
+
+impl Source for Dipole {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        let r = subtract(point_m, self.position_m);
+        scaled(cross(self.moment, r), 1e-7 / norm(r).powi(3))
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        let r = subtract(point_m, self.position_m);
+        let distance = norm(r);
+        let along = scaled(r, 3.0 * dot(self.moment, r) / distance.powi(2));
+        scaled(subtract(along, self.moment), 1e-7 / distance.powi(3))
     }
 }
 

@@ -25,15 +25,15 @@ pub struct Grading {
 }
 
 impl Grading {
-    /// Layers of 0.7 skin depths growing by 1.8 inside, to a third of the body's least half width; air to 12 times its greatest.
+    /// Layers of 0.7 skin depths, doubling inward, none thicker than 0.6 of the body's least half width; air to 10 times its
+    /// greatest, where the response is a thousandth of what it is at the body.
     pub fn for_body(skin_depth_m: f64, least_half_width_m: f64, greatest_half_width_m: f64) -> Self {
-        let most_m = least_half_width_m / 3.0;
         Self {
-            first_m: (0.7 * skin_depth_m).min(most_m),
-            growth: 1.8,
-            most_m: 2.0 * most_m,
-            air_growth: 2.0,
-            air_m: 12.0 * greatest_half_width_m,
+            first_m: (0.7 * skin_depth_m).min(0.5 * least_half_width_m),
+            growth: 2.0,
+            most_m: 0.6 * least_half_width_m,
+            air_growth: 2.3,
+            air_m: 10.0 * greatest_half_width_m,
             around: 16,
         }
     }

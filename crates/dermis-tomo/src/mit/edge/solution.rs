@@ -1,9 +1,9 @@
 //! Solutions: changes of mutual inductance and the field of the eddy currents.
 
 use super::super::{Complex, MU0, add, scaled};
-use super::Vector;
 use super::elements::Point;
-use super::system::EddySystem;
+use super::system::{EddySystem, Samples};
+use super::{Source, Vector};
 
 /// Potentials of the eddy currents of several sources.
 #[derive(Debug)]
@@ -11,6 +11,7 @@ pub struct Fields<'a> {
     system: &'a EddySystem<'a>,
     potentials: Vec<Vec<Complex>>,
     changes: Vec<Complex>,
+    samples: Vec<Samples>,
     /// Iterations that the slowest source took.
     pub iterations: usize,
 }
@@ -20,17 +21,17 @@ impl<'a> Fields<'a> {
         system: &'a EddySystem<'a>,
         potentials: Vec<Vec<Complex>>,
         sides: &[Vec<Complex>],
-        direct: &[Complex],
+        samples: Vec<Samples>,
         iterations: usize,
     ) -> Self {
         let count = potentials.len();
         // A right-hand side is also the functional that gives dM: -int j w mu0 sigma As.v + (1/mu_r - 1) Bs.curl v.
         let change = |m: usize, n: usize| {
             let scattered: Complex = potentials[m].iter().zip(&sides[n]).map(|(x, b)| x * b).sum();
-            (scattered + direct[m * count + n]) / MU0
+            (scattered + system.direct(&samples[m], &samples[n])) / MU0
         };
         let changes = (0..count * count).map(|at| change(at / count, at % count)).collect();
-        Self { system, potentials, changes, iterations }
+        Self { system, potentials, changes, samples, iterations }
     }
 
     /// Sources.
@@ -54,6 +55,17 @@ impl<'a> Fields<'a> {
     /// All changes, row by row.
     pub fn changes_h(&self) -> &[Complex] {
         &self.changes
+    }
+
+    /// Change of the flux of a source through another that the system was not solved for, Wb (per ampere for coils): with a
+    /// [`super::Dipole`] of unit moment, the flux density that the bodies add at its place, from the currents in them and
+    /// so smoother than [`Fields::added`]. `None` for a source that does not exist.
+    pub fn linked(&self, source: usize, probe: &dyn Source) -> Option<Complex> {
+        let (potential, own) = (self.potentials.get(source)?, self.samples.get(source)?);
+        let probe = self.system.sample(probe, [1.0; 3]);
+        let side = self.system.side(&probe);
+        let scattered: Complex = potential.iter().zip(&side).map(|(x, b)| x * b).sum();
+        Some((scattered + self.system.direct(own, &probe)) / MU0)
     }
 
     /// Vector potential and flux density (T) that the bodies add to a source's field at a point; the potential has the

@@ -71,7 +71,7 @@ impl<'a> SymmetricBody<'a> {
             .map(|(odd, system)| {
                 let (kept, samples): (Vec<usize>, Vec<Samples>) =
                     (0..count).filter_map(|s| part(&reflected[s], odd).map(|samples| (s, samples))).unzip();
-                let fields = system.solve_samples(&samples)?;
+                let fields = system.solve_samples(samples)?;
                 Ok((kept, fields.changes_h().to_vec()))
             })
             .collect::<Result<Vec<_>, MitError>>()?;

@@ -159,13 +159,13 @@ impl<'a> EddySystem<'a> {
     /// An iteration that does not converge.
     pub fn solve(&self, sources: &[&dyn Source]) -> Result<Fields<'_>, MitError> {
         let samples: Vec<Samples> = sources.iter().map(|source| self.sample(*source, [1.0; 3])).collect();
-        self.solve_samples(&samples)
+        self.solve_samples(samples)
     }
 
-    pub(super) fn solve_samples(&self, samples: &[Samples]) -> Result<Fields<'_>, MitError> {
-        let (sides, direct) = self.sides(samples);
+    pub(super) fn solve_samples(&self, samples: Vec<Samples>) -> Result<Fields<'_>, MitError> {
+        let sides: Vec<Vec<Complex>> = samples.iter().map(|sample| self.side(sample)).collect();
         let (potentials, iterations) = self.matrix.solve(&sides)?;
-        Ok(Fields::new(self, potentials, &sides, &direct, iterations))
+        Ok(Fields::new(self, potentials, &sides, samples, iterations))
     }
 
     /// A source's field at the quadrature points of all bodies, each point taken with these signs of its coordinates.
@@ -193,36 +193,40 @@ impl<'a> EddySystem<'a> {
         numbers.map(|n| if n == NONE { Complex::new(0.0, 0.0) } else { potential[n as usize] })
     }
 
-    /// Right-hand sides, and the part of `dM` (over nu0) that needs no solution, for each pair row by row.
-    fn sides(&self, samples: &[Samples]) -> (Vec<Vec<Complex>>, Vec<Complex>) {
-        let (count, zero) = (samples.len(), Complex::new(0.0, 0.0));
-        let (mut sides, mut direct) =
-            (vec![vec![zero; self.matrix.structure.size()]; count], vec![zero; count * count]);
-        for (body, element) in self.bodies().into_iter().enumerate() {
+    /// Right-hand side of a source.
+    pub(super) fn side(&self, samples: &Samples) -> Vec<Complex> {
+        let mut side = vec![Complex::new(0.0, 0.0); self.matrix.structure.size()];
+        let elements = self.bodies();
+        for (&element, samples) in elements.iter().zip(samples.chunks_exact(self.points.len())) {
             let numbers = self.unknowns.of(self.mesh, element);
             let (loss, reluctivity) = self.coefficients[self.mesh.regions[element] as usize];
             let (magnetic, geometry) = (reluctivity - 1.0, self.mesh.geometry(element));
-            for (q, point) in self.points.iter().enumerate() {
+            for (point, &(a, b)) in self.points.iter().zip(samples) {
                 let map = geometry.map(point.barycentric);
                 let volume = point.weight * map.determinant.abs();
-                let at = body * self.points.len() + q;
                 for (f, &number) in numbers.iter().enumerate().filter(|(_, number)| **number != NONE) {
-                    let value = scaled(map.value(point.values[f]), -loss * volume);
-                    let curl = scaled(map.curl(point.curls[f]), -magnetic * volume);
-                    for (side, sample) in sides.iter_mut().zip(samples) {
-                        let (a, b) = sample[at];
-                        side[number as usize] += Complex::new(dot(curl, b), dot(value, a));
-                    }
-                }
-                for m in 0..count {
-                    for n in 0..count {
-                        let ((a, b), (c, d)) = (samples[m][at], samples[n][at]);
-                        direct[m * count + n] += Complex::new(-magnetic * dot(b, d), -loss * dot(a, c)) * volume;
-                    }
+                    let value = -loss * volume * dot(map.value(point.values[f]), a);
+                    let curl = -magnetic * volume * dot(map.curl(point.curls[f]), b);
+                    side[number as usize] += Complex::new(curl, value);
                 }
             }
         }
-        (sides, direct)
+        side
+    }
+
+    /// The part of `dM` (over nu0) of two sources that needs no solution.
+    pub(super) fn direct(&self, first: &Samples, second: &Samples) -> Complex {
+        let (mut sum, count) = (Complex::new(0.0, 0.0), self.points.len());
+        for (body, element) in self.bodies().into_iter().enumerate() {
+            let (loss, reluctivity) = self.coefficients[self.mesh.regions[element] as usize];
+            let geometry = self.mesh.geometry(element);
+            for (q, point) in self.points.iter().enumerate() {
+                let volume = point.weight * geometry.map(point.barycentric).determinant.abs();
+                let ((a, b), (c, d)) = (first[body * count + q], second[body * count + q]);
+                sum += Complex::new((1.0 - reluctivity) * dot(b, d), -loss * dot(a, c)) * volume;
+            }
+        }
+        sum
     }
 
     pub(super) fn functions(&self) -> usize {
