@@ -3,6 +3,7 @@
 //! samples around it).
 
 mod dissection;
+mod lanes;
 mod multifrontal;
 mod substitution;
 

@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use crate::sparse::SparseError;
+
 /// Why a magnetic problem could not be set up or solved.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
@@ -77,6 +79,21 @@ pub enum MitError {
         low_m: f64,
         /// Highest height tabulated.
         high_m: f64,
+    },
+    /// A finite-element system could not be factored.
+    #[error("the finite-element system: {0}")]
+    System(#[from] SparseError),
+    /// An iteration that did not come to its end.
+    #[error(
+        "field not found after {iterations} iterations: residual {residual:e} of the source, expected {tolerance:e}"
+    )]
+    NotConverged {
+        /// Iterations made.
+        iterations: usize,
+        /// Norm of the residual over that of the source.
+        residual: f64,
+        /// What was to be reached.
+        tolerance: f64,
     },
 }
 

@@ -8,6 +8,7 @@
 mod array;
 mod bodies;
 mod coil;
+pub mod edge;
 mod error;
 mod harmonics;
 mod ring;

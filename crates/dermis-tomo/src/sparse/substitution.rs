@@ -1,4 +1,4 @@
-//! Forward and backward substitution for sources at a few unknowns, sixteen right-hand sides together: the values of all
+//! Forward and backward substitution for sources at a few unknowns, several right-hand sides together: the values of all
 //! of them at one unknown lie side by side.
 
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
@@ -21,7 +21,7 @@ pub(super) struct Supernodal<'a> {
 
 impl Supernodal<'_> {
     /// Forward substitution where the sources are, backward substitution to the rows wanted.
-    pub(super) fn solve(&self, x: &mut [[f64; WIDTH]], rows: Rows) {
+    pub(super) fn solve<const W: usize>(&self, x: &mut [[f64; W]], rows: Rows) {
         pulp::Arch::new().dispatch(Substitution { factor: self, x, rows });
     }
 
@@ -35,7 +35,7 @@ impl Supernodal<'_> {
     }
 
     #[inline(always)]
-    fn forward(&self, supernode: usize, x: &mut [[f64; WIDTH]]) {
+    fn forward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]]) {
         let node = self.factor.supernode(supernode);
         let (start, columns) = (node.start(), node.val().ncols());
         for column in 0..columns {
@@ -52,7 +52,7 @@ impl Supernodal<'_> {
     }
 
     #[inline(always)]
-    fn backward(&self, supernode: usize, x: &mut [[f64; WIDTH]], below: &mut Vec<[f64; WIDTH]>) {
+    fn backward<const W: usize>(&self, supernode: usize, x: &mut [[f64; W]], below: &mut Vec<[f64; W]>) {
         let node = self.factor.supernode(supernode);
         let (start, columns) = (node.start(), node.val().ncols());
         below.clear();
@@ -72,13 +72,13 @@ impl Supernodal<'_> {
 }
 
 /// The loops of a solve, compiled for the vector instructions of the machine.
-struct Substitution<'a> {
+struct Substitution<'a, const W: usize> {
     factor: &'a Supernodal<'a>,
-    x: &'a mut [[f64; WIDTH]],
+    x: &'a mut [[f64; W]],
     rows: Rows,
 }
 
-impl pulp::NullaryFnOnce for Substitution<'_> {
+impl<const W: usize> pulp::NullaryFnOnce for Substitution<'_, W> {
     type Output = ();
 
     #[inline(always)]
@@ -100,8 +100,8 @@ impl pulp::NullaryFnOnce for Substitution<'_> {
 }
 
 #[inline(always)]
-fn subtract(from: &mut [f64; WIDTH], entry: f64, value: &[f64; WIDTH]) {
-    for lane in 0..WIDTH {
+fn subtract<const W: usize>(from: &mut [f64; W], entry: f64, value: &[f64; W]) {
+    for lane in 0..W {
         from[lane] -= entry * value[lane];
     }
 }

@@ -1,0 +1,37 @@
+//! Prints the flux density of TEAM Workshop Problem 7 on its two measured lines, in 1e-4 T, as CSV.
+//!
+//! `cargo run --release --example team7 -- --frequency 50`
+
+mod problem;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+#[derive(Parser)]
+struct Arguments {
+    /// Frequency, hertz.
+    #[arg(long, default_value_t = 50.0)]
+    frequency: f64,
+    /// Cells of the mesh between two of its planes.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=4))]
+    fine: u8,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let found = problem::mesh(arguments.fine.into()).and_then(|mesh| problem::flux_density(&mesh, arguments.frequency));
+    match found {
+        Ok(rows) => {
+            println!("x_mm,Bz_A1B1_re,Bz_A1B1_im,Bz_A2B2_re,Bz_A2B2_im");
+            for (x, [a, b, c, d]) in problem::X_MM.iter().zip(rows) {
+                println!("{x},{a:.3},{b:.3},{c:.3},{d:.3}");
+            }
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! The multipole matrix of a body from edge elements: each of the 15 harmonic fields is imposed, and tau is the change of
+//! mutual inductance between any two of them.
+
+use super::super::error::positive;
+use super::super::harmonics::{DEGREES, regular_gradients};
+use super::super::{Body, Complex, HARMONICS, MU0, MitError, Vector, cross, scaled, skin_depth_m};
+use super::{
+    EddySystem, EdgeMesh, Grading, Material, Order, Source, SymmetricBody, cylinder_mesh, plate_mesh, sphere_mesh,
+};
+
+/// The field of one solid harmonic h of degree l about the origin: `B = -mu0 grad h`, `A = mu0/(l + 1) r x grad h`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Harmonic(usize);
+
+impl Harmonic {
+    /// The harmonic of an index below [`HARMONICS`], in the order of [`super::super::regular`].
+    pub fn new(index: usize) -> Option<Self> {
+        (index < HARMONICS).then_some(Self(index))
+    }
+}
+
+impl Source for Harmonic {
+    fn vector_potential(&self, point_m: Vector) -> Vector {
+        let gradient = regular_gradients(point_m)[self.0];
+        scaled(cross(point_m, gradient), MU0 / (DEGREES[self.0] as f64 + 1.0))
+    }
+
+    fn flux_density(&self, point_m: Vector) -> Vector {
+        scaled(regular_gradients(point_m)[self.0], -MU0)
+    }
+}
+
+/// A body that tau is computed for, its middle at the origin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// About the z axis.
+    Cylinder {
+        /// Radius, metres.
+        radius_m: f64,
+        /// Height, metres.
+        height_m: f64,
+    },
+    /// Sides along x, y and z.
+    Plate {
+        /// Sides, metres.
+        size_m: [f64; 3],
+    },
+    /// A ball.
+    Sphere {
+        /// Radius, metres.
+        radius_m: f64,
+    },
+}
+
+impl Shape {
+    /// Radius of the sphere around it, metres.
+    pub fn radius_m(&self) -> f64 {
+        match *self {
+            Self::Cylinder { radius_m, height_m } => radius_m.hypot(0.5 * height_m),
+            Self::Plate { size_m: [x, y, z] } => 0.5 * x.hypot(y).hypot(z),
+            Self::Sphere { radius_m } => radius_m,
+        }
+    }
+
+    fn label(&self) -> &'static str {
+        match self {
+            Self::Cylinder { .. } => "cylinder",
+            Self::Plate { .. } => "plate",
+            Self::Sphere { .. } => "sphere",
+        }
+    }
+
+    /// Least and greatest half width, metres.
+    fn half_widths_m(&self) -> (f64, f64) {
+        let sizes = match *self {
+            Self::Cylinder { radius_m, height_m } => [radius_m, radius_m, 0.5 * height_m],
+            Self::Plate { size_m } => size_m.map(|size| 0.5 * size),
+            Self::Sphere { radius_m } => [radius_m; 3],
+        };
+        (sizes.iter().copied().fold(f64::INFINITY, f64::min), sizes.iter().copied().fold(0.0, f64::max))
+    }
+
+    /// A grading that suits the shape at a skin depth.
+    pub fn grading(&self, skin_depth_m: f64) -> Grading {
+        let (least, greatest) = self.half_widths_m();
+        Grading::for_body(skin_depth_m, least, greatest)
+    }
+
+    /// A mesh around it.
+    ///
+    /// # Errors
+    /// Sizes that are not positive, a grading that does not fit.
+    pub fn mesh(&self, grading: &Grading) -> Result<EdgeMesh, MitError> {
+        match *self {
+            Self::Cylinder { radius_m, height_m } => cylinder_mesh(radius_m, height_m, grading),
+            Self::Plate { size_m } => plate_mesh(size_m, grading),
+            Self::Sphere { radius_m } => sphere_mesh(radius_m, grading),
+        }
+    }
+}
+
+/// tau of what is in a mesh, about its origin, row by row ([`HARMONICS`] squared), made exactly symmetric.
+///
+/// # Errors
+/// See [`EddySystem::solve`].
+pub fn tau(system: &EddySystem<'_>) -> Result<Vec<Complex>, MitError> {
+    of_harmonics(|sources| Ok(system.solve(sources)?.changes_h().to_vec()))
+}
+
+/// [`tau`] of a body that is symmetric about the planes of coordinates.
+///
+/// # Errors
+/// See [`SymmetricBody::changes_h`].
+pub fn symmetric_tau(body: &SymmetricBody<'_>) -> Result<Vec<Complex>, MitError> {
+    of_harmonics(|sources| body.changes_h(sources))
+}
+
+fn of_harmonics(
+    changes: impl FnOnce(&[&dyn Source]) -> Result<Vec<Complex>, MitError>,
+) -> Result<Vec<Complex>, MitError> {
+    let harmonics: Vec<Harmonic> = (0..HARMONICS).map(Harmonic).collect();
+    let sources: Vec<&dyn Source> = harmonics.iter().map(|h| h as &dyn Source).collect();
+    let changes = changes(&sources)?;
+    let at = |i: usize, j: usize| changes[i * HARMONICS + j];
+    Ok((0..HARMONICS * HARMONICS)
+        .map(|k| (at(k / HARMONICS, k % HARMONICS) + at(k % HARMONICS, k / HARMONICS)) * 0.5)
+        .collect())
+}
+
+/// The multipole body of a shape, material and frequency, by elements of second order on a mesh that suits the skin depth.
+///
+/// # Errors
+/// Sizes or conductivity that are not positive, a relative permeability below 1, a frequency outside 1 Hz to 1 MHz.
+pub fn body_tau(shape: &Shape, material: &Material, frequency_hz: f64) -> Result<Body, MitError> {
+    positive("radius_m", shape.radius_m())?;
+    let depth = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz)?;
+    let mesh = shape.mesh(&shape.grading(depth))?;
+    let tau = if let Shape::Sphere { .. } = shape {
+        tau(&EddySystem::new(&mesh, &[*material], frequency_hz, Order::Second)?)?
+    } else {
+        symmetric_tau(&SymmetricBody::new(&mesh.octant()?, &[*material], frequency_hz, Order::Second)?)?
+    };
+    Body::from_tau(shape.label(), shape.radius_m(), tau)
+}
