@@ -10,7 +10,7 @@ const MAY_USE: [(&str, &[&str]); 7] = [
     ("dermis-wire", &[]),
     ("dermis-device", &["dermis-wire"]),
     ("dermis-twin", &["dermis-tomo"]),
-    ("dermis", &["dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin"]),
+    ("dermis", &["dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"]),
     ("dermis-cli", &["dermis", "dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin"]),
 ];
 
