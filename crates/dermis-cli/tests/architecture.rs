@@ -4,17 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Our crates, and those of ours that each may use.
-const MAY_USE: [(&str, &[&str]); 6] = [
+const MAY_USE: [(&str, &[&str]); 7] = [
     ("dermis-tomo", &[]),
     ("dermis-touch", &[]),
-    ("dermis-device", &[]),
+    ("dermis-wire", &[]),
+    ("dermis-device", &["dermis-wire"]),
     ("dermis-twin", &["dermis-tomo"]),
-    ("dermis", &["dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin"]),
+    ("dermis", &["dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"]),
     ("dermis-cli", &["dermis", "dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin"]),
 ];
 
 /// Crates that compute and do nothing else.
-const PURE: [&str; 3] = ["dermis-tomo", "dermis-touch", "dermis-twin"];
+const PURE: [&str; 4] = ["dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"];
 
 /// What a pure crate has no business with.
 const OUTSIDE_WORLD: [&str; 6] = ["std::fs", "std::net", "std::process", "std::env", "Instant::now", "SystemTime"];

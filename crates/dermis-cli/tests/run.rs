@@ -1,8 +1,9 @@
 //! `dermis run` as a script sees it: lines, recordings, replays, exit codes.
 
+use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 
 use serde_json::Value;
 
@@ -86,4 +87,54 @@ fn an_unknown_skin_is_bad_usage() {
     let output = run(desk.path(), &["no-such-skin", "--headless", "--frames", "1"]);
     assert_eq!(output.status.code(), Some(2), "{}", message(&output));
     assert!(message(&output).contains("no-such-skin"), "{}", message(&output));
+}
+
+/// A twin that is served, and killed in the end.
+struct Served(Child);
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn a_twin_that_is_served_is_run_from_its_address() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let child = Command::new(env!("CARGO_BIN_EXE_dermis"))
+        .args(["twin", "serve", "healing-square", "--tcp", "127.0.0.1:0"])
+        .stdout(Stdio::piped())
+        .spawn();
+    let mut served = Served(child.expect("the command starts"));
+    let mut said = String::new();
+    BufReader::new(served.0.stdout.take().expect("a pipe")).read_line(&mut said).expect("an address");
+    let words: Vec<&str> = said.split_whitespace().collect();
+    assert_eq!(words[..4], ["serving:", "dermis", "run", "healing-square"], "{said}");
+    let live = run(desk.path(), &[&words[3..], &["--headless", "--frames", "100"]].concat());
+    assert_done(&live);
+    let lines = lines(&live);
+    assert_eq!(lines.len(), 100);
+    let touched = lines.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
+    // As with the twin inside the command: the host that asks first sees it untouched and then the demonstration.
+    assert!(touched > 20, "only {touched} of 100 lines have touches");
+}
+
+#[test]
+fn a_twin_is_not_served_to_the_network_unless_that_is_said() {
+    let refused = Command::new(env!("CARGO_BIN_EXE_dermis")).args(["twin", "serve", "--tcp", "0.0.0.0:0"]).output();
+    let refused = refused.expect("the command starts");
+    assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
+    assert!(message(&refused).contains("--to-network"), "{}", message(&refused));
+}
+
+#[test]
+fn an_instrument_that_is_not_there_is_a_failure_with_its_reason() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let port = TcpListener::bind("127.0.0.1:0").and_then(|gone| gone.local_addr()).expect("a free port").port();
+    let source = format!("tcp:127.0.0.1:{port}");
+    let output = run(desk.path(), &["--source", &source, "--headless", "--frames", "1"]);
+    assert_eq!(output.status.code(), Some(1), "{}", message(&output));
+    assert!(message(&output).contains(&format!("{source}: cannot connect: ")), "{}", message(&output));
 }

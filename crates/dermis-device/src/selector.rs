@@ -1,5 +1,5 @@
 //! The text by which a user names a source: `file:run.csv`, `twin:healing-square`, `serial:/dev/ttyUSB0@115200`,
-//! `tcp:192.168.1.20:5025`, or simply a path.
+//! `serial:2341:0043`, `tcp:192.168.1.20:5025#lines`, or simply a path.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,13 +9,20 @@ use crate::{DeviceError, FileSpec};
 /// A source as the user named it; opening it is the business of whoever has the transport.
 ///
 /// ```
-/// use dermis_device::SourceSelector;
+/// use dermis_device::{Instrument, SerialName, SourceSelector};
 ///
 /// let tcp: SourceSelector = "tcp:192.168.1.20:5025".parse()?;
-/// assert_eq!(tcp, SourceSelector::Tcp { host: "192.168.1.20".into(), port: 5025 });
+/// assert_eq!(tcp, SourceSelector::Tcp { host: "192.168.1.20".into(), port: 5025, instrument: Instrument::Wire });
 ///
-/// let serial: SourceSelector = "serial:/dev/ttyUSB0@115200".parse()?;
-/// assert_eq!(serial, SourceSelector::Serial { port: "/dev/ttyUSB0".into(), baud: Some(115_200) });
+/// let serial: SourceSelector = "serial:/dev/ttyUSB0@115200#lines".parse()?;
+/// let port = SerialName::Path("/dev/ttyUSB0".into());
+/// let instrument = Instrument::Lines { channels: None };
+/// assert_eq!(serial, SourceSelector::Serial { port, baud: Some(115_200), instrument });
+///
+/// // A board by its USB numbers, and by its serial number where there are several.
+/// let board: SourceSelector = "serial:2341:0043:A1B2".parse()?;
+/// let port = SerialName::Usb { vendor: 0x2341, product: 0x0043, serial: Some("A1B2".into()) };
+/// assert_eq!(board, SourceSelector::Serial { port, baud: None, instrument: Instrument::Wire });
 ///
 /// // A bare path is a file; text after '#' chooses frames of it.
 /// let file: SourceSelector = "runs/voltages.csv#ref".parse()?;
@@ -34,20 +41,111 @@ pub enum SourceSelector {
         /// Name of the skin.
         name: Option<String>,
     },
-    /// A serial port, `serial:PORT` or `serial:PORT@BAUD`.
+    /// A serial port, `serial:PORT`, with `@BAUD` and `#INSTRUMENT` after it where needed.
     Serial {
-        /// The port's device name.
-        port: String,
+        /// The port.
+        port: SerialName,
         /// Bits per second, where the instrument does not fix them.
         baud: Option<u32>,
+        /// What speaks there.
+        instrument: Instrument,
     },
-    /// A TCP server, `tcp:HOST:PORT`; an IPv6 host stands in brackets.
+    /// A TCP server, `tcp:HOST:PORT`, with `#INSTRUMENT` after it where needed; an IPv6 host stands in brackets.
     Tcp {
         /// Host name or address, without brackets.
         host: String,
         /// Port number.
         port: u16,
+        /// What speaks there.
+        instrument: Instrument,
     },
+}
+
+/// A serial port: by path, or by what is plugged in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SerialName {
+    /// Path or name, `/dev/ttyACM0` or `COM3`.
+    Path(String),
+    /// `VID:PID` or `VID:PID:SERIAL`, the numbers as four hexadecimal digits; the first such device where several are there.
+    Usb {
+        /// Vendor.
+        vendor: u16,
+        /// Product.
+        product: u16,
+        /// Serial number.
+        serial: Option<String>,
+    },
+}
+
+/// What speaks at a port or socket.
+///
+/// ```
+/// use dermis_device::Instrument;
+///
+/// assert_eq!("wire".parse::<Instrument>()?, Instrument::Wire);
+/// assert_eq!("lines:208".parse::<Instrument>()?, Instrument::Lines { channels: Some(208) });
+/// assert_eq!("floats:208".parse::<Instrument>()?.to_string(), "floats:208");
+/// assert!("floats".parse::<Instrument>().is_err());
+/// # Ok::<(), dermis_device::DeviceError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Instrument {
+    /// dermis's own wire, `wire`; what is meant where nothing is said.
+    #[default]
+    Wire,
+    /// Lines of numbers, `lines` or `lines:CHANNELS`.
+    Lines {
+        /// Numbers in a line; without it, as many as lines that follow each other have.
+        channels: Option<usize>,
+    },
+    /// Raw single-precision frames, `floats:CHANNELS`.
+    Floats {
+        /// Readings in a frame.
+        channels: usize,
+    },
+}
+
+/// Most channels that a user can state.
+const MOST_CHANNELS: usize = 65_535;
+
+impl FromStr for Instrument {
+    type Err = DeviceError;
+
+    fn from_str(text: &str) -> Result<Self, DeviceError> {
+        let error = || DeviceError::selector(text, "wire, lines, lines:CHANNELS or floats:CHANNELS");
+        let (name, channels) = text.split_once(':').map_or((text, None), |(name, rest)| (name, Some(rest)));
+        let channels: Option<usize> = channels.map(|text| text.parse().map_err(|_| error())).transpose()?;
+        if channels.is_some_and(|count| count == 0 || count > MOST_CHANNELS) {
+            return Err(error());
+        }
+        match (name, channels) {
+            ("wire", None) => Ok(Self::Wire),
+            ("lines", channels) => Ok(Self::Lines { channels }),
+            ("floats", Some(channels)) => Ok(Self::Floats { channels }),
+            _ => Err(error()),
+        }
+    }
+}
+
+impl fmt::Display for Instrument {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Wire => write!(out, "wire"),
+            Self::Lines { channels: None } => write!(out, "lines"),
+            Self::Lines { channels: Some(channels) } => write!(out, "lines:{channels}"),
+            Self::Floats { channels } => write!(out, "floats:{channels}"),
+        }
+    }
+}
+
+impl fmt::Display for SerialName {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Path(path) => write!(out, "{path}"),
+            Self::Usb { vendor, product, serial: None } => write!(out, "{vendor:04x}:{product:04x}"),
+            Self::Usb { vendor, product, serial: Some(serial) } => write!(out, "{vendor:04x}:{product:04x}:{serial}"),
+        }
+    }
 }
 
 const FORMS: &str = "file:PATH, twin[:NAME], serial:PORT[@BAUD], tcp:HOST:PORT or a path";
@@ -80,7 +178,8 @@ fn is_unknown_scheme(scheme: &str) -> bool {
 }
 
 fn parse_serial(text: &str, rest: &str) -> Result<SourceSelector, DeviceError> {
-    let expected = "serial:PORT or serial:PORT@BAUD, as in serial:/dev/ttyUSB0@115200";
+    let expected = "serial:PORT or serial:PORT@BAUD, as in serial:/dev/ttyUSB0@115200, or serial:VID:PID[:SERIAL]";
+    let (rest, instrument) = split_instrument(rest)?;
     let (port, baud) = match rest.rsplit_once('@') {
         Some((port, baud)) => {
             let baud = baud.parse().ok().filter(|&baud: &u32| baud > 0);
@@ -91,11 +190,33 @@ fn parse_serial(text: &str, rest: &str) -> Result<SourceSelector, DeviceError> {
     if port.is_empty() {
         return Err(DeviceError::selector(text, expected));
     }
-    Ok(SourceSelector::Serial { port: port.to_owned(), baud })
+    let port = usb_name(port).unwrap_or_else(|| SerialName::Path(port.to_owned()));
+    Ok(SourceSelector::Serial { port, baud, instrument })
+}
+
+/// `VID:PID[:SERIAL]`, if this is one.
+fn usb_name(port: &str) -> Option<SerialName> {
+    let number = |text: &str| {
+        let digits = text.len() == 4 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        digits.then(|| u16::from_str_radix(text, 16).ok()).flatten()
+    };
+    let (vendor, rest) = port.split_once(':')?;
+    let (product, serial) = rest.split_once(':').map_or((rest, None), |(product, serial)| (product, Some(serial)));
+    let serial = serial.filter(|serial| !serial.is_empty()).map(str::to_owned);
+    Some(SerialName::Usb { vendor: number(vendor)?, product: number(product)?, serial })
+}
+
+/// Cuts `#INSTRUMENT` off the end.
+fn split_instrument(text: &str) -> Result<(&str, Instrument), DeviceError> {
+    match text.rsplit_once('#') {
+        Some((rest, instrument)) => Ok((rest, instrument.parse()?)),
+        None => Ok((text, Instrument::Wire)),
+    }
 }
 
 fn parse_tcp(text: &str, rest: &str) -> Result<SourceSelector, DeviceError> {
     let error = || DeviceError::selector(text, "tcp:HOST:PORT, as in tcp:192.168.1.20:5025 or tcp:[::1]:5025");
+    let (rest, instrument) = split_instrument(rest)?;
     let (host, port) = rest.rsplit_once(':').ok_or_else(error)?;
     let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     let host = match bare {
@@ -107,19 +228,25 @@ fn parse_tcp(text: &str, rest: &str) -> Result<SourceSelector, DeviceError> {
     if host.is_empty() {
         return Err(error());
     }
-    Ok(SourceSelector::Tcp { host: host.to_owned(), port })
+    Ok(SourceSelector::Tcp { host: host.to_owned(), port, instrument })
 }
 
 impl fmt::Display for SourceSelector {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::File(spec) => write!(out, "file:{spec}"),
-            Self::Twin { name: None } => write!(out, "twin"),
-            Self::Twin { name: Some(name) } => write!(out, "twin:{name}"),
-            Self::Serial { port, baud: None } => write!(out, "serial:{port}"),
-            Self::Serial { port, baud: Some(baud) } => write!(out, "serial:{port}@{baud}"),
-            Self::Tcp { host, port } if host.contains(':') => write!(out, "tcp:[{host}]:{port}"),
-            Self::Tcp { host, port } => write!(out, "tcp:{host}:{port}"),
+            Self::File(spec) => return write!(out, "file:{spec}"),
+            Self::Twin { name: None } => return write!(out, "twin"),
+            Self::Twin { name: Some(name) } => return write!(out, "twin:{name}"),
+            Self::Serial { port, baud: None, .. } => write!(out, "serial:{port}")?,
+            Self::Serial { port, baud: Some(baud), .. } => write!(out, "serial:{port}@{baud}")?,
+            Self::Tcp { host, port, .. } if host.contains(':') => write!(out, "tcp:[{host}]:{port}")?,
+            Self::Tcp { host, port, .. } => write!(out, "tcp:{host}:{port}")?,
+        }
+        match self {
+            Self::Serial { instrument, .. } | Self::Tcp { instrument, .. } if *instrument != Instrument::Wire => {
+                write!(out, "#{instrument}")
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -138,7 +265,11 @@ mod tests {
             "twin:healing-square",
             "serial:COM3",
             "serial:/dev/ttyACM0@921600",
+            "serial:2341:0043",
+            "serial:2341:0043:A1B2@9600#lines",
             "tcp:skin.local:5025",
+            "tcp:10.0.0.2:80#floats:208",
+            "serial:COM3#lines:16",
             "tcp:[fe80::1]:80",
         ] {
             let selector: SourceSelector = text.parse().unwrap();
@@ -161,13 +292,16 @@ mod tests {
             ("usb:1", "file:PATH, twin[:NAME]"),
             ("serial:", "serial:PORT"),
             ("serial:COM3@fast", "serial:PORT@BAUD"),
+            ("tcp:host:1#floats", "floats:CHANNELS"),
+            ("serial:COM3#morse", "wire, lines"),
             ("tcp:host", "tcp:HOST:PORT"),
             ("tcp:host:0", "tcp:HOST:PORT"),
             ("tcp:host:99999", "tcp:HOST:PORT"),
             ("tcp:::1:80", "tcp:[::1]:5025"),
         ] {
             let message = text.parse::<SourceSelector>().unwrap_err().to_string();
-            assert!(message.contains(expected) && message.contains(text), "{text}: {message}");
+            let named = text.rsplit('#').next().is_some_and(|part| message.contains(part));
+            assert!(message.contains(expected) && named, "{text}: {message}");
         }
     }
 }

@@ -23,6 +23,7 @@ pub mod prepare;
 pub mod reconstruct;
 pub mod record;
 pub mod reference;
+pub mod serve;
 pub mod sink;
 pub mod skin;
 pub mod solve;

@@ -3,12 +3,14 @@
 mod bench;
 mod calibrate;
 mod design;
+mod devices;
 mod reconstruct;
 mod reproduce;
 mod run;
 mod skins;
 mod snr;
 mod solve;
+mod twin;
 
 use std::io::Write;
 
@@ -33,6 +35,10 @@ pub enum Command {
     Design(design::Arguments),
     /// Replay the experiments of the published skins on their twins.
     Reproduce(reproduce::Arguments),
+    /// List serial ports and what answers at them.
+    Devices(devices::Arguments),
+    /// Let programs connect to a skin's twin as to an instrument.
+    Twin(twin::Arguments),
     /// Time the numerical work on this machine.
     Bench(bench::Arguments),
 }
@@ -46,6 +52,8 @@ impl Command {
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),
             Command::Design(arguments) => arguments.run(out),
+            Command::Devices(arguments) => arguments.run(out),
+            Command::Twin(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),

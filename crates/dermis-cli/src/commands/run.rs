@@ -50,8 +50,10 @@ pub struct Arguments {
     /// Built-in skin or skin file.
     #[arg(default_value = "healing-square", value_name = "SKIN")]
     skin: String,
-    /// Where frames come from: twin, or a file (a recording .mcap, or anything that `reconstruct` reads).
-    #[arg(long, default_value = "twin", value_name = "twin|FILE")]
+    /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
+    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that send
+    /// just numbers.
+    #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
     /// Pace of a file: 1 as recorded, 0 as fast as possible.
     #[arg(long, default_value_t = 1.0)]

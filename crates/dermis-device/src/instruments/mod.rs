@@ -1,13 +1,17 @@
-//! What instruments write down: one module per format, each turning bytes into a [`FrameTable`], and the choice among
-//! them by name or by looking at the content.
+//! What instruments write down and send. Of files, one module per format turns bytes into a [`FrameTable`], chosen by name
+//! or by looking at the content; of live instruments, one module each ([`wire`], [`lines`], [`floats`]) makes frames of a
+//! stream of bytes.
 
 pub mod columns;
 pub mod csv;
+pub mod floats;
 pub mod golfball;
 pub mod ktc;
+pub mod lines;
 pub mod npy;
 pub mod pyeidors;
 pub mod sciospec;
+pub mod wire;
 
 use std::fmt;
 use std::fs::{self, File};

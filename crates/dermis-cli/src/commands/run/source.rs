@@ -8,7 +8,8 @@ use dermis::record::{Recording, Replay};
 use dermis::skin::Skin;
 use dermis::twin_source::{TwinCommand, TwinSource};
 use dermis::twins::PressRange;
-use dermis_device::{Pacing, Playback, Repeat, Source, SourceSelector};
+use dermis_device::stream::StreamOptions;
+use dermis_device::{Pacing, Playback, Repeat, Source, SourceSelector, open_stream};
 
 use crate::exit::UsageError;
 
@@ -71,9 +72,11 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
             let playback = Playback::new(table, pacing(rate), Repeat::Once).map_err(dermis::Error::from)?;
             Ok(Opened { skin, source: Box::new(playback), twin: None, wait: true })
         }
-        other => {
-            let text = format!("--source {other}: only twin and files can be opened by this version");
-            Err(UsageError(text).into())
+        live => {
+            let skin = super::skin(skin_name)?;
+            let source = open_stream(&live, StreamOptions::default()).map_err(dermis::Error::from)?;
+            tracing::info!("{live}: {}", source.identity().unwrap_or_default());
+            Ok(Opened { skin, source: Box::new(source), twin: None, wait: false })
         }
     }
 }

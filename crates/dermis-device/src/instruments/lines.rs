@@ -1,0 +1,159 @@
+//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do. Numbers are
+//! separated by commas, semicolons or blanks; words and what stands before a colon are no numbers. Frames are not numbered,
+//! so that lost ones are not known.
+
+use std::time::Duration;
+
+use crate::stream::{Dialogue, Inbox};
+use crate::{HostStamp, Layout};
+
+/// Longest line; anything longer is no line of numbers.
+const LONGEST_LINE: usize = 1 << 16;
+/// Lines in a row with as many numbers that settle how many channels there are.
+const AGREEING: u32 = 3;
+
+/// Lines of numbers, as a [`Dialogue`].
+#[derive(Debug, Default)]
+pub struct Lines {
+    line: Vec<u8>,
+    /// The line in progress began before the connection, or is too long.
+    skip: bool,
+    begun: Option<HostStamp>,
+    numbers: Vec<f64>,
+    channels: Option<usize>,
+    /// Numbers of the last line, and how many lines in a row had as many.
+    agreeing: (usize, u32),
+    sequence: u64,
+}
+
+impl Lines {
+    /// Lines of as many numbers as the first ones that agree have, or of `channels`.
+    pub fn new(channels: Option<usize>) -> Self {
+        Self { channels, ..Self::default() }
+    }
+
+    fn finish(&mut self, at: HostStamp, inbox: &mut Inbox) {
+        let skip = std::mem::replace(&mut self.skip, false);
+        if skip || !parse(&self.line, &mut self.numbers) {
+            let damaged = skip && self.line.len() >= LONGEST_LINE;
+            self.line.clear();
+            if damaged {
+                inbox.bad(1);
+            }
+            return;
+        }
+        self.line.clear();
+        let count = self.numbers.len();
+        if self.channels.is_none() {
+            self.agreeing = if self.agreeing.0 == count { (count, self.agreeing.1 + 1) } else { (count, 1) };
+            self.channels = (self.agreeing.1 >= AGREEING).then_some(count);
+            return;
+        }
+        if self.channels != Some(count) {
+            inbox.bad(1);
+            return;
+        }
+        let (sequence, numbers) = (self.sequence, &self.numbers);
+        self.sequence += 1;
+        inbox.take(|frame| frame.refill(sequence, at, numbers, &[]));
+    }
+}
+
+/// Reads the numbers of a line; false where it holds none (a heading, a comment, an empty line).
+fn parse(line: &[u8], numbers: &mut Vec<f64>) -> bool {
+    numbers.clear();
+    let Ok(text) = str::from_utf8(line) else { return false };
+    let text = text.rsplit_once(':').map_or(text, |(_, after)| after).trim();
+    let words = text.split(|c: char| c.is_whitespace() || c == ',' || c == ';' || c == '[' || c == ']');
+    for word in words.filter(|word| !word.is_empty()) {
+        match word.parse::<f64>() {
+            Ok(number) if !number.is_infinite() => numbers.push(number),
+            _ => return false,
+        }
+    }
+    !numbers.is_empty()
+}
+
+impl Dialogue for Lines {
+    fn open(&mut self, _send: &mut Vec<u8>) {
+        self.line.clear();
+        self.begun = None;
+        self.skip = true;
+    }
+
+    fn receive(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox, _send: &mut Vec<u8>) -> Result<(), String> {
+        let mut stamp = self.begun.take().unwrap_or(at);
+        for byte in bytes {
+            match byte {
+                b'\n' | b'\r' => {
+                    self.finish(stamp, inbox);
+                    stamp = at;
+                }
+                _ if self.line.len() >= LONGEST_LINE => self.skip = true,
+                _ => self.line.push(*byte),
+            }
+        }
+        self.begun = (!self.line.is_empty()).then_some(stamp);
+        Ok(())
+    }
+
+    fn tick(&mut self, open_for: Duration, _send: &mut Vec<u8>) -> Result<(), String> {
+        if self.channels.is_none() && open_for > Duration::from_secs(4) {
+            return Err("bytes came, but no lines with equally many numbers".to_owned());
+        }
+        Ok(())
+    }
+
+    fn close(&mut self, _send: &mut Vec<u8>) {}
+
+    fn layout(&self) -> Option<Layout> {
+        self.channels.map(|count| Layout::Channels { count })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Frame;
+
+    fn frames(channels: Option<usize>, pieces: &[&str]) -> (Vec<Frame>, u64, Option<Layout>) {
+        let mut lines = Lines::new(channels);
+        let (mut inbox, out, _spare) = Inbox::new(32);
+        lines.open(&mut Vec::new());
+        for piece in pieces {
+            lines.receive(piece.as_bytes(), HostStamp::now(), &mut inbox, &mut Vec::new()).unwrap();
+        }
+        (out.try_iter().collect(), inbox.losses().1, lines.layout())
+    }
+
+    #[test]
+    fn the_first_line_may_be_half_a_line_and_headings_are_no_frames() {
+        let pieces = ["8,9\r\nmagnitudes: 1.0, 2", ".5\r\n# ready\nready 3\n-3e-1;4\n", "5\t6\n7", " 8\n9 10"];
+        let (frames, bad, layout) = frames(Some(2), &pieces);
+        let values: Vec<_> = frames.iter().map(|frame| frame.values.clone()).collect();
+        assert_eq!(values, [[1.0, 2.5], [-0.3, 4.0], [5.0, 6.0], [7.0, 8.0]]);
+        assert_eq!(frames.iter().map(|frame| frame.sequence).collect::<Vec<_>>(), [0, 1, 2, 3]);
+        assert_eq!((bad, layout), (0, Some(Layout::Channels { count: 2 })));
+    }
+
+    #[test]
+    fn three_lines_that_agree_settle_the_channels() {
+        let (frames, bad, layout) = frames(None, &["x\n1 2 3\n1 2\n3 4\n5 6\n7 8\n9\n10 nan\n"]);
+        assert_eq!(layout, Some(Layout::Channels { count: 2 }));
+        assert_eq!((frames.len(), bad), (2, 1), "the short line is damaged");
+        assert!(frames[1].values[1].is_nan());
+    }
+
+    #[test]
+    fn a_line_without_end_keeps_bounded_memory_and_is_counted() {
+        let mut lines = Lines::new(Some(1));
+        let (mut inbox, out, _spare) = Inbox::new(4);
+        lines.open(&mut Vec::new());
+        for piece in ["\n", &"1".repeat(3 * LONGEST_LINE), "\n2\n"] {
+            lines.receive(piece.as_bytes(), HostStamp::now(), &mut inbox, &mut Vec::new()).unwrap();
+            assert!(lines.line.len() <= LONGEST_LINE);
+        }
+        assert_eq!(out.try_iter().map(|frame| frame.values[0]).collect::<Vec<_>>(), [2.0]);
+        assert_eq!(inbox.losses().1, 1);
+    }
+}

@@ -1,0 +1,185 @@
+//! The device's side of the wire: answers hello and commands, and packs frames while the host wants them. Twins stand
+//! behind it on a socket; firmware does the same with memory of fixed size.
+
+use dermis_wire::{Command, Decoder, Describe, Element, Features, List, Message, Numbers, Reply, ReplyStatus};
+use dermis_wire::{Request, Status, encode, encoded_len};
+
+use crate::Frame;
+
+/// Longest command that is taken, as on the line.
+const LONGEST_COMMAND: usize = 4096;
+
+/// What a device says of itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DeviceInfo {
+    /// Make and model.
+    pub device: String,
+    /// Serial number.
+    pub serial: String,
+    /// Version of its firmware.
+    pub firmware: String,
+    /// Measurement protocol.
+    pub protocol: String,
+    /// Differs with every start of the device; not 0.
+    pub boot: u32,
+    /// Electrodes that it drives and measures.
+    pub electrodes: u16,
+    /// Readings in each frame.
+    pub channels: u16,
+    /// Frames a second.
+    pub frames_per_s: f32,
+    /// Amplitude of the drive current, amperes.
+    pub amplitude_a: f32,
+    /// Frequency of the drive, hertz.
+    pub frequency_hz: f32,
+    /// Whether readings are magnitudes without a sign.
+    pub magnitude: bool,
+}
+
+/// The device's side of a conversation over the wire. It obeys start, stop and single shot, sends readings as f32 in
+/// volts, and refuses all other commands as unknown.
+#[derive(Debug)]
+pub struct WireDevice {
+    info: DeviceInfo,
+    decoder: Decoder<Vec<u8>>,
+    running: bool,
+    shots: u32,
+    readings: Vec<f32>,
+    imaginary: Vec<f32>,
+    buffer: Vec<u8>,
+}
+
+impl WireDevice {
+    /// A device that sends no frames yet.
+    pub fn new(info: DeviceInfo) -> Self {
+        let longest = encoded_len(64 + 8 * usize::from(info.channels)).max(encoded_len(2048));
+        Self {
+            info,
+            decoder: Decoder::new(vec![0; LONGEST_COMMAND]),
+            running: false,
+            shots: 0,
+            readings: Vec::new(),
+            imaginary: Vec::new(),
+            buffer: vec![0; longest],
+        }
+    }
+
+    /// A host has connected, or gone: nothing is sent until it asks.
+    pub fn reset_link(&mut self) {
+        self.decoder.reset();
+        self.running = false;
+        self.shots = 0;
+    }
+
+    /// True while frames flow.
+    pub fn is_running(&self) -> bool {
+        self.running
+    }
+
+    /// Takes bytes from the host; answers go to `send`.
+    pub fn receive(&mut self, bytes: &[u8], send: &mut Vec<u8>) {
+        let mut rest = bytes;
+        loop {
+            let asked = match self.decoder.feed(&mut rest) {
+                Some(Ok(Message::Hello(hello))) => Asked::Hello {
+                    nonce: hello.nonce,
+                    speaks: (hello.lowest_version..=hello.highest_version).contains(&dermis_wire::VERSION),
+                },
+                Some(Ok(Message::Command(Request { tag, command }))) => {
+                    Asked::Command { tag, code: command.code(), status: status_of(&command) }
+                }
+                Some(_) => continue,
+                None => return,
+            };
+            match asked {
+                Asked::Hello { nonce, speaks: true } => self.describe(nonce, send),
+                Asked::Hello { speaks: false, .. } => {}
+                Asked::Command { tag, code, status } => self.answer(tag, code, status, send),
+            }
+        }
+    }
+
+    /// Packs a frame, if the host wants one now. Its number is the frame's own, wrapped.
+    pub fn frame(&mut self, frame: &Frame, status: Status, send: &mut Vec<u8>) {
+        if !self.running && self.shots == 0 {
+            return;
+        }
+        let status = if self.running { status } else { status.with(Status::SINGLE) };
+        self.shots = self.shots.saturating_sub(1);
+        self.readings.clear();
+        self.readings.extend(frame.values.iter().map(|value| *value as f32));
+        self.imaginary.clear();
+        self.imaginary.extend(frame.imaginary.iter().map(|value| *value as f32));
+        let message = Message::Frame(dermis_wire::Frame {
+            sequence: frame.sequence as u32,
+            device_time_ns: frame.device_time_ns.unwrap_or(frame.host_monotonic_ns),
+            status,
+            gain: 0,
+            scale: 1.0,
+            values: Numbers::from(&self.readings[..]),
+            imaginary: (!self.imaginary.is_empty()).then(|| Numbers::from(&self.imaginary[..])),
+            channel_times_ns: None,
+        });
+        push(&message, &mut self.buffer, send);
+    }
+
+    /// Describes itself; `nonce` is 0 unless a host has asked.
+    pub fn describe(&mut self, nonce: u32, send: &mut Vec<u8>) {
+        let known = [Command::Start, Command::Stop, Command::SingleShot];
+        let running = if self.running { Features::RUNNING } else { Features::default() };
+        let magnitude = if self.info.magnitude { Features::MAGNITUDE } else { Features::default() };
+        let message = Message::Describe(Describe {
+            nonce,
+            boot: self.info.boot,
+            electrodes: self.info.electrodes,
+            channels: self.info.channels,
+            element: Element::F32,
+            adc_bits: 0,
+            features: running.with(magnitude),
+            commands: known.iter().fold(0, |bits, command| bits | (1 << command.code())),
+            frames_per_s: self.info.frames_per_s,
+            most_frames_per_s: self.info.frames_per_s,
+            amplitude_a: self.info.amplitude_a,
+            frequency_hz: self.info.frequency_hz,
+            device: &self.info.device,
+            serial: &self.info.serial,
+            firmware: &self.info.firmware,
+            protocol: &self.info.protocol,
+            protocols: &self.info.protocol,
+        });
+        push(&message, &mut self.buffer, send);
+    }
+
+    fn answer(&mut self, tag: u16, code: u8, status: ReplyStatus, send: &mut Vec<u8>) {
+        if status == ReplyStatus::Done {
+            match code {
+                6 => self.running = true,
+                7 => self.running = false,
+                _ => self.shots = self.shots.saturating_add(1),
+            }
+        }
+        let reply = Reply { tag, command: code, status, values: List::from(&[][..]) };
+        push(&Message::Reply(reply), &mut self.buffer, send);
+    }
+}
+
+/// What a host has asked, owned, so that it outlives the decoder's borrow.
+enum Asked {
+    Hello { nonce: u32, speaks: bool },
+    Command { tag: u16, code: u8, status: ReplyStatus },
+}
+
+fn status_of(command: &Command<'_>) -> ReplyStatus {
+    match command {
+        Command::Start | Command::Stop | Command::SingleShot => ReplyStatus::Done,
+        _ => ReplyStatus::Unknown,
+    }
+}
+
+/// Appends a message; one that the format cannot hold is not sent.
+fn push(message: &Message<'_>, buffer: &mut [u8], send: &mut Vec<u8>) {
+    match encode(message, buffer) {
+        Ok(bytes) => send.extend_from_slice(bytes),
+        Err(error) => tracing::error!("cannot send: {error}"),
+    }
+}

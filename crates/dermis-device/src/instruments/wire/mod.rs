@@ -1,0 +1,8 @@
+//! Instruments that speak dermis's own wire (`dermis-wire`, specified in the book): the host's side of the conversation, and
+//! the device's, with which twins and tests stand behind a real port. Neither knows the port.
+
+mod device;
+mod host;
+
+pub use device::{DeviceInfo, WireDevice};
+pub use host::WireHost;

@@ -1,0 +1,44 @@
+//! From the text by which a user names a live instrument to a running stream.
+
+use crate::instruments::floats::Floats;
+use crate::instruments::lines::Lines;
+use crate::instruments::wire::WireHost;
+use crate::selector::{Instrument, SourceSelector};
+use crate::stream::{Connect, Dialogue, StreamOptions, StreamSource, TcpConnect};
+use crate::{DeviceError, SerialName};
+
+/// Opens a live instrument: `tcp:` and `serial:` selectors.
+///
+/// # Errors
+/// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and twins,
+/// and for serial ports where they were left out when dermis was built.
+pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<StreamSource, DeviceError> {
+    let name = selector.to_string();
+    match selector {
+        SourceSelector::Tcp { host, port, instrument } => {
+            StreamSource::open(Box::new(TcpConnect::new(name, host, *port)), dialogue(*instrument), options)
+        }
+        SourceSelector::Serial { port, baud, instrument } => {
+            StreamSource::open(serial(name, port, *baud)?, dialogue(*instrument), options)
+        }
+        _ => Err(DeviceError::selector(&name, "a live instrument: tcp:HOST:PORT or serial:PORT")),
+    }
+}
+
+fn dialogue(instrument: Instrument) -> Box<dyn Dialogue> {
+    match instrument {
+        Instrument::Wire => Box::new(WireHost::new()),
+        Instrument::Lines { channels } => Box::new(Lines::new(channels)),
+        Instrument::Floats { channels } => Box::new(Floats::new(channels)),
+    }
+}
+
+#[cfg(feature = "serial")]
+fn serial(name: String, port: &SerialName, baud: Option<u32>) -> Result<Box<dyn Connect>, DeviceError> {
+    Ok(Box::new(crate::stream::SerialConnect::new(name, port.clone(), baud)))
+}
+
+#[cfg(not(feature = "serial"))]
+fn serial(name: String, _port: &SerialName, _baud: Option<u32>) -> Result<Box<dyn Connect>, DeviceError> {
+    Err(DeviceError::selector(&name, "another source: this dermis was built without serial ports"))
+}

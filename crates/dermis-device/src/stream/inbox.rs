@@ -1,0 +1,148 @@
+//! The queue between a reading thread and the source, and what both know of the connection. Frames go round between two
+//! bounded queues, so that nothing is allocated once they have grown to size.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use crate::{Frame, Layout};
+
+/// Where a [`Dialogue`](super::Dialogue) puts frames and counts losses.
+#[derive(Debug)]
+pub struct Inbox {
+    filled: SyncSender<Frame>,
+    empty: Receiver<Frame>,
+    kept: Option<Frame>,
+    shared: Arc<Shared>,
+    taken: u64,
+}
+
+impl Inbox {
+    /// An inbox with room for `capacity` frames, where its frames come out, and where used ones go back.
+    pub fn new(capacity: usize) -> (Self, Receiver<Frame>, SyncSender<Frame>) {
+        let capacity = capacity.max(2);
+        let (filled, frames) = sync_channel(capacity);
+        let (spare, empty) = sync_channel(capacity);
+        (Self { filled, empty, kept: None, shared: Arc::default(), taken: 0 }, frames, spare)
+    }
+
+    /// A frame that `fill` fills; where the queue is full it is dropped and counted as lost.
+    pub fn take(&mut self, fill: impl FnOnce(&mut Frame)) {
+        let mut frame = self.kept.take().or_else(|| self.empty.try_recv().ok()).unwrap_or_default();
+        fill(&mut frame);
+        self.taken += 1;
+        if let Err(refused) = self.filled.try_send(frame) {
+            self.lost(1);
+            let (std::sync::mpsc::TrySendError::Full(frame) | std::sync::mpsc::TrySendError::Disconnected(frame)) =
+                refused;
+            self.kept = Some(frame);
+        }
+    }
+
+    /// Counts frames that the device took and that did not come.
+    pub fn lost(&self, frames: u64) {
+        self.shared.lost.fetch_add(frames, Ordering::Relaxed);
+    }
+
+    /// Counts frames that came damaged or twice.
+    pub fn bad(&self, frames: u64) {
+        self.shared.bad.fetch_add(frames, Ordering::Relaxed);
+    }
+
+    /// Frames lost and damaged so far.
+    pub fn losses(&self) -> (u64, u64) {
+        self.shared.losses()
+    }
+
+    /// Frames taken so far.
+    pub(super) fn taken(&self) -> u64 {
+        self.taken
+    }
+
+    pub(super) fn shared(&self) -> Arc<Shared> {
+        self.shared.clone()
+    }
+}
+
+/// What thread and source both know.
+#[derive(Debug, Default)]
+pub(super) struct Shared {
+    stop: AtomicBool,
+    lost: AtomicU64,
+    bad: AtomicU64,
+    connections: AtomicU64,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    layout: Option<Layout>,
+    identity: Option<String>,
+    problem: Option<String>,
+}
+
+impl Shared {
+    pub(super) fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    pub(super) fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn losses(&self) -> (u64, u64) {
+        (self.lost.load(Ordering::Relaxed), self.bad.load(Ordering::Relaxed))
+    }
+
+    pub(super) fn connections(&self) -> u64 {
+        self.connections.load(Ordering::Relaxed)
+    }
+
+    pub(super) fn identity(&self) -> Option<String> {
+        self.state().identity.clone()
+    }
+
+    pub(super) fn problem(&self) -> Option<String> {
+        self.state().problem.clone()
+    }
+
+    pub(super) fn connected(&self) {
+        self.connections.fetch_add(1, Ordering::Relaxed);
+        self.state().problem = None;
+    }
+
+    pub(super) fn disconnected(&self, problem: String) {
+        self.state().problem = Some(problem);
+    }
+
+    pub(super) fn introduced(&self, layout: Layout, identity: Option<String>) {
+        let mut state = self.state();
+        state.layout = Some(layout);
+        state.identity = identity;
+        self.changed.notify_all();
+    }
+
+    /// The layout, once it is known, or why it is not by then.
+    pub(super) fn wait_for_layout(&self, until: Instant) -> Result<Layout, String> {
+        let mut state = self.state();
+        loop {
+            if let Some(layout) = &state.layout {
+                return Ok(layout.clone());
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                let reason = state.problem.clone();
+                return Err(reason.unwrap_or_else(|| "connected, but it has sent no frame and no answer".to_owned()));
+            }
+            let waited = self.changed.wait_timeout(state, left);
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    /// Plain values that no panic leaves half written.
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

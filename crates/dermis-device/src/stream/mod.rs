@@ -1,0 +1,189 @@
+//! Live instruments: a thread of its own reads the port, a sans-I/O [`Dialogue`] makes frames of the bytes, and a dead,
+//! silent or foreign device costs nothing but its frames. Connections that end are made again, ever more slowly.
+
+mod inbox;
+mod options;
+mod session;
+mod tcp;
+
+#[cfg(feature = "serial")]
+mod serial;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+pub use inbox::Inbox;
+use inbox::Shared;
+pub use options::StreamOptions;
+#[cfg(feature = "serial")]
+pub use serial::{Port, SerialConnect, ports};
+pub use tcp::TcpConnect;
+
+use crate::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
+
+/// A connection to a device.
+pub trait Link: Send {
+    /// Waits at most a tenth of a second for bytes; 0 where none came.
+    ///
+    /// # Errors
+    /// When the connection has ended, by whichever side.
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize>;
+
+    /// Sends all bytes, or fails within a second or so.
+    ///
+    /// # Errors
+    /// When the connection has ended or the device takes nothing.
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
+}
+
+/// Makes connections to one device.
+pub trait Connect: Send {
+    /// Connects, or fails within a few seconds.
+    ///
+    /// # Errors
+    /// Whatever the system says.
+    fn connect(&mut self) -> io::Result<Box<dyn Link>>;
+
+    /// What the user called the device.
+    fn name(&self) -> &str;
+}
+
+/// What is said over a connection: bytes in, frames and bytes out. It knows no port and reads no clock, so that it is tested
+/// without either.
+pub trait Dialogue: Send {
+    /// A connection has been made. Bytes to send go to `send`.
+    fn open(&mut self, send: &mut Vec<u8>);
+
+    /// Bytes have come, the first of them at `at`.
+    ///
+    /// # Errors
+    /// Why this connection is of no use, in plain words.
+    fn receive(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox, send: &mut Vec<u8>) -> Result<(), String>;
+
+    /// Time has passed: `open_for` since the connection was made.
+    ///
+    /// # Errors
+    /// Why this connection is of no use, in plain words.
+    fn tick(&mut self, open_for: Duration, send: &mut Vec<u8>) -> Result<(), String>;
+
+    /// The connection is about to be closed by this side.
+    fn close(&mut self, send: &mut Vec<u8>);
+
+    /// Which reading stands at which channel, once that is known.
+    fn layout(&self) -> Option<Layout>;
+
+    /// What the device says that it is, once that is known.
+    fn identity(&self) -> Option<String> {
+        None
+    }
+}
+
+/// A live instrument as a [`Source`].
+///
+/// [`Source::next_frame`] never waits longer than it is told, whatever the device does. [`Counters::lost`] holds frames that
+/// the device numbered and that never came, frames that found the queue full, and, after a reset of the device, as many as
+/// its rate says it would have sent meanwhile.
+#[derive(Debug)]
+pub struct StreamSource {
+    name: String,
+    layout: Layout,
+    frames: Receiver<Frame>,
+    spare: SyncSender<Frame>,
+    shared: Arc<Shared>,
+    ended: Receiver<()>,
+    delivered: u64,
+}
+
+impl StreamSource {
+    /// Connects and waits until the device has said how many channels it has.
+    ///
+    /// # Errors
+    /// [`DeviceError::SourceFailed`] where that has not happened within [`StreamOptions::patience`], with the last reason.
+    pub fn open(
+        connect: Box<dyn Connect>,
+        dialogue: Box<dyn Dialogue>,
+        options: StreamOptions,
+    ) -> Result<Self, DeviceError> {
+        let name = connect.name().to_owned();
+        let (inbox, frames, spare) = Inbox::new(options.queue);
+        let shared = inbox.shared();
+        let (ending, ended) = sync_channel(1);
+        let failed = |reason: String| DeviceError::SourceFailed { name: name.clone(), reason };
+        thread::Builder::new()
+            .name(format!("read {name}"))
+            .spawn(move || {
+                session::run(connect, dialogue, inbox, options);
+                // Nobody waits for it if the source has gone already.
+                let _ = ending.try_send(());
+            })
+            .map_err(|error| failed(format!("no thread to read it: {error}")))?;
+        match shared.wait_for_layout(Instant::now() + options.patience) {
+            Ok(layout) => Ok(Self { name, layout, frames, spare, shared, ended, delivered: 0 }),
+            Err(reason) => {
+                shared.stop();
+                Err(failed(reason))
+            }
+        }
+    }
+
+    /// What the device says that it is.
+    pub fn identity(&self) -> Option<String> {
+        self.shared.identity()
+    }
+
+    /// Why there is no connection now, if there is none.
+    pub fn problem(&self) -> Option<String> {
+        self.shared.problem()
+    }
+
+    /// Connections made so far, the first one included.
+    pub fn connections(&self) -> u64 {
+        self.shared.connections()
+    }
+}
+
+impl Source for StreamSource {
+    fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError> {
+        match self.frames.recv_timeout(timeout) {
+            Ok(mut next) => {
+                std::mem::swap(frame, &mut next);
+                // A full queue of spare frames only means that one is not needed.
+                let _ = self.spare.try_send(next);
+                self.delivered += 1;
+                Ok(SourceEvent::Frame)
+            }
+            Err(RecvTimeoutError::Timeout) => Ok(SourceEvent::Idle),
+            Err(RecvTimeoutError::Disconnected) => {
+                let reason = self.shared.problem().unwrap_or_else(|| "its reader has ended".to_owned());
+                Err(DeviceError::SourceFailed { name: self.name.clone(), reason })
+            }
+        }
+    }
+
+    fn counters(&self) -> Counters {
+        let (lost, bad) = self.shared.losses();
+        Counters { frames: self.delivered, lost, bad }
+    }
+}
+
+/// How long a source that is dropped waits for its thread to close the port.
+const GOODBYE: Duration = Duration::from_millis(500);
+
+impl Drop for StreamSource {
+    fn drop(&mut self) {
+        self.shared.stop();
+        // A thread that hangs in the system (a name that is not resolved) ends by itself later.
+        let _ = self.ended.recv_timeout(GOODBYE);
+    }
+}

@@ -1,0 +1,204 @@
+//! Streams over loopback sockets: devices that are unplugged, silent, foreign or absent. Every loop is bounded; nothing
+//! outside this machine is reached.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{DeviceError, Frame, HostStamp, Source, SourceEvent, SourceSelector, open_stream};
+use dermis_wire::Status;
+
+/// Far beyond what a loaded machine needs; a test that waits so long has failed.
+const LIMIT: Duration = Duration::from_secs(20);
+
+fn options() -> StreamOptions {
+    StreamOptions {
+        patience: LIMIT,
+        silence: Duration::from_millis(400),
+        first_wait: Duration::from_millis(5),
+        longest_wait: Duration::from_millis(20),
+        queue: 4096,
+    }
+}
+
+fn listen() -> (TcpListener, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = listener.local_addr().expect("an address").port();
+    (listener, format!("tcp:127.0.0.1:{port}"))
+}
+
+fn open(selector: &str, options: StreamOptions) -> Result<StreamSource, DeviceError> {
+    open_stream(&selector.parse::<SourceSelector>().expect("a selector"), options)
+}
+
+fn device() -> WireDevice {
+    WireDevice::new(DeviceInfo {
+        device: "made".into(),
+        serial: "1".into(),
+        firmware: "0".into(),
+        protocol: "adjacent".into(),
+        boot: 5,
+        electrodes: 16,
+        channels: 4,
+        frames_per_s: 1000.0,
+        amplitude_a: 0.0,
+        frequency_hz: 0.0,
+        magnitude: false,
+    })
+}
+
+/// Answers until the host has started the device.
+fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) {
+    device.reset_link();
+    stream.set_read_timeout(Some(LIMIT)).expect("a timeout");
+    let mut buffer = [0; 1024];
+    for _ in 0..100 {
+        if device.is_running() {
+            return;
+        }
+        let count = stream.read(&mut buffer).expect("the host speaks");
+        assert!(count > 0, "the host has gone");
+        let mut answer = Vec::new();
+        device.receive(&buffer[..count], &mut answer);
+        stream.write_all(&answer).expect("the host listens");
+    }
+    panic!("no start in 100 reads");
+}
+
+fn frame_bytes(device: &mut WireDevice, sequence: u64) -> Vec<u8> {
+    let mut frame = Frame::default();
+    frame.refill(sequence, HostStamp { monotonic_ns: 0, wall_ns: 0 }, &[sequence as f64; 4], &[]);
+    let mut bytes = Vec::new();
+    device.frame(&frame, Status::default(), &mut bytes);
+    bytes
+}
+
+/// The next `count` frames; their numbers and first values.
+fn collect(source: &mut StreamSource, count: usize) -> Vec<(u64, f64)> {
+    let mut frame = Frame::default();
+    let mut seen = Vec::new();
+    let began = Instant::now();
+    while seen.len() < count {
+        assert!(began.elapsed() < LIMIT, "{} of {count} frames; {:?}", seen.len(), source.problem());
+        if source.next_frame(&mut frame, Duration::from_millis(50)).expect("a stream never ends") == SourceEvent::Frame
+        {
+            seen.push((frame.sequence, frame.values[0]));
+        }
+    }
+    seen
+}
+
+fn done(server: JoinHandle<()>) {
+    server.join().expect("the device did its part");
+}
+
+#[test]
+fn twenty_unplugged_devices_resume_with_every_gap_counted() {
+    const TIMES: u64 = 20;
+    let (listener, selector) = listen();
+    let server = thread::spawn(move || {
+        let mut device = device();
+        for connection in 0..TIMES {
+            let (mut stream, _) = listener.accept().expect("a host");
+            shake_hands(&mut stream, &mut device);
+            // Ten frames of every thirty; the last one is cut in two by the unplugging.
+            for sequence in 30 * connection..30 * connection + 10 {
+                stream.write_all(&frame_bytes(&mut device, sequence)).expect("the host listens");
+            }
+            let cut = frame_bytes(&mut device, 30 * connection + 10);
+            stream.write_all(&cut[..cut.len() / 2]).expect("the host listens");
+        }
+    });
+    let mut source = open(&selector, options()).expect("it answers");
+    let seen = collect(&mut source, 10 * TIMES as usize);
+    let expected: Vec<(u64, f64)> =
+        (0..TIMES).flat_map(|c| 30 * c..30 * c + 10).map(|sequence| (sequence, sequence as f64)).collect();
+    assert_eq!(seen, expected);
+    let counters = source.counters();
+    assert_eq!((counters.frames, counters.lost, counters.bad), (10 * TIMES, 20 * (TIMES - 1), 0));
+    assert!(source.connections() >= TIMES);
+    done(server);
+}
+
+#[test]
+fn a_stalled_device_is_idle_then_connected_anew_and_never_holds_up_its_reader() {
+    let (listener, selector) = listen();
+    let server = thread::spawn(move || {
+        let mut device = device();
+        let (mut stalled, _) = listener.accept().expect("a host");
+        shake_hands(&mut stalled, &mut device);
+        stalled.write_all(&frame_bytes(&mut device, 1)).expect("the host listens");
+        // It stays open and says nothing; the host must come again by itself.
+        let (mut stream, _) = listener.accept().expect("the host again");
+        shake_hands(&mut stream, &mut device);
+        stream.write_all(&frame_bytes(&mut device, 4)).expect("the host listens");
+        // The host hangs up in the end.
+        let _ = stream.read(&mut [0; 64]);
+    });
+    let mut source = open(&selector, options()).expect("it answers");
+    assert_eq!(collect(&mut source, 1), [(0, 1.0)]);
+    assert_eq!(source.next_frame(&mut Frame::default(), Duration::ZERO).unwrap(), SourceEvent::Idle);
+    assert_eq!(collect(&mut source, 1), [(3, 4.0)]);
+    assert_eq!(source.counters().lost, 2);
+    drop(source);
+    done(server);
+}
+
+#[test]
+fn a_device_that_is_not_there_or_says_nothing_is_an_error_with_its_reason() {
+    let short = StreamOptions { patience: Duration::from_millis(300), ..options() };
+    let (listener, selector) = listen();
+    drop(listener);
+    let message = open(&selector, short).unwrap_err().to_string();
+    assert!(message.starts_with(&format!("{selector}: cannot connect: ")), "{message}");
+
+    let (listener, selector) = listen();
+    let message = open(&selector, short).unwrap_err().to_string();
+    assert!(message.contains("no answer"), "{message}");
+    drop(listener);
+}
+
+#[test]
+fn text_instead_of_the_wire_is_no_frame() {
+    let (listener, selector) = listen();
+    let server = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().expect("a host");
+        for line in 0..30 {
+            if stream.write_all(format!("{line},2,3\n").as_bytes()).is_err() {
+                return;
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+    });
+    let short = StreamOptions { patience: Duration::from_millis(300), ..options() };
+    let message = open(&selector, short).unwrap_err().to_string();
+    assert!(message.contains("no answer"), "{message}");
+    done(server);
+}
+
+#[test]
+fn lines_and_floats_come_over_a_socket() {
+    let (listener, selector) = listen();
+    let server = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().expect("a host");
+        stream.write_all(b"half,a,line\n").expect("the host listens");
+        for line in 0..9 {
+            stream.write_all(format!("{line},2\n").as_bytes()).expect("the host listens");
+        }
+        let (mut stream, _) = listener.accept().expect("a host");
+        let bytes: Vec<u8> = [0.5f32, 1.5, 2.5, 3.5].iter().flat_map(|value| value.to_le_bytes()).collect();
+        stream.write_all(&bytes).expect("the host listens");
+        let _ = stream.read(&mut [0; 1]);
+    });
+    let mut source = open(&format!("{selector}#lines"), options()).expect("lines come");
+    // Three lines that agree settle the number of channels.
+    assert_eq!(collect(&mut source, 6).first(), Some(&(0, 3.0)));
+    drop(source);
+    let mut source = open(&format!("{selector}#floats:2"), options()).expect("floats come");
+    assert_eq!(collect(&mut source, 2), [(0, 0.5), (1, 2.5)]);
+    drop(source);
+    done(server);
+}

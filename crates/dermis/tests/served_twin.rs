@@ -1,0 +1,93 @@
+//! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin that is
+//! killed and started again is found again with its gap counted.
+
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use dermis::serve::{Served, device_info, serve};
+use dermis::skin::Skin;
+use dermis::twin_source::TwinSource;
+use dermis::twins::TwinKit;
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{Frame, Source, SourceEvent, open_stream};
+
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// A twin that is being served.
+struct Instrument {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Served>,
+}
+
+impl Instrument {
+    fn start(listener: TcpListener) -> Self {
+        let skin = Skin::open("healing-square").expect("a built-in skin");
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = thread::spawn(move || {
+            let (twin, _commands) = TwinSource::new(&skin).expect("it has a twin");
+            serve(&listener, twin, device_info(&skin).expect("a protocol"), None, &stopped).expect("it goes on")
+        });
+        Self { stop, thread }
+    }
+
+    fn kill(self) -> Served {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().expect("it ends in order")
+    }
+}
+
+fn collect(source: &mut StreamSource, count: usize) -> Vec<Frame> {
+    let mut seen = Vec::new();
+    let began = Instant::now();
+    while seen.len() < count {
+        assert!(began.elapsed() < LIMIT, "{} of {count} frames; {:?}", seen.len(), source.problem());
+        let mut frame = Frame::default();
+        if source.next_frame(&mut frame, Duration::from_millis(50)).expect("a stream never ends") == SourceEvent::Frame
+        {
+            seen.push(frame);
+        }
+    }
+    seen
+}
+
+#[test]
+fn frames_are_the_twins_and_a_restart_is_survived() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let instrument = Instrument::start(listener);
+    let options = StreamOptions { patience: LIMIT, longest_wait: Duration::from_millis(50), ..Default::default() };
+    let mut source = open_stream(&format!("tcp:{address}").parse().expect("a selector"), options).expect("it answers");
+    assert!(source.identity().expect("it said").starts_with("dermis twin of healing-square twin"));
+
+    let first = collect(&mut source, 30);
+    assert_eq!(instrument.kill().hosts, 1);
+    let skin = Skin::open("healing-square").expect("a built-in skin");
+    let rate = skin.backend.frames_per_s.expect("a rate");
+    let mut twin = TwinKit::of(&skin).expect("it has a twin").twin;
+    let mut values = Vec::new();
+    for frame in &first {
+        let time_s = frame.device_time_ns.expect("a twin has a clock") as f64 * 1e-9;
+        assert!((time_s - frame.sequence as f64 / rate).abs() < 2e-9, "frame {} at {time_s} s", frame.sequence);
+        twin.step(frame.sequence as f64 * (1.0 / rate), &mut values).expect("it goes on");
+        let sent: Vec<f64> = values.iter().map(|value| f64::from(*value as f32)).collect();
+        assert_eq!(frame.values, sent, "frame {}", frame.sequence);
+    }
+
+    let before = source.counters().lost;
+    let instrument = Instrument::start(TcpListener::bind(address).expect("the same port"));
+    let again = collect(&mut source, 10);
+    let (last, next) = (first.last().expect("frames"), &again[0]);
+    // The count goes on over the gap, which the clock and the rate give after a restart.
+    let gap = next.sequence - last.sequence - 1;
+    let periods = (next.host_monotonic_ns - last.host_monotonic_ns) as f64 * 1e-9 * rate;
+    assert_eq!(gap, (periods.round() as u64).saturating_sub(1));
+    let within: u64 = again.windows(2).map(|pair| pair[1].sequence - pair[0].sequence - 1).sum();
+    assert_eq!(source.counters().lost - before, gap + within);
+    assert_eq!(next.device_time_ns, Some(0), "the twin began anew");
+    drop(source);
+    assert_eq!(instrument.kill().skipped, 0);
+}
