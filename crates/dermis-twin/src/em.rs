@@ -122,15 +122,16 @@ impl EmOptions {
     }
 
     /// Sixteen round spirals at 20 kHz, 50 dB, 1 frame/s, under 8 x 8 springs of 30 mm, 22 mm wide and 13 mm apart, each
-    /// with a conductor, here a cylinder 20 mm wide and 10 mm high (assumed), for the fields a sphere of its volume.
+    /// with a conductor, here a cylinder as wide as the spring and 10 mm high whose upper face is the spring's (assumed),
+    /// for the fields a sphere of its volume.
     pub fn em_16_circular() -> Self {
         Self {
             array: EmArray::Em16Circular,
             per_side: 8,
             pitch_m: 0.035,
-            rest_m: 0.035,
-            element: EmElement::Sphere(aluminium(volume_radius_m(0.02, 0.01))),
-            springs: Springs { stiffness_n_per_m: 300.0, limit_m: 0.02, sharpness: 2.0, coupling_n_per_m: 0.0 },
+            rest_m: 0.026,
+            element: EmElement::Sphere(aluminium(volume_radius_m(0.022, 0.01))),
+            springs: Springs { stiffness_n_per_m: 300.0, limit_m: 0.012, sharpness: 2.0, coupling_n_per_m: 0.0 },
             memory: Some(Memory { share: 0.02, time_constant_s: 0.3 }),
             coupling: Some(Coupling { degree: 3, reach_m: 0.05, sweeps: 2 }),
             frequency_hz: 20e3,
@@ -304,7 +305,7 @@ impl Frontend for EmSkin {
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
-        self.grid.forces_n(indenters, &mut self.forces_n)?;
+        self.grid.forces_n(indenters, &mut self.forces_n);
         self.state.apply(dt_s, &mut self.forces_n);
         let mut travel = std::mem::take(&mut self.travel_m);
         self.grid.travel_m(&self.forces_n, &mut travel);
