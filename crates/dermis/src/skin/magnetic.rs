@@ -15,6 +15,10 @@ use crate::Error;
 const MM: f64 = 1e-3;
 /// Half the distance over which fields are differentiated by height, metres.
 const STEP_M: f64 = 1e-4;
+/// Width of an element in the image relative to the pitch: standard deviation of a Gaussian.
+const ELEMENT_WIDTH: f64 = 0.25;
+/// Standard deviations beyond which it counts as zero.
+const REACH: f64 = 4.0;
 /// Most elements along a side.
 const MOST_PER_SIDE: usize = 32;
 
@@ -141,25 +145,42 @@ impl Skin {
         })
     }
 
-    /// Magnitudes at rest, volts, and their change with a density of pressed elements at places of an image: volts per share
-    /// of the full travel, on pixels of this width.
+    /// Magnitudes at rest, volts, and their change with the pixels of an image, volts per share of the full travel: an
+    /// element reads the image around its middle, weighted by a Gaussian a quarter of the pitch wide.
     pub(crate) fn magnetic_model(&self, at_m: &[[f64; 2]], pixel_m: f64) -> Result<(Vec<f64>, Jacobian), Error> {
         let model = self.magnetic()?;
         let rest_h = model.rest_h();
-        let share = pixel_m * pixel_m / (model.elements.pitch_mm * MM).powi(2) * model.elements.travel_mm * MM;
-        let columns: Vec<Vec<f64>> = at_m
+        let travel_v = model.volts_per_h * model.elements.travel_mm * MM;
+        let places = model.elements.places_m();
+        let pressed: Vec<Vec<f64>> = places
             .par_iter()
             .map(|place| {
-                let slopes = model.dipole_at(*place).slopes_h_per_m();
                 // Pressed: down, against z.
                 let towards = |(slope, rest): (&Complex, &Complex)| -(rest.conj() * *slope).re / rest.norm();
-                slopes.iter().zip(&rest_h).map(towards).map(|v| v * share * model.volts_per_h).collect()
+                let slopes = model.dipole_at(*place).slopes_h_per_m();
+                slopes.iter().zip(&rest_h).map(towards).map(|v| v * travel_v).collect()
             })
             .collect();
-        let (rows, count) = (rest_h.len(), columns.len());
-        let values = (0..rows).flat_map(|row| columns.iter().map(move |column| column[row])).collect();
+        let width = ELEMENT_WIDTH * model.elements.pitch_mm * MM;
+        let weight = |p: [f64; 2], q: [f64; 2]| {
+            let square = ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)) / (width * width);
+            if square > REACH * REACH {
+                return 0.0;
+            }
+            (pixel_m / width).powi(2) / std::f64::consts::TAU * (-0.5 * square).exp()
+        };
+        let (rows, columns) = (rest_h.len(), at_m.len());
+        let mut values = vec![0.0; rows * columns];
+        for (element, place) in places.iter().enumerate() {
+            for (column, at) in at_m.iter().enumerate() {
+                let weight = weight(*place, *at);
+                if weight > 0.0 {
+                    (0..rows).for_each(|row| values[row * columns + column] += weight * pressed[element][row]);
+                }
+            }
+        }
         let voltages = rest_h.iter().map(|m| m.norm() * model.volts_per_h).collect();
-        Ok((voltages, Jacobian { rows, columns: count, values }))
+        Ok((voltages, Jacobian { rows, columns, values }))
     }
 
     pub(super) fn check_magnetic(&self, file: &str) -> Result<(), Error> {
