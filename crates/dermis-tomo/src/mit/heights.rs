@@ -1,8 +1,9 @@
 //! Heights of known bodies from readings of coils: what moves under a touch are bodies at known places, so their travel
 //! toward the coils is solved for directly instead of an image. Minimises
-//! `sum ((d - f(t))/s)^2 + sum (t/p)^2` over travels `0 <= t <= limit` by Gauss-Newton steps, each a least-squares problem in
+//! `sum ((d - f(t))/s)^2 + sum (t/p)^2 + 2 sum t/e` over travels `0 <= t <= limit` by Gauss-Newton steps, each a least-squares problem in
 //! that box solved by coordinate descent (Franc, Hlavac and Navara 2005); f are changes of magnitudes of mutual
-//! inductances, s their standard deviations, p that of a weak prior.
+//! inductances, s their standard deviations, p and e those of a Gaussian and an exponential prior; the latter makes few
+//! bodies move.
 
 use super::error::positive;
 use super::{Bodies, Complex, MitError};
@@ -12,6 +13,8 @@ use super::{Bodies, Complex, MitError};
 pub struct HeightsOptions {
     /// p: standard deviation of travels before anything is measured, metres.
     pub prior_m: f64,
+    /// e: mean travel of the exponential prior, metres; infinite for none.
+    pub mean_m: f64,
     /// Error of the model as a share of each channel's change, which adds to the noise.
     pub model_share: f64,
     /// The same as a share of the change's root mean square over all channels.
@@ -25,7 +28,7 @@ pub struct HeightsOptions {
 impl Default for HeightsOptions {
     /// For travels of millimetres and a model good to a few per cent.
     fn default() -> Self {
-        Self { prior_m: 5e-3, model_share: 0.02, model_floor: 0.01, most_steps: 30, tolerance_m: 1e-6 }
+        Self { prior_m: 10e-3, mean_m: 1e-3, model_share: 0.02, model_floor: 0.003, most_steps: 30, tolerance_m: 1e-6 }
     }
 }
 
@@ -123,13 +126,13 @@ impl Heights {
         options: &HeightsOptions,
     ) -> Result<HeightsFit, MitError> {
         let weights = self.weights(differences_h, deviations_h, options)?;
-        let prior = options.prior_m.powi(-2);
+        let (prior, pull) = (options.prior_m.powi(-2), 1.0 / options.mean_m);
         let count = self.count();
         let mut travel = vec![0.0; count];
         let mut residual: Vec<f64> = differences_h.to_vec();
         let cost = |residual: &[f64], travel: &[f64]| -> f64 {
             residual.iter().zip(&weights).map(|(r, w)| w * r * r).sum::<f64>()
-                + travel.iter().map(|t| prior * t * t).sum::<f64>()
+                + travel.iter().map(|t| prior * t * t + 2.0 * pull * t).sum::<f64>()
         };
         let mut now = cost(&residual, &travel);
         let (mut steps, mut converged) = (0, false);
@@ -137,7 +140,8 @@ impl Heights {
             steps += 1;
             let jacobian = self.jacobian(&travel)?;
             let normal = normal_matrix(&jacobian, &weights, count, prior);
-            let target = gradient(&jacobian, &weights, &residual, &travel, &normal, prior);
+            let mut target = gradient(&jacobian, &weights, &residual, &travel, &normal, prior);
+            target.iter_mut().for_each(|b| *b -= pull);
             let wanted = in_box(&normal, &target, &travel, self.limit_m);
             let mut share = 1.0;
             loop {
@@ -167,6 +171,9 @@ impl Heights {
     fn weights(&self, d: &[f64], deviations_h: &[f64], options: &HeightsOptions) -> Result<Vec<f64>, MitError> {
         positive("prior_m", options.prior_m)?;
         positive("tolerance_m", options.tolerance_m)?;
+        if options.mean_m.is_nan() || options.mean_m <= 0.0 {
+            return Err(MitError::Value { field: "mean_m", value: options.mean_m, expected: "above zero" });
+        }
         for (what, got) in [("differences", d.len()), ("deviations", deviations_h.len())] {
             if got != self.mutuals_h.len() {
                 return Err(MitError::Count { what, expected: self.mutuals_h.len(), got });

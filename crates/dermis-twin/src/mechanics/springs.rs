@@ -160,8 +160,7 @@ impl SpringGrid {
 mod tests {
     use super::*;
 
-    const SPONGE: Springs =
-        Springs { stiffness_n_per_m: 400.0, limit_m: 0.01, sharpness: 2.0, coupling_n_per_m: 20.0 };
+    const SPONGE: Springs = Springs { stiffness_n_per_m: 400.0, limit_m: 0.01, sharpness: 2.0, coupling_n_per_m: 20.0 };
 
     #[test]
     fn travel_rises_with_force_ever_less_and_stays_below_the_limit() {

@@ -7,8 +7,8 @@ use dermis_twin::physics::Surface;
 use dermis_twin::square_to_disc;
 
 use super::{
-    Bend, DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Modality, Pad, ReadingOrder, ReferenceChoice, RimElectrode,
-    Shape, Skin,
+    Bend, DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Modality, Pad, ReadingOrder, ReferenceChoice,
+    RimElectrode, Shape, Skin,
 };
 use crate::Error;
 

@@ -70,9 +70,7 @@ impl ElementShape {
     pub fn volume_radius_m(&self) -> f64 {
         match self {
             Self::Sphere { diameter_mm } => 0.5 * diameter_mm * MM,
-            Self::Cylinder { diameter_mm, height_mm } => {
-                (0.1875 * diameter_mm * diameter_mm * height_mm).cbrt() * MM
-            }
+            Self::Cylinder { diameter_mm, height_mm } => (0.1875 * diameter_mm * diameter_mm * height_mm).cbrt() * MM,
         }
     }
 }
@@ -208,7 +206,8 @@ impl Skin {
             return Err(refused(file, field, value, "a positive number"));
         }
         if elements.rest_mm - elements.travel_mm < radius_mm {
-            let expected = format!("at most {:.1}, from where elements would reach the coils", elements.rest_mm - radius_mm);
+            let expected =
+                format!("at most {:.1}, from where elements would reach the coils", elements.rest_mm - radius_mm);
             return Err(refused(file, "frontend.elements.travel_mm", elements.travel_mm, &expected));
         }
         let frequency_khz = self.backend.frequency_khz.unwrap_or(0.0);
@@ -278,9 +277,8 @@ impl Dipole<'_> {
     }
 
     fn slopes_h_per_m(&self) -> Vec<Complex> {
-        let slope = |(m, n): (usize, usize)| {
-            self.product(self.high[m], self.high[n]) - self.product(self.low[m], self.low[n])
-        };
+        let slope =
+            |(m, n): (usize, usize)| self.product(self.high[m], self.high[n]) - self.product(self.low[m], self.low[n]);
         self.pairs().map(slope).map(|difference| difference * (0.5 / STEP_M)).collect()
     }
 }
