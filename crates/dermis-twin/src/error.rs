@@ -2,6 +2,7 @@
 
 use dermis_tomo::eit::{EitError, ProtocolError};
 use dermis_tomo::mesh::MeshError;
+use dermis_tomo::mit::MitError;
 use dermis_tomo::sparse::SparseError;
 use thiserror::Error;
 
@@ -48,6 +49,9 @@ pub enum TwinError {
     /// The forward model refused the body or its conductivity.
     #[error("twin's forward model: {0}")]
     Forward(#[from] EitError),
+    /// Coils or conducting bodies that make no sense.
+    #[error("twin's coils and bodies: {0}")]
+    Magnetic(#[from] MitError),
 }
 
 /// Refuses a value that is not finite or not within `least..=most`.

@@ -1,7 +1,7 @@
 //! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`], [`IonicSkin`] and [`PiezoSkin`] are
-//! its skins.
+//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`], [`IonicSkin`], [`PiezoSkin`]
+//! and [`EmSkin`] are its skins.
 //!
 //! SI units throughout; frame of a flat skin: x right, y up, origin at the centroid. Pure apart from seeded random
 //! numbers: no clocks, files or devices.
@@ -20,6 +20,7 @@
 //! # Ok::<(), dermis_twin::TwinError>(())
 //! ```
 
+mod em;
 mod error;
 mod healing_square;
 pub mod instrument;
@@ -30,6 +31,7 @@ pub mod piezo;
 pub mod scene;
 mod twin;
 
+pub use em::{EmArray, EmElement, EmOptions, EmSkin};
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};

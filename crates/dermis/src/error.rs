@@ -83,6 +83,9 @@ pub enum Error {
     /// From the forward model.
     #[error("forward model: {0}")]
     Forward(#[from] dermis_tomo::eit::EitError),
+    /// From coils and conducting elements.
+    #[error("coils and elements: {0}")]
+    Magnetic(#[from] dermis_tomo::mit::MitError),
     /// From the inverse operator.
     #[error("inverse operator: {0}")]
     Inverse(#[from] dermis_tomo::inverse::InverseError),

@@ -5,7 +5,7 @@ use dermis_tomo::inverse::{ImageBasis, Prior};
 use dermis_tomo::mesh::PixelMap;
 
 use crate::Error;
-use crate::skin::{MixturePart, PriorChoice, Reads, Skin, SkinBody};
+use crate::skin::{MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 
 /// Below this share of a pixel there is no skin to speak of.
 const LEAST_RIM_COVERAGE: f64 = 5e-3;
@@ -23,7 +23,8 @@ pub struct Prepared {
     pub map: PixelMap,
     /// Voltages of the resting skin, volts, signed.
     pub voltages: Vec<f64>,
-    /// Channels x inside pixels: volts per relative change of conductivity.
+    /// Channels x inside pixels: volts per relative change of conductivity; of magnetic induction, of readings per share of
+    /// the elements' full travel.
     pub jacobian: Jacobian,
     /// The inside pixels as unknowns.
     pub basis: ImageBasis,
@@ -39,6 +40,11 @@ impl Prepared {
         let protocol = skin.protocol()?;
         let mesh_error = |source| Error::Mesh { skin: skin.name.clone(), source };
         let map = PixelMap::new(skin.grid()?, &body.mesh.mesh).map_err(mesh_error)?;
+        if skin.modality == Modality::Mit {
+            let (voltages, jacobian) = skin.magnetic_model(&map.inside_centres_m(), map.grid().pixel_m)?;
+            let basis = pixel_basis(&map);
+            return Ok(Self { skin, body, protocol, map, voltages, jacobian, basis });
+        }
         let conductance = skin.sheet_conductance_s();
         let sigma = vec![conductance; body.mesh.mesh.element_count()];
         let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;

@@ -3,7 +3,7 @@
 
 use dermis_twin::instrument::{InstrumentOptions, Reading};
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
+use dermis_twin::{EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
 use crate::skin::{Reads, Skin};
@@ -12,8 +12,17 @@ use crate::skin::{Reads, Skin};
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
 
 /// Names of the skins that have a twin.
-pub const TWIN_NAMES: [&str; 6] =
-    ["healing-square", "ionic-disc", "ionic-square", "piezo-square", "piezo-disc", "piezo-cylinder"];
+pub const TWIN_NAMES: [&str; 9] = [
+    "healing-square",
+    "ionic-disc",
+    "ionic-square",
+    "piezo-square",
+    "piezo-disc",
+    "piezo-cylinder",
+    "em-8",
+    "em-16-circular",
+    "em-16-square",
+];
 
 /// What people may press with: least and most, and where sliders begin.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +68,14 @@ const LIQUID: PressRange = PressRange {
 const PATCHES: PressRange =
     PressRange { radius_m: [3e-3, 30e-3], pressure_pa: [0.0, 10e3], initial_radius_m: 11e-3, initial_pressure_pa: 3e3 };
 
+/// A fingertip over one element of 10 mm on sponge, up to about 7 N.
+const SPONGE: PressRange =
+    PressRange { radius_m: [3e-3, 30e-3], pressure_pa: [0.0, 25e3], initial_radius_m: 9e-3, initial_pressure_pa: 10e3 };
+
+/// Fingers over springs 35 mm apart.
+const SPRINGS: PressRange =
+    PressRange { radius_m: [5e-3, 60e-3], pressure_pa: [0.0, 20e3], initial_radius_m: 15e-3, initial_pressure_pa: 8e3 };
+
 impl TwinKit {
     /// The twin of a skin.
     ///
@@ -79,6 +96,9 @@ impl TwinKit {
             "piezo-square" => Self::piezo(PiezoOptions::square(), skin, 1.5),
             "piezo-disc" => Self::piezo(PiezoOptions::disc(), skin, 1.2),
             "piezo-cylinder" => Self::piezo(PiezoOptions::cylinder(), skin, 1.5),
+            "em-8" => Self::em(EmOptions::em_8(), skin, SPONGE, 1.0),
+            "em-16-circular" => Self::em(EmOptions::em_16_circular(), skin, SPRINGS, 2.8),
+            "em-16-square" => Self::em(EmOptions::em_16_square(), skin, SPRINGS, 2.8),
             other => Err(Error::Frames {
                 what: "twin".into(),
                 expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
@@ -100,6 +120,15 @@ impl TwinKit {
         let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
         let demo = Script::demo().scaled(length, softness);
         Ok(Self { twin: Twin::ionic(&options)?.boxed(), press: LIQUID, demo })
+    }
+
+    /// Elements over coils, `length` times as large as the sandwich.
+    fn em(mut options: EmOptions, skin: &Skin, press: PressRange, length: f64) -> Result<Self, Error> {
+        options.instrument = as_the_skin_reads(options.instrument, skin);
+        options.seed = skin.twin.seed.unwrap_or(options.seed);
+        let softness = press.initial_pressure_pa / SANDWICH.initial_pressure_pa;
+        let demo = Script::demo().scaled(length, softness);
+        Ok(Self { twin: Twin::em(&options)?.boxed(), press, demo })
     }
 
     /// A skin of loose patches, `length` times as large as the sandwich.

@@ -290,6 +290,30 @@ impl Protocol {
         Ok(Self { electrode_count, stimulations, patterns, measurements })
     }
 
+    /// Coils that drive one after the other while those of higher number are read: N(N-1)/2 channels (0, 1), (0, 2), ...,
+    /// (N-2, N-1). For magnetic induction: a coil's current needs no other coil to return through.
+    ///
+    /// # Errors
+    /// Fewer than two coils, an amplitude that is not positive.
+    pub fn coil_pairs(coil_count: usize, amplitude_a: f64) -> Result<Self, ProtocolError> {
+        if coil_count < 2 {
+            return Err(ProtocolError::TooFewElectrodes { pattern: "coils", needed: 2, even: false, got: coil_count });
+        }
+        if !(amplitude_a > 0.0 && amplitude_a.is_finite()) {
+            let (what, index, expected) = ("amplitude", 0, "a positive number");
+            return Err(ProtocolError::Value { what, index, value: amplitude_a, expected });
+        }
+        let single = |coil: usize, weight: f64| Pattern::new(vec![(coil as u32, weight)]);
+        let count = coil_count as u32;
+        let pairs = (0..count - 1).flat_map(|drive| (drive..count - 1).map(move |pattern| (drive, pattern)));
+        Ok(Self {
+            electrode_count: coil_count,
+            stimulations: (0..coil_count - 1).map(|coil| single(coil, amplitude_a)).collect(),
+            patterns: (1..coil_count).map(|coil| single(coil, 1.0)).collect(),
+            measurements: pairs.map(|(stimulation, pattern)| Measurement { stimulation, pattern }).collect(),
+        })
+    }
+
     /// Makes the lists that a named pattern stands for.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! From things that press to what the layers do: indenters give a pressure field on the skin ([`Indenter`]), the
 //! cover may remember it for a while ([`Memory`]), and pressure closes the gap between two layers ([`ContactLaw`]) or
-//! deflects a membrane over a liquid ([`Membrane`]).
+//! deflects a membrane over a liquid ([`Membrane`]), or moves rigid elements on springs ([`SpringGrid`]).
 
 mod contact;
 mod extent;
@@ -8,6 +8,7 @@ mod indenter;
 mod mask;
 mod membrane;
 mod memory;
+mod springs;
 
 pub use contact::ContactLaw;
 pub use extent::check_on_skin;
@@ -15,3 +16,4 @@ pub use indenter::{Cover, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
 pub use mask::{MOST_MASK_CELLS, Mask};
 pub use membrane::{Membrane, MembraneSpec};
 pub use memory::{Memory, PressureState};
+pub use springs::{SpringGrid, Springs};

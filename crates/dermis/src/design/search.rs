@@ -7,7 +7,7 @@ use dermis_tomo::mesh::ElectrodeShape;
 use super::{Maps, Noise, Summary};
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::skin::{DrivePattern, Electrodes, MeasurePattern, Pad, RimElectrode, Skin};
+use crate::skin::{DrivePattern, Electrodes, MeasurePattern, Modality, Pad, RimElectrode, Skin};
 
 /// What a search may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +59,13 @@ const PER_SIDE: std::ops::RangeInclusive<usize> = 2..=8;
 /// A skin that does not work out as it is, or nothing that can be varied as asked for. Candidates that do not work out
 /// (electrodes that overlap or leave the skin, pairs of one electrode) are left out.
 pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize)) -> Result<[Candidate; 2], Error> {
+    if skin.modality == Modality::Mit {
+        return Err(Error::Frames {
+            what: format!("protocol of {}, which is to be improved", skin.name),
+            expected: "electrodes".into(),
+            got: "coils, whose pairs are all read".into(),
+        });
+    }
     let prepared = Prepared::new(skin.clone())?;
     let reference = prepared.reference_from(&prepared.voltages, None)?;
     let noise_v = reference.noise.iter().copied().fold(0.0, f64::max);

@@ -7,8 +7,8 @@ use dermis_twin::physics::Surface;
 use dermis_twin::square_to_disc;
 
 use super::{
-    Bend, DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Pad, ReadingOrder, ReferenceChoice, RimElectrode,
-    Shape, Skin,
+    Bend, DrivePattern, DrivenChannels, Electrodes, MeasurePattern, Modality, Pad, ReadingOrder, ReferenceChoice,
+    RimElectrode, Shape, Skin,
 };
 use crate::Error;
 
@@ -41,8 +41,11 @@ impl Skin {
         }
     }
 
-    /// Electrode shapes in metres, in order.
+    /// Electrode shapes in metres, in order; of coils, their outlines.
     pub fn electrode_shapes(&self) -> Vec<ElectrodeShape> {
+        if let Some(coils) = &self.frontend.coils {
+            return coils.outlines();
+        }
         match &self.frontend.electrodes {
             Electrodes::Rim { count, width_mm, start_deg, clockwise } => {
                 let direction = if *clockwise { Direction::Clockwise } else { Direction::CounterClockwise };
@@ -119,7 +122,9 @@ impl Skin {
         let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
         let spec = SheetSpec::new(outline.clone(), electrodes.clone(), size);
         let spec = spec.with_target_elements(elements).map_err(named)?;
-        let impedances: Vec<f64> = electrodes.iter().map(|shape| self.sheet_contact_impedance(shape)).collect();
+        // Coils touch nothing: they are in the mesh to be drawn.
+        let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
+        let impedances: Vec<f64> = electrodes.iter().map(impedance).collect();
         let (mesh, _) = spec.build(&impedances).map_err(named)?;
         Ok(SkinBody { outline, electrodes, mesh })
     }
@@ -157,6 +162,15 @@ impl Skin {
 
     fn protocol_of(&self, electrode_count: usize) -> Result<Protocol, dermis_tomo::eit::ProtocolError> {
         let backend = &self.backend;
+        if self.modality == Modality::Mit {
+            return Protocol::coil_pairs(electrode_count, backend.current_ma * 1e-3);
+        }
+        let coils = dermis_tomo::eit::ProtocolError::TooFewElectrodes {
+            pattern: "a pattern of coils, without them,",
+            needed: usize::MAX,
+            even: false,
+            got: electrode_count,
+        };
         // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
         let zero_based =
             |pairs: &[[u32; 2]]| pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>();
@@ -169,6 +183,7 @@ impl Skin {
                 DrivePattern::PseudoPolar => Drive::PseudoPolar,
                 DrivePattern::Trigonometric => Drive::Trigonometric,
                 DrivePattern::Pairs(pairs) => Drive::Pairs(zero_based(pairs)),
+                DrivePattern::EachCoil => return Err(coils),
             },
             measure: match &backend.measure {
                 MeasurePattern::Adjacent => Measure::Adjacent,
@@ -176,6 +191,7 @@ impl Skin {
                 MeasurePattern::Skip(skip) => Measure::Skip(*skip),
                 MeasurePattern::PseudoPolar => Measure::PseudoPolar,
                 MeasurePattern::Pairs(pairs) => Measure::Pairs(zero_based(pairs)),
+                MeasurePattern::HigherCoils => return Err(coils),
                 MeasurePattern::SingleEnded(reference) => Measure::SingleEnded(match reference {
                     ReferenceChoice::Mean => Reference::Mean,
                     ReferenceChoice::Sink => Reference::Sink,

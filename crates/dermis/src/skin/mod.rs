@@ -3,12 +3,14 @@
 
 mod build;
 mod builtin;
+mod magnetic;
 mod parts;
 mod refinement;
 mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
 pub use twin::{StuckChannel, TwinFaults, TwinSettings};
 
@@ -57,6 +59,26 @@ fn is_default(twin: &TwinSettings) -> bool {
 pub enum Modality {
     /// Electrical impedance tomography.
     Eit,
+    /// Magnetic induction tomography.
+    Mit,
+}
+
+impl Modality {
+    /// As in skin files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Eit => "eit",
+            Self::Mit => "mit",
+        }
+    }
+
+    /// What the values of its images are.
+    pub fn image_quantity(self) -> &'static str {
+        match self {
+            Self::Eit => "relative conductivity change",
+            Self::Mit => "share of the elements' travel",
+        }
+    }
 }
 
 /// What is sewn on the robot.
@@ -71,9 +93,21 @@ pub struct Frontend {
     /// The conducting layer.
     pub layer: Layer,
     /// Where the electrodes are.
+    #[serde(default, skip_serializing_if = "Electrodes::are_none")]
     pub electrodes: Electrodes,
     /// Specific contact impedance of every electrode, ohm.m^2.
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub contact_impedance_ohm_m2: f64,
+    /// The coils of magnetic induction, in place of electrodes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coils: Option<Coils>,
+    /// The conducting elements over the coils.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub elements: Option<Elements>,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Outline of a skin, centred at the origin.
@@ -170,6 +204,18 @@ pub enum Electrodes {
     },
     /// Listed pads.
     Pads(Vec<Pad>),
+}
+
+impl Default for Electrodes {
+    fn default() -> Self {
+        Self::Pads(Vec::new())
+    }
+}
+
+impl Electrodes {
+    fn are_none(&self) -> bool {
+        matches!(self, Self::Pads(pads) if pads.is_empty())
+    }
 }
 
 /// One listed electrode on the rim.
@@ -285,6 +331,8 @@ pub enum DrivePattern {
     Trigonometric,
     /// Listed [sink, source].
     Pairs(Vec<[u32; 2]>),
+    /// Coils, one after the other.
+    EachCoil,
 }
 
 /// Measuring patterns; electrodes are numbered from 1.
@@ -303,6 +351,8 @@ pub enum MeasurePattern {
     SingleEnded(ReferenceChoice),
     /// Listed [plus, minus].
     Pairs(Vec<[u32; 2]>),
+    /// Coils of higher number than the one that drives.
+    HigherCoils,
 }
 
 /// Reference of single-ended readings.
@@ -615,10 +665,9 @@ impl Skin {
     }
 
     fn check(&self, file: &str) -> Result<(), Error> {
-        let positive: [(&'static str, f64); 4] = [
+        let positive: [(&'static str, f64); 3] = [
             ("frontend.layer.thickness_mm", self.frontend.layer.thickness_mm),
             ("frontend.layer.conductivity_s_per_m", self.frontend.layer.conductivity_s_per_m),
-            ("frontend.contact_impedance_ohm_m2", self.frontend.contact_impedance_ohm_m2),
             ("backend.current_ma", self.backend.current_ma),
         ];
         for (field, value) in positive {
@@ -634,21 +683,11 @@ impl Skin {
                 return Err(refused(file, "frontend.bend.cylinder.diameter_mm", diameter_mm, &expected));
             }
         }
-        let electrodes = match &self.frontend.electrodes {
-            Electrodes::Rim { count, .. } => *count,
-            Electrodes::RimPads { per_side, .. } => per_side.saturating_mul(4),
-            Electrodes::PadGrid { per_side, .. } => per_side.saturating_mul(*per_side),
-            Electrodes::RimList(list) => list.len(),
-            Electrodes::Pads(pads) => pads.len(),
+        // Faults of electrodes are for skins that have any.
+        let electrodes = match self.modality {
+            Modality::Eit => self.check_electrodes(file)?,
+            Modality::Mit => self.check_magnetic(file).map(|()| 0)?,
         };
-        if !(2..=MOST_ELECTRODES).contains(&electrodes) {
-            return Err(refused(
-                file,
-                "frontend.electrodes",
-                electrodes,
-                &format!("2 to {MOST_ELECTRODES} electrodes"),
-            ));
-        }
         let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
         let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
         self.twin.check(electrodes, channels, file)?;
@@ -680,6 +719,31 @@ impl Skin {
             return Err(refused(file, "touch.assumed_noise_share", touch.assumed_noise_share, "between 0 and 1"));
         }
         Ok(())
+    }
+
+    fn check_electrodes(&self, file: &str) -> Result<usize, Error> {
+        let impedance = self.frontend.contact_impedance_ohm_m2;
+        if !(impedance > 0.0 && impedance.is_finite()) {
+            return Err(refused(file, "frontend.contact_impedance_ohm_m2", impedance, "a positive number"));
+        }
+        let electrodes = match &self.frontend.electrodes {
+            Electrodes::Rim { count, .. } => *count,
+            Electrodes::RimPads { per_side, .. } => per_side.saturating_mul(4),
+            Electrodes::PadGrid { per_side, .. } => per_side.saturating_mul(*per_side),
+            Electrodes::RimList(list) => list.len(),
+            Electrodes::Pads(pads) => pads.len(),
+        };
+        if !(2..=MOST_ELECTRODES).contains(&electrodes) {
+            let expected = format!("2 to {MOST_ELECTRODES} electrodes");
+            return Err(refused(file, "frontend.electrodes", electrodes, &expected));
+        }
+        if self.frontend.coils.is_some() || self.frontend.elements.is_some() {
+            return Err(refused(file, "frontend.coils", "given", "coils and elements only with modality = \"mit\""));
+        }
+        if self.backend.drive == DrivePattern::EachCoil || self.backend.measure == MeasurePattern::HigherCoils {
+            return Err(refused(file, "backend.drive", "coils", "a pattern of electrodes with modality = \"eit\""));
+        }
+        Ok(electrodes)
     }
 }
 

@@ -165,7 +165,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
     let lambda = typical_hyperparameter(prepared);
     Scene {
         skin: prepared.skin.name.clone(),
-        modality: "eit".into(),
+        modality: prepared.skin.modality.name().into(),
         is_twin: press.is_some(),
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
         bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
@@ -180,7 +180,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         },
         channel_labels: (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect(),
         channel_unit: "V".into(),
-        image_quantity: "relative conductivity change".into(),
+        image_quantity: prepared.skin.modality.image_quantity().into(),
         image_unit: String::new(),
         range_hint: Some([0.0, 0.5]),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],

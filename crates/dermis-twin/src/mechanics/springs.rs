@@ -1,0 +1,219 @@
+//! A grid of rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling
+//! drags its neighbours along; springs are linear first and stiffen as coils close or foam densifies, so that the travel
+//! saturates: with x the travel of the linear grid, `(k + c L) x = F` (L the Laplacian of the grid's graph), the travel is
+//! `x / (1 + (x/limit)^n)^(1/n)`.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Cover, Indenter};
+use crate::error::{TwinError, check, check_positive};
+
+/// Distance between the places at which an indenter's pressure on a cell is summed, metres.
+const SAMPLE_M: f64 = 3e-3;
+/// Smoothing of the pressure, of the order of that distance, so that the sum is the force.
+const COVER: Cover = Cover { smoothing_m: 2.5e-3 };
+/// Relative change at which the linear grid counts as solved.
+const SETTLED: f64 = 1e-13;
+
+/// Springs under elements.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Springs {
+    /// k: stiffness of each at rest, newtons per metre.
+    pub stiffness_n_per_m: f64,
+    /// Travel that no force exceeds, metres.
+    pub limit_m: f64,
+    /// n: how suddenly they stiffen; 1 from the start, larger values later.
+    pub sharpness: f64,
+    /// c: stiffness between neighbours, newtons per metre; 0 for springs that stand alone.
+    pub coupling_n_per_m: f64,
+}
+
+impl Springs {
+    /// Checks the parameters.
+    ///
+    /// # Errors
+    /// Stiffness, limit that are not positive, a sharpness below 1, a negative coupling or one above the stiffness.
+    pub fn check(&self) -> Result<(), TwinError> {
+        check_positive("springs stiffness_n_per_m", self.stiffness_n_per_m)?;
+        check_positive("springs limit_m", self.limit_m)?;
+        check("springs sharpness", self.sharpness, 1.0, 100.0, "1 to 100")?;
+        check("springs coupling_n_per_m", self.coupling_n_per_m, 0.0, self.stiffness_n_per_m, "0 to the stiffness")
+    }
+
+    /// Travel of one spring alone under a force, metres.
+    pub fn travel_m(&self, force_n: f64) -> f64 {
+        self.stiffened_m(force_n.max(0.0) / self.stiffness_n_per_m)
+    }
+
+    /// Force on one spring alone that makes this travel, newtons; infinite at the limit and beyond.
+    pub fn force_n(&self, travel_m: f64) -> f64 {
+        let share = (travel_m / self.limit_m).clamp(0.0, 1.0);
+        self.stiffness_n_per_m * travel_m.max(0.0) / (1.0 - share.powf(self.sharpness)).powf(1.0 / self.sharpness)
+    }
+
+    fn stiffened_m(&self, linear_m: f64) -> f64 {
+        linear_m / (1.0 + (linear_m / self.limit_m).powf(self.sharpness)).powf(1.0 / self.sharpness)
+    }
+}
+
+/// A square grid of elements around the origin, numbered row by row from the bottom left.
+#[derive(Clone, Debug)]
+pub struct SpringGrid {
+    springs: Springs,
+    per_side: usize,
+    places_m: Vec<[f64; 2]>,
+    samples_m: Vec<[f64; 2]>,
+    pressure_pa: Vec<f64>,
+    per_cell: usize,
+    sample_area_m2: f64,
+}
+
+impl SpringGrid {
+    /// `per_side` squared elements, `pitch_m` apart.
+    ///
+    /// # Errors
+    /// Springs that make no sense, no or more than 32 elements a side, a pitch that is not positive.
+    pub fn new(springs: Springs, per_side: usize, pitch_m: f64) -> Result<Self, TwinError> {
+        springs.check()?;
+        check("elements per side", per_side as f64, 1.0, 32.0, "1 to 32")?;
+        check_positive("pitch_m", pitch_m)?;
+        let middle = 0.5 * (per_side as f64 - 1.0);
+        let at = |k: usize| (k as f64 - middle) * pitch_m;
+        let count = per_side * per_side;
+        let places_m: Vec<[f64; 2]> = (0..count).map(|k| [at(k % per_side), at(k / per_side)]).collect();
+        let side = (pitch_m / SAMPLE_M).ceil() as usize;
+        let step = pitch_m / side as f64;
+        let offset = |k: usize| (k as f64 + 0.5) * step - 0.5 * pitch_m;
+        let samples_m: Vec<[f64; 2]> = places_m
+            .iter()
+            .flat_map(|p| (0..side * side).map(move |k| [p[0] + offset(k % side), p[1] + offset(k / side)]))
+            .collect();
+        Ok(Self {
+            springs,
+            per_side,
+            places_m,
+            pressure_pa: vec![0.0; samples_m.len()],
+            samples_m,
+            per_cell: side * side,
+            sample_area_m2: step * step,
+        })
+    }
+
+    /// Where the elements are, metres.
+    pub fn places_m(&self) -> &[[f64; 2]] {
+        &self.places_m
+    }
+
+    /// The springs.
+    pub fn springs(&self) -> &Springs {
+        &self.springs
+    }
+
+    /// Forces of these indenters on each element, newtons: what presses on its cell. What lies off all cells presses
+    /// nothing.
+    pub fn forces_n(&mut self, indenters: &[Indenter], forces_n: &mut [f64]) {
+        self.pressure_pa.fill(0.0);
+        for indenter in indenters {
+            indenter.add_pressure(COVER, &self.samples_m, &mut self.pressure_pa);
+        }
+        for (force, cell) in forces_n.iter_mut().zip(self.pressure_pa.chunks_exact(self.per_cell)) {
+            *force = cell.iter().sum::<f64>() * self.sample_area_m2;
+        }
+    }
+
+    /// Travel of each element under these forces, metres, by sweeps of Gauss and Seidel.
+    pub fn travel_m(&self, forces_n: &[f64], travel_m: &mut [f64]) {
+        let Springs { stiffness_n_per_m: k, coupling_n_per_m: c, .. } = self.springs;
+        travel_m.iter_mut().zip(forces_n).for_each(|(x, f)| *x = f / k);
+        let scale = forces_n.iter().fold(0.0, |most: f64, f| most.max(*f)) / k;
+        for _ in 0..200 {
+            let mut moved: f64 = 0.0;
+            for element in 0..travel_m.len() {
+                let (mut beside, mut count) = (0.0, 0.0);
+                for other in self.beside(element) {
+                    beside += travel_m[other];
+                    count += 1.0;
+                }
+                let next = (forces_n[element] + c * beside) / (k + c * count);
+                moved = moved.max((next - travel_m[element]).abs());
+                travel_m[element] = next;
+            }
+            if moved <= SETTLED * scale {
+                break;
+            }
+        }
+        travel_m.iter_mut().for_each(|x| *x = self.springs.stiffened_m(*x));
+    }
+
+    fn beside(&self, element: usize) -> impl Iterator<Item = usize> {
+        let (n, row, column) = (self.per_side, element / self.per_side, element % self.per_side);
+        let left = (column > 0).then(|| element - 1);
+        let right = (column + 1 < n).then(|| element + 1);
+        let below = (row > 0).then(|| element - n);
+        let above = (row + 1 < n).then(|| element + n);
+        [left, right, below, above].into_iter().flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPONGE: Springs = Springs { stiffness_n_per_m: 400.0, limit_m: 0.01, sharpness: 2.0, coupling_n_per_m: 20.0 };
+
+    #[test]
+    fn travel_rises_with_force_ever_less_and_stays_below_the_limit() {
+        let travel: Vec<f64> = (0..400).map(|k| SPONGE.travel_m(0.1 * f64::from(k))).collect();
+        assert!((SPONGE.travel_m(0.04) / 1e-4 - 1.0).abs() < 1e-4);
+        for three in travel.windows(3) {
+            assert!(three[1] > three[0] && three[2] - three[1] < three[1] - three[0] + 1e-15);
+        }
+        assert!(travel[399] < 0.01 && travel[399] > 0.0099);
+        for force in [0.1, 2.0, 20.0] {
+            assert!((SPONGE.force_n(SPONGE.travel_m(force)) / force - 1.0).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn cells_carry_what_presses_on_them() {
+        let mut grid = SpringGrid::new(SPONGE, 5, 0.02).unwrap();
+        let mut forces = [0.0; 25];
+        let press = |x, y| Indenter::disc([x, y], 0.004, 1.0 / (std::f64::consts::PI * 0.004 * 0.004));
+        grid.forces_n(&[press(0.02, -0.04)], &mut forces);
+        let total: f64 = forces.iter().sum();
+        // Cut at the edge of the skin by 10 mm, six millimetres and 2.4 deviations beyond the indenter; sampled at its smoothing.
+        assert!((total - 1.0).abs() < 0.01 && forces[3] > 0.98, "{total} {forces:?}");
+        // Between two elements: half on each.
+        grid.forces_n(&[press(0.01, 0.0)], &mut forces);
+        assert!((forces[12] - forces[13]).abs() < 1e-9 && (forces[12] - 0.5).abs() < 0.01, "{forces:?}");
+        // On the rim half of it is lost, off the skin all.
+        grid.forces_n(&[press(0.05, 0.0)], &mut forces);
+        assert!((forces.iter().sum::<f64>() - 0.5).abs() < 0.01, "{forces:?}");
+        grid.forces_n(&[press(0.08, 0.0)], &mut forces);
+        assert_eq!(forces, [0.0; 25]);
+    }
+
+    #[test]
+    fn neighbours_are_dragged_along_weakly_and_evenly() {
+        let grid = SpringGrid::new(SPONGE, 5, 0.02).unwrap();
+        let (mut forces, mut travel) = ([0.0; 25], [0.0; 25]);
+        forces[12] = 0.4;
+        grid.travel_m(&forces, &mut travel);
+        for k in [7, 11, 13, 17] {
+            assert!((travel[k] - travel[7]).abs() < 1e-12);
+            assert!(travel[k] > 0.02 * travel[12] && travel[k] < 0.06 * travel[12], "{travel:?}");
+        }
+        // The linear grid holds: springs carry all the force, as the coupling only passes it on.
+        let carried: f64 = travel.iter().map(|x| SPONGE.force_n(*x)).sum();
+        assert!((carried / 0.4 - 1.0).abs() < 1e-9, "{carried}");
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        assert!(SpringGrid::new(Springs { stiffness_n_per_m: 0.0, ..SPONGE }, 5, 0.02).is_err());
+        assert!(SpringGrid::new(Springs { coupling_n_per_m: 500.0, ..SPONGE }, 5, 0.02).is_err());
+        assert!(SpringGrid::new(Springs { sharpness: 0.5, ..SPONGE }, 5, 0.02).is_err());
+        assert!(SpringGrid::new(SPONGE, 0, 0.02).is_err() && SpringGrid::new(SPONGE, 5, -1.0).is_err());
+    }
+}
