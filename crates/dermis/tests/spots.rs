@@ -51,7 +51,7 @@ fn errors(name: &str, radius_m: f64, forces_n: &[f64]) -> Errors {
         let place = [half * ring * angle.cos(), half * ring * angle.sin()];
         for &force_n in forces_n {
             let indenter = press(place, radius_m, force_n);
-            let frame = rig.mean_frame(&[indenter.clone()], 1).unwrap();
+            let frame = rig.mean_frame(&[indenter], 1).unwrap();
             let image = rig.image(&frame).unwrap();
             time_ns += 1_000_000_000;
             plain.forget(time_ns);
