@@ -97,7 +97,7 @@ fn dodd_deeds(file: &Value) -> Result<(), Box<dyn Error>> {
         let grading = Grading {
             first_m: (0.5 * thickness / 2.0).min(0.7 * depth),
             growth: 1.8,
-            most_m: 0.01,
+            most_m: 0.006,
             air_growth: 2.0,
             air_m: 0.6,
             around: 16,

@@ -9,6 +9,7 @@
 
 mod cocg;
 mod elements;
+mod gauge;
 mod mesh;
 mod shapes;
 mod solution;

@@ -25,14 +25,14 @@ pub struct Grading {
 }
 
 impl Grading {
-    /// Layers of 0.7 skin depths, doubling inward, none thicker than 0.6 of the body's least half width; air to 10 times its
+    /// Layers of 0.7 skin depths, growing inward, none thicker than half of the body's least half width; air to 10 times its
     /// greatest, where the response is a thousandth of what it is at the body.
     pub fn for_body(skin_depth_m: f64, least_half_width_m: f64, greatest_half_width_m: f64) -> Self {
         Self {
-            first_m: (0.7 * skin_depth_m).min(0.5 * least_half_width_m),
-            growth: 2.0,
-            most_m: 0.6 * least_half_width_m,
-            air_growth: 2.3,
+            first_m: (0.7 * skin_depth_m).min(0.35 * least_half_width_m),
+            growth: 1.8,
+            most_m: 0.5 * least_half_width_m,
+            air_growth: 2.0,
             air_m: 10.0 * greatest_half_width_m,
             around: 16,
         }
@@ -90,12 +90,13 @@ impl Grading {
         positions
     }
 
-    /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width.
-    fn symmetric(&self, half_m: f64) -> Vec<f64> {
+    /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width; the
+    /// first layer of air is no thinner than given.
+    fn symmetric(&self, half_m: f64, air_first_m: f64) -> Vec<f64> {
         let inside = self.inward(half_m);
         let mut positive: Vec<f64> = inside.iter().rev().skip(1).map(|d| half_m - d).collect();
         positive.push(half_m);
-        positive.extend(self.outward(half_m, self.air_growth.sqrt() * inside[0].max(0.1 * half_m)));
+        positive.extend(self.outward(half_m, (self.air_growth.sqrt() * inside[0].max(0.1 * half_m)).max(air_first_m)));
         let mut all: Vec<f64> = positive.iter().rev().map(|x| -x).collect();
         all.push(0.0);
         all.extend(positive);
@@ -211,7 +212,7 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     let counts: Vec<usize> =
         (0..radii.len()).map(|ring| if half(&ring) { grading.around / 2 } else { grading.around }).collect();
     let (plane, sheet, ring_of) = disc(&radii, &counts);
-    let levels = grading.symmetric(0.5 * height_m);
+    let levels = grading.symmetric(0.5 * height_m, 0.0);
     let inside = |layer: usize, t: usize| {
         let middle = 0.5 * (levels[layer] + levels[layer + 1]);
         u8::from(middle.abs() < 0.5 * height_m && ring_of[t] < body_rings)
@@ -241,13 +242,14 @@ pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitEr
     for size in size_m {
         positive("size_m", size)?;
     }
-    grading.check(0.5 * size_m.iter().copied().fold(0.0, f64::max))?;
+    let longest = size_m.iter().copied().fold(0.0, f64::max);
+    grading.check(0.5 * longest)?;
     let axes = size_m.map(|size| {
         // Edges of a thin plate need no layers thinner than the plate itself.
         let thin = size_m.iter().copied().fold(f64::INFINITY, f64::min);
         let first_m = if size > 3.0 * thin { grading.first_m.max(0.8 * thin) } else { grading.first_m };
-        let most_m = if size > 3.0 * thin { grading.most_m.max(size / 8.0) } else { grading.most_m };
-        Grading { first_m, most_m, ..*grading }.symmetric(0.5 * size)
+        let most_m = if size > 3.0 * thin { grading.most_m.max(size / 6.0) } else { grading.most_m };
+        Grading { first_m, most_m, ..*grading }.symmetric(0.5 * size, 0.06 * longest)
     });
     let inside = |middle: Vector| u8::from((0..3).all(|k| middle[k].abs() < 0.5 * size_m[k]));
     box_mesh(&axes, inside)

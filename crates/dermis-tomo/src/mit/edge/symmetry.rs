@@ -7,7 +7,6 @@
 use rayon::prelude::*;
 
 use super::super::{Complex, MitError, Vector, add, dot, scaled};
-use super::mesh::OUTER;
 use super::system::Samples;
 use super::{EddySystem, EdgeMesh, Material, Order, Source, SystemInfo};
 
@@ -36,7 +35,7 @@ impl<'a> SymmetricBody<'a> {
         }
         let systems = (0..8_u8)
             .into_par_iter()
-            .map(|odd| EddySystem::with_fixed(octant, materials, frequency_hz, order, odd | OUTER))
+            .map(|odd| EddySystem::with_fixed(octant, materials, frequency_hz, order, Some(odd)))
             .collect::<Result<_, _>>()?;
         Ok(Self { systems })
     }

@@ -9,7 +9,8 @@ use super::super::error::{frequency, positive};
 use super::super::{Complex, MU0, MitError, Vector, dot, scaled, skin_depth_m};
 use super::cocg::Preconditioned;
 use super::elements::{FUNCTIONS, Point, WHITNEY, quadrature};
-use super::mesh::EdgeMesh;
+use super::gauge::Gauge;
+use super::mesh::{EdgeMesh, OUTER};
 use super::{Fields, Source};
 use crate::sparse::{Ordering, SpdStructure};
 
@@ -102,6 +103,7 @@ pub struct EddySystem<'a> {
     pub(super) coefficients: Vec<(f64, f64)>,
     unknowns: Unknowns,
     matrix: Preconditioned,
+    gauge: Gauge,
     warnings: Vec<CoarseMesh>,
 }
 
@@ -112,16 +114,17 @@ impl<'a> EddySystem<'a> {
     /// A frequency outside 1 Hz to 1 MHz, a conductivity that is not positive, a relative permeability below 1, another number
     /// of materials than the mesh has, a system that cannot be factored.
     pub fn new(mesh: &'a EdgeMesh, materials: &[Material], frequency_hz: f64, order: Order) -> Result<Self, MitError> {
-        Self::with_fixed(mesh, materials, frequency_hz, order, u8::MAX)
+        Self::with_fixed(mesh, materials, frequency_hz, order, None)
     }
 
-    /// As [`EddySystem::new`]; the potential has no tangential part on the boundaries of these bits, the field none on others.
+    /// As [`EddySystem::new`], for an eighth of a symmetric body: the potential is odd across the planes of these bits and
+    /// has no tangential part there; it is even across the others, and the field has none.
     pub(super) fn with_fixed(
         mesh: &'a EdgeMesh,
         materials: &[Material],
         frequency_hz: f64,
         order: Order,
-        fixed: u8,
+        odd: Option<u8>,
     ) -> Result<Self, MitError> {
         frequency(frequency_hz)?;
         materials.iter().try_for_each(Material::check)?;
@@ -133,10 +136,11 @@ impl<'a> EddySystem<'a> {
             let loss = TAU * frequency_hz * MU0 * material.conductivity_s_per_m;
             coefficients.push((loss, 1.0 / material.relative_permeability));
         }
-        let (points, unknowns) = (quadrature(), Unknowns::new(mesh, order, fixed));
+        let (points, unknowns) = (quadrature(), Unknowns::new(mesh, order, odd.map_or(u8::MAX, |odd| odd | OUTER)));
         let matrix = assemble(mesh, &points, &unknowns, &coefficients)?;
         let warnings = coarse(mesh, materials, frequency_hz, order)?;
-        Ok(Self { mesh, order, points, coefficients, unknowns, matrix, warnings })
+        let gauge = gauge(mesh, &points, odd);
+        Ok(Self { mesh, order, points, coefficients, unknowns, matrix, gauge, warnings })
     }
 
     /// Size and warnings.
@@ -162,7 +166,8 @@ impl<'a> EddySystem<'a> {
         self.solve_samples(samples)
     }
 
-    pub(super) fn solve_samples(&self, samples: Vec<Samples>) -> Result<Fields<'_>, MitError> {
+    pub(super) fn solve_samples(&self, mut samples: Vec<Samples>) -> Result<Fields<'_>, MitError> {
+        samples.iter_mut().for_each(|samples| self.gauge.apply(samples));
         let sides: Vec<Vec<Complex>> = samples.iter().map(|sample| self.side(sample)).collect();
         let (potentials, iterations) = self.matrix.solve(&sides)?;
         Ok(Fields::new(self, potentials, &sides, samples, iterations))
@@ -280,6 +285,20 @@ impl Unknowns {
             _ => self.faces[faces[(f - 12) / 2] as usize][f % 2],
         })
     }
+}
+
+/// Gradients of more degrees where the symmetry leaves few of each.
+fn gauge(mesh: &EdgeMesh, points: &[Point], odd: Option<u8>) -> Gauge {
+    let (mut places_m, mut volumes) = (Vec::new(), Vec::new());
+    for element in (0..mesh.tetrahedra.len()).filter(|&t| mesh.regions[t] != 0) {
+        let geometry = mesh.geometry(element);
+        for point in points {
+            let map = geometry.map(point.barycentric);
+            places_m.push(map.position_m);
+            volumes.push(point.weight * map.determinant.abs());
+        }
+    }
+    Gauge::new(&places_m, volumes, if odd.is_some() { 7 } else { 4 }, odd)
 }
 
 fn assemble(
