@@ -1,7 +1,7 @@
 //! The EM-skins as a whole: what a press does to which pairs of coils, symmetry, heights recovered by a coarser model, and
 //! what is refused.
 
-use dermis_tomo::mit::{Bodies, CoilTables, Heights, HeightsFit, HeightsOptions};
+use dermis_tomo::mit::{Bodies, CoilTables, Coupling, Heights, HeightsFit, HeightsOptions};
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{EmOptions, EmSkin, Frontend, Twin, TwinError};
@@ -97,37 +97,28 @@ fn hysteresis_is_thin_and_readings_are_noisy_as_published() {
     assert!((snr_db - 83.0).abs() < 0.4, "{snr_db}");
 }
 
-/// A coarser model than the twin's: degree 2, no neighbours, even heights.
-fn model(options: &EmOptions) -> (Heights, f64) {
+/// A coarser model than the twin's: degree 2, neighbours as dipoles in one sweep, even heights.
+fn model(options: &EmOptions) -> Heights {
     let skin = even(EmOptions { per_side: options.per_side, ..options.clone() });
     let coils = options.array.coils().unwrap();
-    let body = options.body().unwrap().truncated(std::env::var("DEGREE").map_or(2, |v| v.parse().unwrap()));
+    let body = options.body().unwrap().truncated(2);
     let limit = options.springs.limit_m;
     let tables =
         CoilTables::new(&coils, skin.places_m(), [options.rest_m - limit, options.rest_m], body.radius_m).unwrap();
     let count = skin.places_m().len();
-    let bodies = Bodies::new(vec![body; count], tables, None).unwrap();
-    let volts_per_h = std::f64::consts::TAU * options.frequency_hz * options.current_a;
-    (Heights::new(bodies, coils.mutuals_h(), vec![options.rest_m; count], limit).unwrap(), volts_per_h)
+    let coupling = Some(Coupling { degree: 1, reach_m: 1.5 * options.pitch_m, sweeps: 1 });
+    let bodies = Bodies::new(vec![body; count], tables, coupling).unwrap();
+    Heights::new(bodies, coils.mutuals_h(), vec![options.rest_m; count], limit).unwrap()
 }
 
-fn options_of_test() -> HeightsOptions {
-    let get = |name: &str, otherwise: f64| std::env::var(name).map_or(otherwise, |v| v.parse().unwrap());
-    let d = HeightsOptions::default();
-    HeightsOptions {
-        prior_m: get("PRIOR", d.prior_m),
-        mean_m: get("MEAN", d.mean_m),
-        model_share: get("SHARE", d.model_share),
-        model_floor: get("FLOOR", d.model_floor),
-        ..d
-    }
-}
+/// Frames averaged: a second of them.
+const FRAMES: usize = 10;
 
-/// Travels found from one frame of noisy readings, and the true ones.
+/// Travels found from a second of noisy readings, and the true ones.
 fn recover(
     skin: &mut EmSkin,
     instrument: &mut Instrument,
-    (heights, volts_per_h): (&mut Heights, f64),
+    heights: &mut Heights,
     pressed: &[(usize, f64)],
 ) -> (HeightsFit, Vec<f64>) {
     let read = |skin: &mut EmSkin, instrument: &mut Instrument, indenters: &[Indenter]| {
@@ -141,14 +132,16 @@ fn recover(
     }
     let places = skin.places_m().to_vec();
     let indenters: Vec<Indenter> = pressed.iter().map(|(k, force)| press(places[*k], *force)).collect();
-    let now = read(skin, instrument, &indenters);
+    let mut now = vec![0.0; skin.channel_count()];
+    for _ in 0..FRAMES {
+        read(skin, instrument, &indenters).iter().zip(&mut now).for_each(|(v, sum)| *sum += v / FRAMES as f64);
+    }
     // Relative changes times the model's own readings: gains of the channels cancel.
-    let share = instrument.options().noise.proportional;
+    let share = instrument.options().noise.proportional / (FRAMES as f64).sqrt();
     let differences: Vec<f64> =
         now.iter().zip(&rest).zip(heights.rest_h()).map(|((now, rest), model)| (now / rest - 1.0) * model).collect();
     let deviations: Vec<f64> = heights.rest_h().iter().map(|model| share * model).collect();
-    let _ = volts_per_h;
-    let fit = heights.solve(&differences, &deviations, &options_of_test()).unwrap();
+    let fit = heights.solve(&differences, &deviations, &HeightsOptions::default()).unwrap();
     (fit, skin.travel_m().to_vec())
 }
 
@@ -156,7 +149,7 @@ fn recover(
 fn heights_of_one_to_four_elements_by_a_coarser_model() {
     let options = EmOptions::em_8();
     let (mut skin, mut instrument, _) = Twin::em(&options).unwrap().into_parts();
-    let (mut heights, volts_per_h) = model(&options);
+    let mut heights = model(&options);
     let cases: [&[(usize, f64)]; 6] = [
         &[(12, 2.0)],
         &[(0, 1.0)],
@@ -166,7 +159,7 @@ fn heights_of_one_to_four_elements_by_a_coarser_model() {
         &[(0, 2.0), (4, 1.0), (18, 2.0), (22, 1.5)],
     ];
     for pressed in cases {
-        let (fit, truth) = recover(&mut skin, &mut instrument, (&mut heights, volts_per_h), pressed);
+        let (fit, truth) = recover(&mut skin, &mut instrument, &mut heights, pressed);
         let errors: Vec<f64> = fit.travel_m.iter().zip(&truth).map(|(f, t)| 1e3 * (f - t)).collect();
         let worst = errors.iter().map(|e| e.abs()).fold(0.0, f64::max);
         println!(
@@ -176,7 +169,8 @@ fn heights_of_one_to_four_elements_by_a_coarser_model() {
             fit.steps,
             pressed.iter().map(|(k, _)| 1e3 * fit.deviation_m[*k]).collect::<Vec<_>>()
         );
-        assert!(worst < 0.3 || std::env::var("LOOK").is_ok(), "{pressed:?}: {errors:.2?} mm");
+        // Two deviations of the worst determined element; noise of another second moves it.
+        assert!(worst < 0.35, "{pressed:?}: {errors:.2?} mm");
     }
 }
 

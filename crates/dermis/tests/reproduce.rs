@@ -58,3 +58,21 @@ fn noise_is_the_paper_s_and_tapping_has_its_frequency_up_to_the_nyquist_limit() 
         assert!((found - frequency).abs() < 0.0625, "{found} for {frequency}");
     }
 }
+
+#[test]
+fn every_element_of_the_em_skin_is_located_and_its_force_curve_is_a_quadratic() {
+    let report = replay("E1");
+    assert_eq!(value(&report, "elements whose image peaks nearest to them"), 25.0, "{:?}", report.rows);
+    // None is missed; the linear image of elements that travel far has a side lobe here and there.
+    assert!((25.0..=28.0).contains(&value(&report, "touches found in 25 images")), "{:?}", report.rows);
+    let report = replay("E10");
+    for name in ["L1", "L2", "L3"] {
+        assert_eq!(
+            value(&report, &format!("{name}: steps at which the curve does not rise")),
+            0.0,
+            "{:?}",
+            report.rows
+        );
+        assert!(value(&report, &format!("{name}: R^2 of a quadratic")) > 0.97, "{:?}", report.rows);
+    }
+}

@@ -1,6 +1,7 @@
 //! The experiments of the published skins, replayed on their twins: what was pressed where, what the paper read off, and
 //! what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
 
+pub mod em;
 pub mod ionic;
 pub mod piezo;
 mod rig;
@@ -141,7 +142,8 @@ impl Experiment {
 }
 
 /// The papers that can be replayed, by their letters.
-pub const PAPERS: [(&str, &str, &[Experiment]); 2] = [
+pub const PAPERS: [(&str, &str, &[Experiment]); 3] = [
+    ("E", "EM-skin: magnetic induction tomography", &em::EXPERIMENTS),
     ("I", "ionic liquid skin with fringing-field EIT", &ionic::EXPERIMENTS),
     ("P", "piezoresistive skins of several shapes on one backend", &piezo::EXPERIMENTS),
 ];
