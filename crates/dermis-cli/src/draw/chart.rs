@@ -34,9 +34,9 @@ pub enum Mark {
 /// One curve.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Series {
-    /// What it is, in the legend; empty: none.
+    /// What it is, in the legend; empty: none. Series of one name have one colour and one entry.
     pub name: String,
-    /// (x, y); points that are not finite are left out.
+    /// (x, y); points that are not finite are left out, and break a line.
     pub points: Vec<[f64; 2]>,
     /// Its look.
     pub mark: Mark,
@@ -111,8 +111,7 @@ impl Chart {
         let mut shapes = frame(&x, &y);
         shapes.extend(self.labels());
         for (index, series) in self.series.iter().enumerate() {
-            let colour = PALETTE[index % PALETTE.len()];
-            shapes.extend(curve(series, &x, &y, colour));
+            shapes.extend(curve(series, &x, &y, self.colour(index)));
         }
         shapes.extend(self.legend());
         Picture { title: self.title.clone(), width_px: WIDTH as u32, height_px: HEIGHT as u32, shapes }
@@ -127,12 +126,25 @@ impl Chart {
         vec![text(lines)]
     }
 
+    /// Place of a series in the legend, and so of its colour: that of the first of its name.
+    fn first_of_name(&self, index: usize) -> usize {
+        let name = &self.series[index].name;
+        let first = self.series.iter().position(|series| !name.is_empty() && series.name == *name);
+        first.unwrap_or(index)
+    }
+
+    fn colour(&self, index: usize) -> Colour {
+        PALETTE[self.first_of_name(index) % PALETTE.len()]
+    }
+
     /// Names in the colours of their curves, in the upper left corner.
     fn legend(&self) -> Vec<Shape> {
         let mut shapes = Vec::new();
-        let named = self.series.iter().enumerate().filter(|(_, series)| !series.name.is_empty());
+        let is_entry =
+            |(index, series): &(usize, &Series)| !series.name.is_empty() && self.first_of_name(*index) == *index;
+        let named = self.series.iter().enumerate().filter(is_entry);
         for (row, (index, series)) in named.enumerate() {
-            let colour = PALETTE[index % PALETTE.len()];
+            let colour = self.colour(index);
             let (left, level) = (MARGIN[0] + 14.0, MARGIN[2] + 16.0 + 20.0 * row as f64);
             let lettering = Lettering::new(&series.name, 9.0);
             let centre = left + 34.0 + 0.5 * lettering.width;
@@ -163,11 +175,15 @@ fn frame(x: &Axis, y: &Axis) -> Vec<Shape> {
 }
 
 fn curve(series: &Series, x: &Axis, y: &Axis, colour: Colour) -> Vec<Shape> {
-    let finite = series.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
-    let points: Vec<Point> = finite.map(|p| [x.place(p[0]), y.place(p[1])]).collect();
+    let is_finite = |p: &[f64; 2]| p.iter().all(|v| v.is_finite());
+    let place = |p: &[f64; 2]| -> Point { [x.place(p[0]), y.place(p[1])] };
+    let points: Vec<Point> = series.points.iter().filter(|p| is_finite(p)).map(place).collect();
     let mut shapes = Vec::new();
-    if series.mark != Mark::Points && points.len() > 1 {
-        shapes.push(line("curve", vec![Polyline::open(points.clone())], colour, 2.0));
+    if series.mark != Mark::Points {
+        let pieces = series.points.split(|p| !is_finite(p)).filter(|piece| piece.len() > 1);
+        let lines: Vec<Polyline> =
+            pieces.map(|piece| Polyline::open(piece.iter().map(place).collect::<Vec<_>>())).collect();
+        shapes.extend((!lines.is_empty()).then(|| line("curve", lines, colour, 2.0)));
     }
     if series.mark != Mark::Line {
         let diamond =

@@ -9,7 +9,7 @@ use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::{IonicOptions, Twin};
 
 use super::rig::{disc, distance_mm};
-use super::{Curve, Experiment, Figure, Kind, Report, Rig, Row, grams_n};
+use super::{Curve, Experiment, Figure, ImagePanel, Kind, Report, Rig, Row, grams_n};
 use crate::Error;
 use crate::skin::Skin;
 
@@ -351,6 +351,7 @@ fn tapping() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let rate = 1.0 / rig.frame_s();
     let (mut rows, mut spectra, mut course, mut panels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut slices = Vec::new();
     for frequency in [1.0, 2.5, 5.0, 7.5] {
         let (mut series, mut images) = (Vec::new(), Vec::new());
         for k in 0..256 {
@@ -360,12 +361,13 @@ fn tapping() -> Result<Report, Error> {
             let frame = rig.mean_frame(&[indenter], 1)?;
             let image = rig.image(&frame)?;
             series.push(rig.mean_around(&image, [0.0; 2]));
-            images.extend((k < 32).then_some(image));
+            images.extend((k < SLICE_FRAMES as i32).then_some(image));
         }
         if frequency == 1.0 {
             let second = &images[16..];
             let panel = |k: &usize| rig.panel(format!("{:.3} s", *k as f64 / rate), &second[*k], &[[0.0; 2]]);
             panels = [0, 2, 4, 6, 8, 10, 12, 14].iter().map(panel).collect();
+            slices = through_the_centre(&images, rig.columns());
             course = series.iter().enumerate().take(96).map(|(k, v)| [k as f64 / rate, *v]).collect();
         }
         let spectrum = SpectrumAnalyser::new(series.len(), rate)?.spectrum(&series)?;
@@ -398,9 +400,33 @@ fn tapping() -> Result<Report, Error> {
             columns: rig.columns(),
             panels,
         },
+        Figure::Images {
+            name: "slices",
+            title: "I10: x-t and y-t slices of the image volume, 3 s from top to bottom".into(),
+            columns: rig.columns(),
+            panels: slices,
+        },
     ];
     let notes = vec![format!("{rate} frames/s: the Nyquist limit is {} Hz.", 0.5 * rate)];
     Ok(Report { id: "I10", title: EXPERIMENTS[9].title, rows, figures, notes })
+}
+
+/// Frames of a slice through the images over time.
+const SLICE_FRAMES: usize = 48;
+
+/// Slices of the volume of images over time through the middle row and column; a frame is a row.
+fn through_the_centre(images: &[Vec<f32>], columns: usize) -> Vec<ImagePanel> {
+    let panel = |name: &str, pixel: &dyn Fn(usize) -> usize| ImagePanel {
+        name: name.into(),
+        values: images.iter().flat_map(|image| (0..columns).map(|k| image[pixel(k)])).collect(),
+        marks: Vec::new(),
+        bend: None,
+    };
+    let middle = columns / 2;
+    vec![
+        panel("x over time", &|k| middle * columns + k),
+        panel("y over time", &|k| (columns - 1 - k) * columns + middle),
+    ]
 }
 
 /// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of amplitudes.

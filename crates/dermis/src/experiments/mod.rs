@@ -50,9 +50,9 @@ pub struct Row {
 /// A curve of a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
-    /// Its name in the legend.
+    /// Its name in the legend; curves of one name have one colour and one entry.
     pub name: String,
-    /// (x, y).
+    /// (x, y); a line breaks at a point that is not finite.
     pub points: Vec<[f64; 2]>,
     /// Whether the points are joined.
     pub joined: bool,

@@ -33,11 +33,13 @@ fn detection() -> Result<Report, Error> {
         rows.push(row(format!("{name}: limit of detection"), "N/mm^2", Some(paper), here, kind));
         let repeats = points.iter().flat_map(|p| p.change_v.map(|change| [p.pressure_pa, change / noise_v]));
         curves.push(Curve { name: name.into(), points: repeats.collect(), joined: false });
+        let boxes = points.iter().flat_map(|p| box_of(p.pressure_pa, p.change_v.map(|change| change / noise_v)));
+        curves.push(Curve { name: name.into(), points: boxes.collect(), joined: true });
     }
     let most = curves.iter().flat_map(|curve| &curve.points).map(|p| p[0]).fold(0.0, f64::max);
     curves.push(Curve { name: "3.3 deviations".into(), points: vec![[0.0, 3.3], [most, 3.3]], joined: true });
     let (x_label, y_label) = ("pressure (Pa)", "change of V rms / its deviation at rest");
-    let title = "P1: five repeats of each weight".into();
+    let title = "P1: five repeats of each weight, and their quartiles".into();
     let figures = vec![Figure::Curves { name: "detection", title, x_label, y_label, curves }];
     let notes = vec!["Fitted: the contact's reference pressure, on the square's limit alone.".into()];
     Ok(Report { id: "P1", title: EXPERIMENTS[0].title, rows, figures, notes })
@@ -60,6 +62,33 @@ fn discernment() -> Result<Report, Error> {
     let title = "P2: Pearson correlation of difference frames".into();
     let figures = vec![Figure::Curves { name: "correlation", title, x_label, y_label, curves }];
     Ok(Report { id: "P2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
+}
+
+/// Half the width of a box, pascals.
+const BOX_PA: f64 = 5.0;
+
+/// A box from the lower to the upper quartile of five values, with the median and whiskers to the extremes, as one line that
+/// breaks where a coordinate is not a number.
+fn box_of(x: f64, mut values: [f64; 5]) -> Vec<[f64; 2]> {
+    values.sort_by(f64::total_cmp);
+    let [least, lower, median, upper, most] = values;
+    let (left, right, gap) = (x - BOX_PA, x + BOX_PA, [f64::NAN; 2]);
+    vec![
+        [x, least],
+        [x, lower],
+        [left, lower],
+        [left, upper],
+        [right, upper],
+        [right, lower],
+        [x, lower],
+        gap,
+        [left, median],
+        [right, median],
+        gap,
+        [x, upper],
+        [x, most],
+        gap,
+    ]
 }
 
 /// P3: positions are those of the unrolled sheet.

@@ -107,7 +107,7 @@ fn data(folder: &Path, figure: &Figure) -> anyhow::Result<()> {
         Figure::Curves { name, curves, .. } => {
             let mut text = String::from("curve,x,y\n");
             for curve in curves {
-                for [x, y] in &curve.points {
+                for [x, y] in curve.points.iter().filter(|p| p.iter().all(|v| v.is_finite())) {
                     let _ = writeln!(text, "{},{x},{y}", curve.name);
                 }
             }
