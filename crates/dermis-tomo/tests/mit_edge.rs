@@ -199,7 +199,8 @@ fn a_plate_changes_coil_pairs_as_in_the_reference() {
 #[test]
 fn a_coil_over_a_large_plate_changes_as_over_an_infinite_one() {
     let Some(file) = reference("dodd_deeds.json") else { return };
-    let grading = Grading { first_m: 0.25e-3, growth: 1.8, most_m: 0.01, air_growth: 2.5, air_m: 0.5, around: 16 };
+    let grading =
+        Grading { first_m: 0.25e-3, growth: 1.8, most_m: 0.01, wide_m: 0.01, air_growth: 2.5, air_m: 0.5, around: 16 };
     let shape = Shape::Cylinder { radius_m: 0.15, height_m: 0.001 };
     let mesh = shape.mesh(&grading).unwrap().octant().unwrap();
     let system = SymmetricBody::new(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap();
