@@ -70,9 +70,10 @@ fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
     points
 }
 
-/// The plate in air: `fine` cells where there is one at least.
+/// The plate in air: `fine` cells where there is one at least; 0 is a coarser mesh for a quick look.
 pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
     let divided = |marks: &[f64], parts: usize| {
+        let parts = parts.max(1);
         let mut all = vec![marks[0]];
         for pair in marks.windows(2) {
             all.extend((1..=parts).map(|k| 1e-3 * (pair[0] + (pair[1] - pair[0]) * k as f64 / parts as f64)));
@@ -81,8 +82,12 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
         all
     };
     let mut flat = divided(&[-800.0, -250.0, -60.0, 0.0], fine);
-    let plate = [0.0, 18.0, 42.0, 72.0, 102.0, 126.0, 150.0, 186.0, 222.0, 255.0, 279.0, 294.0];
-    flat.extend(divided(&plate, fine).into_iter().skip(1));
+    let plate: &[f64] = if fine == 0 {
+        &[0.0, 18.0, 48.0, 96.0, 126.0, 180.0, 240.0, 279.0, 294.0]
+    } else {
+        &[0.0, 18.0, 42.0, 72.0, 102.0, 126.0, 150.0, 186.0, 222.0, 255.0, 279.0, 294.0]
+    };
+    flat.extend(divided(plate, fine).into_iter().skip(1));
     flat.extend(divided(&[294.0, 354.0, 544.0, 1094.0], fine).into_iter().skip(1));
     let z = divided(&[-700.0, -200.0, -45.0, 0.0, 9.5, 19.0, 64.0, 220.0, 720.0], fine);
     box_mesh(&[flat.clone(), flat, z], |[x, y, z]| {

@@ -16,6 +16,8 @@ pub struct Grading {
     pub growth: f64,
     /// Thickest layer inside, metres.
     pub most_m: f64,
+    /// The same along the faces of a flat body, metres.
+    pub wide_m: f64,
     /// Each layer in air over the one before.
     pub air_growth: f64,
     /// Outer boundary, metres from the centre; several times the size of the body.
@@ -32,6 +34,7 @@ impl Grading {
             first_m: (0.7 * skin_depth_m).min(0.35 * least_half_width_m),
             growth: 1.8,
             most_m: 0.5 * least_half_width_m,
+            wide_m: greatest_half_width_m / 3.0,
             air_growth: 2.0,
             air_m: 10.0 * greatest_half_width_m,
             around: 16,
@@ -41,6 +44,7 @@ impl Grading {
     fn check(&self, reach_m: f64) -> Result<(), MitError> {
         positive("first_m", self.first_m)?;
         positive("most_m", self.most_m)?;
+        positive("wide_m", self.wide_m)?;
         let at_least = |field: &'static str, value: f64, least: f64, expected: &'static str| {
             if value >= least && value.is_finite() {
                 return Ok(());
@@ -199,7 +203,7 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     // The rim of a thin disc needs no rings thinner than the disc itself.
     let thin = radius_m > 1.5 * height_m;
     let rim = if thin {
-        Grading { first_m: grading.first_m.max(0.8 * height_m), most_m: grading.most_m.max(radius_m / 8.0), ..*grading }
+        Grading { first_m: grading.first_m.max(0.8 * height_m), most_m: grading.wide_m, ..*grading }
     } else {
         *grading
     };
@@ -248,7 +252,7 @@ pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitEr
         // Edges of a thin plate need no layers thinner than the plate itself.
         let thin = size_m.iter().copied().fold(f64::INFINITY, f64::min);
         let first_m = if size > 3.0 * thin { grading.first_m.max(0.8 * thin) } else { grading.first_m };
-        let most_m = if size > 3.0 * thin { grading.most_m.max(size / 6.0) } else { grading.most_m };
+        let most_m = if size > 3.0 * thin { grading.wide_m } else { grading.most_m };
         Grading { first_m, most_m, ..*grading }.symmetric(0.5 * size, 0.06 * longest)
     });
     let inside = |middle: Vector| u8::from((0..3).all(|k| middle[k].abs() < 0.5 * size_m[k]));

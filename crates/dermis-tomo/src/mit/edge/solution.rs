@@ -68,8 +68,8 @@ impl<'a> Fields<'a> {
         Some((scattered + self.system.direct(own, &probe)) / MU0)
     }
 
-    /// Vector potential and flux density (T) that the bodies add to a source's field at a point; the potential has the
-    /// gauge of the mesh and means something in conductors only. `None` outside the mesh or for a source that does not exist.
+    /// Vector potential and flux density (T) that the bodies add to a source's field at a point; the potential is
+    /// known up to a gradient. `None` outside the mesh or for a source that does not exist.
     pub fn added(&self, source: usize, point_m: Vector) -> Option<([Complex; 3], [Complex; 3])> {
         let potential = self.potentials.get(source)?;
         let (element, l) = self.system.mesh.locate(point_m)?;

@@ -287,7 +287,7 @@ impl Unknowns {
     }
 }
 
-/// Gradients of more degrees where the symmetry leaves few of each.
+/// Gradients of more degrees where the symmetry leaves few of each; none where currents may leave through the outer boundary.
 fn gauge(mesh: &EdgeMesh, points: &[Point], odd: Option<u8>) -> Gauge {
     let (mut places_m, mut volumes) = (Vec::new(), Vec::new());
     for element in (0..mesh.tetrahedra.len()).filter(|&t| mesh.regions[t] != 0) {
@@ -298,7 +298,13 @@ fn gauge(mesh: &EdgeMesh, points: &[Point], odd: Option<u8>) -> Gauge {
             volumes.push(point.weight * map.determinant.abs());
         }
     }
-    Gauge::new(&places_m, volumes, if odd.is_some() { 7 } else { 4 }, odd)
+    let leaves = |t: usize| mesh.edges_of[t].iter().any(|&edge| mesh.edge_bounds[edge as usize] & OUTER != 0);
+    let degree = match odd {
+        _ if (0..mesh.tetrahedra.len()).any(|t| mesh.regions[t] != 0 && leaves(t)) => 0,
+        Some(_) => 7,
+        None => 4,
+    };
+    Gauge::new(&places_m, volumes, degree, odd)
 }
 
 fn assemble(
