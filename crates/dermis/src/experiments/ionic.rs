@@ -402,7 +402,7 @@ fn tapping() -> Result<Report, Error> {
         },
         Figure::Images {
             name: "slices",
-            title: "I10: x-t and y-t slices of the image volume, 3 s from top to bottom".into(),
+            title: "I10: slices over time, 3 s downward".into(),
             columns: rig.columns(),
             panels: slices,
         },

@@ -31,14 +31,20 @@ fn detection() -> Result<Report, Error> {
         let kind = if name == "square" { Kind::Fitted } else { Kind::Predicted };
         let [paper, here] = [published, *limit_pa].map(|pa| pa * PA_TO_N_PER_MM2);
         rows.push(row(format!("{name}: limit of detection"), "N/mm^2", Some(paper), here, kind));
-        let repeats = points.iter().flat_map(|p| p.change_v.map(|change| [p.pressure_pa, change / noise_v]));
+        // Decades, in which the repeats near the limit can be seen; no change at all is a hundredth of a deviation.
+        let decades = |change: f64| (change / noise_v).abs().max(0.01).log10();
+        let repeats = points.iter().flat_map(|p| p.change_v.map(|change| [p.pressure_pa, decades(change)]));
         curves.push(Curve { name: name.into(), points: repeats.collect(), joined: false });
-        let boxes = points.iter().flat_map(|p| box_of(p.pressure_pa, p.change_v.map(|change| change / noise_v)));
+        let boxes = points.iter().flat_map(|p| box_of(p.pressure_pa, p.change_v.map(decades)));
         curves.push(Curve { name: name.into(), points: boxes.collect(), joined: true });
     }
     let most = curves.iter().flat_map(|curve| &curve.points).map(|p| p[0]).fold(0.0, f64::max);
-    curves.push(Curve { name: "3.3 deviations".into(), points: vec![[0.0, 3.3], [most, 3.3]], joined: true });
-    let (x_label, y_label) = ("pressure (Pa)", "change of V rms / its deviation at rest");
+    curves.push(Curve {
+        name: "3.3 deviations".into(),
+        points: vec![[0.0, 3.3_f64.log10()], [most, 3.3_f64.log10()]],
+        joined: true,
+    });
+    let (x_label, y_label) = ("pressure (Pa)", "log10 of change of V rms over its deviation at rest");
     let title = "P1: five repeats of each weight, and their quartiles".into();
     let figures = vec![Figure::Curves { name: "detection", title, x_label, y_label, curves }];
     let notes = vec!["Fitted: the contact's reference pressure, on the square's limit alone.".into()];
