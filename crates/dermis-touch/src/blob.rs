@@ -129,7 +129,7 @@ pub(crate) fn merge_blobs(riders: &mut [Rider], from: &Blob, onto: &mut Blob, ti
         };
         let offset = rider.merge.map_or([0.0; 2], |merge| merge.offset_at(time_ns, memory));
         let drift = rider.merge.map_or([0.0; 2], |merge| merge.velocity_at(time_ns, memory));
-        // Absolute for now; made relative to the mean below.
+        // Absolute here; made relative to the mean below, once that is known.
         let merge = Merge { since_ns: time_ns, frames: 0, offset: add(base.0, offset), velocity: add(base.1, drift) };
         position_sum = add(position_sum, merge.offset);
         velocity_sum = add(velocity_sum, merge.velocity);

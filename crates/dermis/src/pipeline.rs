@@ -110,7 +110,7 @@ impl Pipeline {
         } else {
             None
         };
-        let refines = prepared.skin.touch.refine && calibration.is_none() && prepared.skin.backend.circuit.is_none();
+        let refines = prepared.refines_touches(calibration.as_ref());
         let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
         Ok(Self {
             reader,

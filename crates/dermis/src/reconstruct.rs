@@ -112,7 +112,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     };
     let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
     stage.set_forces(forces.clone());
-    if prepared.skin.touch.refine && calibration.is_none() && prepared.skin.backend.circuit.is_none() {
+    if prepared.refines_touches(calibration.as_ref()) {
         stage.refine_by(&prepared, &reference.noise)?;
     }
     let grid = prepared.map.grid();

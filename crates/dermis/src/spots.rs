@@ -8,6 +8,7 @@ use dermis_twin::mechanics::{Membrane, MembraneSpec};
 use faer::Mat;
 
 use crate::Error;
+use crate::calibrate::Calibration;
 use crate::prepare::Prepared;
 
 /// Contacts refined at most, the strongest.
@@ -97,6 +98,12 @@ impl Prepared {
             most_spots: MOST_SPOTS,
         };
         Ok(SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?)
+    }
+
+    /// Whether touches are refined: where the skin file asks for it and images are made on the model's own Jacobian, neither
+    /// measured by a calibration nor that of a readout circuit.
+    pub(crate) fn refines_touches(&self, calibration: Option<&Calibration>) -> bool {
+        self.skin.touch.refine && calibration.is_none() && self.skin.backend.circuit.is_none()
     }
 
     /// As [`Prepared::spot_model`], before any noise was measured.

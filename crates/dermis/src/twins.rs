@@ -107,6 +107,12 @@ impl TwinKit {
         }
     }
 
+    /// A twin with the sandwich's demonstration, `length` times as wide and as much softer as what it is pressed with.
+    fn pressed(twin: AnyTwin, press: PressRange, length: f64) -> Self {
+        let softness = press.initial_pressure_pa / SANDWICH.initial_pressure_pa;
+        Self { twin, press, demo: Script::demo().scaled(length, softness) }
+    }
+
     fn sandwich(mut options: HealingSquareOptions, skin: &Skin) -> Result<Self, Error> {
         options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
@@ -117,27 +123,21 @@ impl TwinKit {
     fn ionic(mut options: IonicOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
         options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
-        let softness = LIQUID.initial_pressure_pa / SANDWICH.initial_pressure_pa;
-        let demo = Script::demo().scaled(length, softness);
-        Ok(Self { twin: Twin::ionic(&options)?.boxed(), press: LIQUID, demo })
+        Ok(Self::pressed(Twin::ionic(&options)?.boxed(), LIQUID, length))
     }
 
     /// Elements over coils, `length` times as large as the sandwich.
     fn em(mut options: EmOptions, skin: &Skin, press: PressRange, length: f64) -> Result<Self, Error> {
         options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
-        let softness = press.initial_pressure_pa / SANDWICH.initial_pressure_pa;
-        let demo = Script::demo().scaled(length, softness);
-        Ok(Self { twin: Twin::em(&options)?.boxed(), press, demo })
+        Ok(Self::pressed(Twin::em(&options)?.boxed(), press, length))
     }
 
     /// A skin of loose patches, `length` times as large as the sandwich.
     fn piezo(mut options: PiezoOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
         options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
-        let softness = PATCHES.initial_pressure_pa / SANDWICH.initial_pressure_pa;
-        let demo = Script::demo().scaled(length, softness);
-        Ok(Self { twin: Twin::piezo(&options)?.boxed(), press: PATCHES, demo })
+        Ok(Self::pressed(Twin::piezo(&options)?.boxed(), PATCHES, length))
     }
 }
 

@@ -289,6 +289,8 @@ pub struct Bodies {
     slopes: Vec<f64>,
     /// Answers d, coil by coil within body.
     d: Vec<Complex>,
+    /// The same without neighbours.
+    alone: Vec<Complex>,
     next: Vec<Complex>,
 }
 
@@ -325,6 +327,7 @@ impl Bodies {
             c: vec![0.0; size],
             slopes: vec![0.0; size],
             d: vec![zero; size],
+            alone: vec![zero; size],
             next: vec![zero; size],
             bodies,
             tables,
@@ -451,10 +454,10 @@ impl Bodies {
             .iter()
             .map(|&[target, source]| translation(subtract(at(target), at(source)), degree))
             .collect();
-        let alone = self.d.clone();
-        let mut field = vec![Complex::new(0.0, 0.0); HARMONICS];
+        self.alone.copy_from_slice(&self.d);
+        let mut field = [Complex::new(0.0, 0.0); HARMONICS];
         for _ in 0..coupling.sweeps {
-            self.next.copy_from_slice(&alone);
+            self.next.copy_from_slice(&self.alone);
             for (&[target, source], s) in self.neighbours.iter().zip(&matrices) {
                 for coil in 0..self.tables.coils {
                     let d = &self.d[source * stride + coil * HARMONICS..][..count];

@@ -70,7 +70,7 @@ impl Rig {
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = prepared.imager(&reference, &data)?;
         let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
-        if prepared.skin.touch.refine {
+        if prepared.refines_touches(None) {
             stage.refine_by(&prepared, &reference.noise)?;
         }
         Ok(Self { frontend, instrument, prepared, frame_s, reference, imager, stage, frames: 0 })
