@@ -7,7 +7,7 @@
 //! ([`EmElement`]).
 
 use dermis_tomo::mesh::Outline;
-use dermis_tomo::mit::{Bodies, Body, CoilArray, CoilTables, Complex, Coupling, Sphere};
+use dermis_tomo::mit::{Bodies, Body, CoilArray, CoilTables, Complex, Coupling, Sphere, expansion};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -57,6 +57,39 @@ pub enum EmElement {
     Body(Body),
 }
 
+/// A ball of metal that lies near the coils and does not move. Elements and ball do not excite each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearbyMetal {
+    /// The ball.
+    pub sphere: Sphere,
+    /// Its middle, metres.
+    pub centre_m: [f64; 3],
+}
+
+impl NearbyMetal {
+    /// What it does to every pair of coils, henries.
+    fn changes_h(&self, coils: &CoilArray, frequency_hz: f64) -> Result<Vec<Complex>, TwinError> {
+        let body = Body::sphere(&self.sphere, frequency_hz)?;
+        let mut expansions = Vec::with_capacity(coils.coils().len());
+        for coil in coils.coils() {
+            let distance_m = coil.distance_m(self.centre_m);
+            let expected = "outside the nearby metal";
+            if distance_m <= self.sphere.radius_m {
+                return Err(TwinError::Value {
+                    field: "distance of a coil from nearby metal (m)",
+                    value: distance_m,
+                    expected,
+                });
+            }
+            expansions.push(expansion(self.centre_m, PROBE * distance_m, |p| coil.flux_density(p)));
+        }
+        Ok(coils.pairs().iter().map(|&[m, n]| body.change_h(&expansions[m], &expansions[n])).collect())
+    }
+}
+
+/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
+const PROBE: f64 = 0.02;
+
 /// Parameters of the twin. Paper E gives coils, frequencies, frame rates, signal-to-noise ratios, the number of elements
 /// and their size; heights, stiffness, travel and current are assumed.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,6 +120,10 @@ pub struct EmOptions {
     pub frequency_hz: f64,
     /// Frames a second.
     pub frame_rate_hz: f64,
+    /// Height of a plate of metal beneath the coils, as of a robot's arm, taken to conduct perfectly; below 0.
+    pub plate_m: Option<f64>,
+    /// Metal elsewhere.
+    pub nearby: Option<NearbyMetal>,
     /// Noise, converter, rectifier.
     pub instrument: InstrumentOptions,
     /// Fading, and how script and people share the skin.
@@ -97,6 +134,8 @@ pub struct EmOptions {
     pub seed: u64,
 }
 
+/// Elements that moved by less are still, metres: 1e-6 of a reading's change by a press.
+const STILL_M: f64 = 1e-9;
 /// Aluminium, S/m.
 const ALUMINIUM_S_PER_M: f64 = 3.5e7;
 
@@ -118,6 +157,8 @@ impl EmOptions {
             current_a: 0.1,
             frequency_hz: 55e3,
             frame_rate_hz: 10.0,
+            plate_m: None,
+            nearby: None,
             instrument: instrument(83.0),
             scene: SceneOptions::default(),
             script: None,
@@ -179,6 +220,9 @@ impl EmOptions {
         check_positive("frame_rate_hz", self.frame_rate_hz)?;
         check("tolerance_m", self.tolerance_m, 0.0, 0.1 * self.pitch_m, "0 to a tenth of the pitch")?;
         check("rest_m", self.rest_m, self.springs.limit_m, 1.0, "above the springs' limit")?;
+        if let Some(z_m) = self.plate_m {
+            check("plate_m", z_m, -10.0, -1e-3, "-10 to -0.001: below the coils")?;
+        }
         self.memory.as_ref().map_or(Ok(()), Memory::check)
     }
 }
@@ -211,7 +255,7 @@ pub struct EmSkin {
     bodies: Bodies,
     state: PressureState,
     /// Mutual inductances without elements, henries.
-    mutuals_h: Vec<f64>,
+    mutuals_h: Vec<Complex>,
     rest_m: Vec<f64>,
     volts_per_h: f64,
     side_m: f64,
@@ -231,7 +275,10 @@ impl EmSkin {
         options.check()?;
         let grid = SpringGrid::new(options.springs, options.per_side, options.pitch_m)?;
         let body = options.body()?;
-        let coils = options.array.coils()?;
+        let mut coils = options.array.coils()?;
+        if let Some(z_m) = options.plate_m {
+            coils = coils.with_shield(z_m);
+        }
         let tables = CoilTables::new(&coils, grid.places_m(), options.range_m(), body.radius_m)?;
         let count = grid.places_m().len();
         let bodies = Bodies::new(vec![body; count], tables, options.coupling)?;
@@ -241,7 +288,11 @@ impl EmSkin {
             options.tolerance_m * value.clamp(-4.0, 4.0)
         };
         let rest_m: Vec<f64> = (0..count).map(|_| options.rest_m + scatter()).collect();
-        let mutuals_h = coils.mutuals_h();
+        let mut mutuals_h: Vec<Complex> = coils.mutuals_h().iter().map(|m| Complex::new(*m, 0.0)).collect();
+        if let Some(metal) = &options.nearby {
+            let changes = metal.changes_h(&coils, options.frequency_hz)?;
+            mutuals_h.iter_mut().zip(changes).for_each(|(m, change)| *m += change);
+        }
         Ok(Self {
             state: PressureState::new(options.memory, count),
             forces_n: vec![0.0; count],
@@ -296,7 +347,8 @@ impl EmSkin {
             *height = rest - travel;
         }
         // A skin that is left alone, or held still, costs nothing.
-        if self.solved_m != self.heights_m {
+        let moved = |(now, solved): (&f64, &f64)| (now - solved).abs() > STILL_M;
+        if self.solved_m.is_empty() || self.heights_m.iter().zip(&self.solved_m).any(moved) {
             self.bodies.changes(&self.heights_m, &mut self.changes_h)?;
             self.solved_m.clone_from(&self.heights_m);
         }

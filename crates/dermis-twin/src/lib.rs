@@ -31,7 +31,7 @@ pub mod piezo;
 pub mod scene;
 mod twin;
 
-pub use em::{EmArray, EmElement, EmOptions, EmSkin};
+pub use em::{EmArray, EmElement, EmOptions, EmSkin, NearbyMetal};
 pub use error::TwinError;
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};

@@ -1,17 +1,20 @@
 //! Difference data to images: the skin's operator for a reference, with missing channels filled in and the noise that
 //! reaches each pixel.
 
+mod elements;
 mod refine;
 
 use dermis_tomo::inverse::{
     Hyperparameter, LinearProblem, LiveOperator, MissingChannels, Operator, PriorMatrix, Weighting,
 };
+use dermis_tomo::mit::HeightsFit;
 use faer::MatRef;
 
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
-use crate::skin::{HyperparameterChoice, WeightChoice};
+use crate::skin::{HyperparameterChoice, Solve, WeightChoice};
+use elements::ElementImager;
 
 /// The live inverse of a skin: difference data in, image out.
 #[derive(Debug)]
@@ -25,6 +28,8 @@ pub struct Imager {
     inside: Vec<u32>,
     grid_len: usize,
     missing: Option<MissingChannels>,
+    /// Solves for elements in place of the operator, where the skin file says so.
+    elements: Option<ElementImager>,
     scratch: Scratch,
 }
 
@@ -60,7 +65,12 @@ impl Prepared {
             }
         };
         let lambda = problem.choose(&rule, &informative(data))?;
-        self.imager_from(problem, lambda, &reference.noise, self.skin.imaging.polarity.sign())
+        let mut imager = self.imager_from(problem, lambda, &reference.noise, self.skin.imaging.polarity.sign())?;
+        if self.skin.imaging.solve == Solve::Heights {
+            imager.elements = Some(self.element_imager(&reference.noise)?);
+            imager.set_noise(&reference.noise)?;
+        }
+        Ok(imager)
     }
 
     /// As [`Prepared::imager`], from a problem made elsewhere (a calibrated one) at a given lambda; `polarity` is the sign
@@ -85,6 +95,7 @@ impl Prepared {
             inside: self.map.inside_pixels().to_vec(),
             grid_len: self.map.grid().len(),
             missing: None,
+            elements: None,
             scratch: Scratch::default(),
             problem,
             operator,
@@ -181,14 +192,28 @@ impl Imager {
     pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
         self.operator = self.problem.operator(lambda)?;
         self.live = LiveOperator::new(&self.operator, self.polarity);
-        self.pixel_noise = pixel_noise(&self.operator, noise);
         self.missing = None;
-        Ok(())
+        self.set_noise(noise)
     }
 
     /// Replaces the channel noise that the image noise is worked out from.
-    pub fn set_noise(&mut self, noise: &[f64]) {
-        self.pixel_noise = pixel_noise(&self.operator, noise);
+    ///
+    /// # Errors
+    /// Noise that is not positive, where elements are solved for.
+    pub fn set_noise(&mut self, noise: &[f64]) -> Result<(), Error> {
+        self.pixel_noise = match &mut self.elements {
+            Some(elements) => {
+                elements.set_noise(noise);
+                elements.noise_of_pixels()?
+            }
+            None => pixel_noise(&self.operator, noise),
+        };
+        Ok(())
+    }
+
+    /// Travel of the elements in the last frame, where these are solved for.
+    pub fn heights(&self) -> Option<&HeightsFit> {
+        self.elements.as_ref().and_then(ElementImager::fit)
     }
 
     /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the
@@ -217,7 +242,7 @@ impl Imager {
     }
 
     /// Images one frame of difference data (model volts, `NaN` where missing) into a row-major image, `NaN` outside.
-    /// Allocates only when the set of missing channels changes.
+    /// Allocates only when the set of missing channels changes, and where elements are solved for.
     ///
     /// # Errors
     /// All channels missing, or lengths that do not fit.
@@ -251,10 +276,14 @@ impl Imager {
                 missing.fill_in(&mut scratch.filled);
             }
         }
-        scratch.single.clear();
-        scratch.single.extend(scratch.filled.iter().map(|v| *v as f32));
         scratch.image.resize(self.live.unknowns(), 0.0);
-        self.live.apply(&scratch.single, &mut scratch.image);
+        if let Some(elements) = &mut self.elements {
+            elements.image(&scratch.filled, &mut scratch.image)?;
+        } else {
+            scratch.single.clear();
+            scratch.single.extend(scratch.filled.iter().map(|v| *v as f32));
+            self.live.apply(&scratch.single, &mut scratch.image);
+        }
         image.fill(f32::NAN);
         self.scatter(&scratch.image, image);
         Ok(())

@@ -9,6 +9,7 @@
 //! ```
 
 pub mod acquire;
+pub mod bodies;
 pub mod calibrate;
 pub mod case;
 pub mod channels;

@@ -204,14 +204,14 @@ impl Pipeline {
     fn renew(&mut self) -> Result<(), Error> {
         let reference = self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?;
         if let Some(ready) = &mut self.ready {
-            ready.imager.set_noise(&reference.noise);
+            ready.imager.set_noise(&reference.noise)?;
             ready.touches.set_noise(ready.imager.noise_image());
             ready.reference = reference;
             return Ok(());
         }
         let CalibratedImager { mut imager, reference, placement } = match self.prebuilt.take() {
             Some(mut imager) => {
-                imager.set_noise(&reference.noise);
+                imager.set_noise(&reference.noise)?;
                 CalibratedImager { imager, reference, placement: None }
             }
             None => self.prepared.calibrated_imager(self.calibration.as_ref(), reference, &[])?,

@@ -3,7 +3,7 @@
 
 use dermis_twin::instrument::{InstrumentOptions, Reading};
 use dermis_twin::scene::Script;
-use dermis_twin::{EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
+use dermis_twin::{EmArray, EmElement, EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
 use crate::skin::{Reads, Skin};
@@ -96,9 +96,8 @@ impl TwinKit {
             "piezo-square" => Self::piezo(PiezoOptions::square(), skin, 1.5),
             "piezo-disc" => Self::piezo(PiezoOptions::disc(), skin, 1.2),
             "piezo-cylinder" => Self::piezo(PiezoOptions::cylinder(), skin, 1.5),
-            "em-8" => Self::em(EmOptions::em_8(), skin, SPONGE, 1.0),
-            "em-16-circular" => Self::em(EmOptions::em_16_circular(), skin, SPRINGS, 2.8),
-            "em-16-square" => Self::em(EmOptions::em_16_square(), skin, SPRINGS, 2.8),
+            "em-8" => Self::em(skin, SPONGE, 1.0),
+            "em-16-circular" | "em-16-square" => Self::em(skin, SPRINGS, 2.8),
             other => Err(Error::Frames {
                 what: "twin".into(),
                 expected: format!("a skin that has one ({})", TWIN_NAMES.join(", ")),
@@ -127,10 +126,8 @@ impl TwinKit {
     }
 
     /// Elements over coils, `length` times as large as the sandwich.
-    fn em(mut options: EmOptions, skin: &Skin, press: PressRange, length: f64) -> Result<Self, Error> {
-        options.instrument = as_the_skin_reads(options.instrument, skin);
-        options.seed = skin.twin.seed.unwrap_or(options.seed);
-        Ok(Self::pressed(Twin::em(&options)?.boxed(), press, length))
+    fn em(skin: &Skin, press: PressRange, length: f64) -> Result<Self, Error> {
+        Ok(Self::pressed(Twin::em(&em_options(skin)?)?.boxed(), press, length))
     }
 
     /// A skin of loose patches, `length` times as large as the sandwich.
@@ -139,6 +136,32 @@ impl TwinKit {
         options.seed = skin.twin.seed.unwrap_or(options.seed);
         Ok(Self::pressed(Twin::piezo(&options)?.boxed(), PATCHES, length))
     }
+}
+
+/// Parameters of the twin of a skin of magnetic induction: coils, elements, current and frequency as the file says, its
+/// elements' answer from edge elements ([`crate::bodies`]); mechanics and noise those of the published skin of that array.
+///
+/// # Errors
+/// A skin without coils and elements, a body that cannot be computed.
+pub fn em_options(skin: &Skin) -> Result<EmOptions, Error> {
+    let model = skin.magnetic()?;
+    let mut options = match skin.frontend.coils.map(|coils| coils.array) {
+        Some(EmArray::Em16Circular) => EmOptions::em_16_circular(),
+        Some(EmArray::Em16Square) => EmOptions::em_16_square(),
+        Some(EmArray::Em8) | None => EmOptions::em_8(),
+    };
+    let elements = model.elements;
+    options.plate_m = skin.frontend.coils.and_then(|coils| coils.shield_mm).map(|z_mm| z_mm * 1e-3);
+    options.per_side = elements.per_side;
+    (options.pitch_m, options.rest_m) = (elements.pitch_mm * 1e-3, elements.rest_mm * 1e-3);
+    options.springs.limit_m = elements.travel_mm * 1e-3;
+    options.element = EmElement::Body(model.element.body(model.frequency_hz)?);
+    options.frequency_hz = model.frequency_hz;
+    options.current_a = skin.backend.current_ma * 1e-3;
+    options.frame_rate_hz = skin.backend.frames_per_s.unwrap_or(options.frame_rate_hz);
+    options.instrument = as_the_skin_reads(options.instrument, skin);
+    options.seed = skin.twin.seed.unwrap_or(options.seed);
+    Ok(options)
 }
 
 /// An instrument that reports what the skin file says its backend reads.

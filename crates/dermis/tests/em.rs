@@ -1,12 +1,14 @@
 //! The EM-skins from file to touches: their files and twins agree, single presses are found on the right element under the
 //! model's and the measured Jacobian.
 
+use dermis::bodies::{Element, builtin_records};
 use dermis::calibrate::Pokes;
 use dermis::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis::skin::{ElementShape, Skin, Solve};
+use dermis::twins::em_options;
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
-use dermis_twin::{EmOptions, EmSkin, Frontend, Twin};
+use dermis_twin::{EmElement, EmOptions, EmSkin, Frontend, Twin};
 
 /// Half the pitch of the elements: nearer than this to an element is nearest to it.
 const HALF_PITCH_M: f64 = 0.01;
@@ -36,6 +38,7 @@ fn files_and_twins_agree() {
     ] {
         let skin = Skin::open(name).unwrap();
         let model = skin.magnetic().unwrap();
+        let made = em_options(&skin).unwrap();
         let elements = model.elements;
         assert_eq!(skin.frontend.coils.unwrap().array, options.array);
         assert_eq!(elements.per_side, options.per_side);
@@ -43,6 +46,8 @@ fn files_and_twins_agree() {
         assert!((1e-3 * elements.rest_mm - options.rest_m).abs() < 1e-12);
         assert!((1e-3 * elements.travel_mm - options.springs.limit_m).abs() < 1e-12);
         assert!((model.body.radius_m / options.body().unwrap().radius_m - 1.0).abs() < 1e-12);
+        // The twin is the published one but for what its elements are.
+        assert_eq!(EmOptions { element: options.element.clone(), ..made }, options);
         assert!((skin.backend.frames_per_s.unwrap() - options.frame_rate_hz).abs() < 1e-12);
         let coils = model.array.coils().len();
         assert_eq!(skin.protocol().unwrap().channel_count(), coils * (coils - 1) / 2);
@@ -54,28 +59,40 @@ fn files_and_twins_agree() {
 fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
     let skin = Skin::open("em-8").unwrap();
     let places = skin.frontend.elements.unwrap().places_m();
+    let options = em_options(&skin).unwrap();
+    assert!(matches!(options.element, EmElement::Body(_)));
     let prepared = Prepared::new(skin).unwrap();
-    let (mut twin, mut instrument, _) = Twin::em(&EmOptions::em_8()).unwrap().into_parts();
+    let (mut twin, mut instrument, _) = Twin::em(&options).unwrap().into_parts();
     let rest: Vec<Vec<f64>> = (0..50).map(|_| read(&mut twin, &mut instrument, &[])).collect();
-    let mut settled = |force_n: f64| -> Vec<Vec<f64>> {
+    // The mean of so many frames of each element pressed, after rest and after the mechanics settled.
+    let mut settled = |force_n: f64, count: usize| -> Vec<Vec<f64>> {
         let one = |place: &[f64; 2]| {
             (0..9).for_each(|_| drop(read(&mut twin, &mut instrument, &[])));
-            (0..4).map(|_| read(&mut twin, &mut instrument, &[press(*place, force_n)])).next_back().unwrap()
+            let indenters = [press(*place, force_n)];
+            (0..3).for_each(|_| drop(read(&mut twin, &mut instrument, &indenters)));
+            let frames: Vec<Vec<f64>> = (0..count).map(|_| read(&mut twin, &mut instrument, &indenters)).collect();
+            (0..frames[0].len()).map(|c| frames.iter().map(|f| f[c]).sum::<f64>() / count as f64).collect()
         };
         places.iter().map(one).collect()
     };
     // As published: each of the 25 elements once, 25 x 28; then again and harder, to be found.
     let pokes = Pokes { positions_m: places.clone(), loads: None };
-    let calibration = prepared.calibrate(&rest, &settled(1.5), &pokes).unwrap();
-    let frames = settled(2.0);
-    for (name, calibration) in [("model", None), ("measured", Some(&calibration))] {
+    let calibration = prepared.calibrate(&rest, &settled(1.5, 10), &pokes).unwrap();
+    let frames = settled(2.0, 1);
+    let mut pixels = prepared;
+    pixels.skin.imaging.solve = Solve::Pixels;
+    let mut heights = Prepared::new(pixels.skin.clone()).unwrap();
+    heights.skin.imaging.solve = Solve::Heights;
+    for (name, prepared, calibration) in
+        [("model", &pixels, None), ("heights", &heights, None), ("measured", &pixels, Some(&calibration))]
+    {
         let reference = prepared.reference(&rest).unwrap();
         let mut calibrated = prepared.calibrated_imager(calibration, reference, &[]).unwrap();
         let mut image = vec![f32::NAN; prepared.map.grid().len()];
         let mut worst: f64 = 0.0;
         for (place, frame) in places.iter().zip(&frames) {
             calibrated.imager.image(&calibrated.reference.difference(frame, None), &mut image).unwrap();
-            let peak = peak_m(&prepared, &image);
+            let peak = peak_m(prepared, &image);
             worst = worst.max((peak[0] - place[0]).hypot(peak[1] - place[1]));
         }
         println!("{name}: worst {:.1} mm", 1e3 * worst);
@@ -97,4 +114,42 @@ fn files_that_mix_coils_and_electrodes_are_refused() {
     refused("frequency_khz = 55.0", "frequency_khz = 5500.0", "backend.frequency_khz");
     refused("travel_mm = 11.0", "travel_mm = 21.0", "frontend.elements.travel_mm");
     refused("pitch_mm = 20.0", "pitch_mm = -1.0", "frontend.elements.pitch_mm");
+}
+
+#[test]
+fn kept_bodies_are_those_that_edge_elements_give() {
+    let records = builtin_records().unwrap();
+    assert_eq!(records.len(), 16);
+    // The quickest to compute; all come from one program.
+    let record = records.iter().find(|record| record.frequency_hz == 1e3).unwrap();
+    let again = record.element.compute(1e3).unwrap();
+    let (kept, now) = (record.body().unwrap(), again.body().unwrap());
+    let largest = now.tau().iter().map(|t| t.norm()).fold(0.0, f64::max);
+    // Rounding of another order of sums, through 13 to 23 iterations that end at 1e-8.
+    let off = kept.tau().iter().zip(now.tau()).map(|(a, b)| (*a - *b).norm()).fold(0.0, f64::max);
+    assert!(off < 1e-6 * largest, "{off:e} of {largest:e}");
+}
+
+#[test]
+fn bodies_are_computed_once_and_damaged_files_anew() {
+    let cache = tempfile::tempdir().unwrap();
+    let shape = ElementShape::Plate { side_mm: 8.0, height_mm: 2.0 };
+    let plate = Element { shape, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
+    let body = plate.body_cached(1e3, Some(cache.path())).unwrap();
+    let files: Vec<_> = std::fs::read_dir(cache.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(files.len(), 1);
+    let text = std::fs::read_to_string(&files[0]).unwrap();
+    // What is kept is used, even if it was changed by hand to be told apart.
+    let other = text.replace("\"tau\":[[0,0,-", "\"tau\":[[0,0,");
+    std::fs::write(&files[0], &other).unwrap();
+    assert!(other != text && plate.body_cached(1e3, Some(cache.path())).unwrap() != body);
+    for damaged in [&text[..text.len() / 2], "", &text.replace("\"frequency_hz\":1000.0", "\"frequency_hz\":2000.0")] {
+        std::fs::write(&files[0], damaged).unwrap();
+        assert!(plate.body_cached(1e3, Some(cache.path())).unwrap() == body);
+        assert_eq!(std::fs::read_to_string(&files[0]).unwrap(), text);
+    }
+    // Nowhere to keep it: computed all the same.
+    assert!(plate.body_cached(1e3, None).unwrap() == body);
+    let error = Element { conductivity_s_per_m: -1.0, ..plate }.body_cached(1e3, None).unwrap_err().to_string();
+    assert!(error.contains("-1"), "{error}");
 }

@@ -125,11 +125,29 @@ impl Heights {
         deviations_h: &[f64],
         options: &HeightsOptions,
     ) -> Result<HeightsFit, MitError> {
+        self.solve_from(&vec![0.0; self.count()], differences_h, deviations_h, options)
+    }
+
+    /// The same from travels that are thought to be near, as those of the frame before: fewer steps.
+    ///
+    /// # Errors
+    /// As [`Heights::solve`].
+    pub fn solve_from(
+        &mut self,
+        start_m: &[f64],
+        differences_h: &[f64],
+        deviations_h: &[f64],
+        options: &HeightsOptions,
+    ) -> Result<HeightsFit, MitError> {
         let weights = self.weights(differences_h, deviations_h, options)?;
         let (prior, pull) = (options.prior_m.powi(-2), 1.0 / options.mean_m);
         let count = self.count();
-        let mut travel = vec![0.0; count];
-        let mut residual: Vec<f64> = differences_h.to_vec();
+        if start_m.len() != count {
+            return Err(MitError::Count { what: "travels", expected: count, got: start_m.len() });
+        }
+        let mut travel: Vec<f64> = start_m.iter().map(|t| t.clamp(0.0, self.limit_m)).collect();
+        let predicted = self.differences_h(&travel)?;
+        let mut residual: Vec<f64> = differences_h.iter().zip(&predicted).map(|(d, p)| d - p).collect();
         let cost = |residual: &[f64], travel: &[f64]| -> f64 {
             residual.iter().zip(&weights).map(|(r, w)| w * r * r).sum::<f64>()
                 + travel.iter().map(|t| prior * t * t + 2.0 * pull * t).sum::<f64>()

@@ -1,5 +1,6 @@
 //! A twin on the bench: pressed with known forces, read with noise, imaged as its skin file says.
 
+use dermis_tomo::mit::HeightsFit;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::{Contact, Observation};
 use dermis_twin::Frontend;
@@ -132,6 +133,27 @@ impl Rig {
         let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
         self.imager.image(&self.reference.difference(frame, None), &mut image)?;
         Ok(image)
+    }
+
+    /// Travel of the elements in the image made last, where these are solved for.
+    pub fn heights(&self) -> Option<&HeightsFit> {
+        self.imager.heights()
+    }
+
+    /// Takes differences against another reference from now on.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.reference = reference;
+    }
+
+    /// How far from a place an image has its values: root mean square distance weighted with their squares, millimetres.
+    pub fn spread_mm(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
+        let columns = self.columns();
+        let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());
+        let (moment, total) = finite.fold((0.0, 0.0), |(moment, total), (index, value)| {
+            let (at, weight) = (self.pixel_m(index, columns), f64::from(*value).powi(2));
+            (moment + weight * ((at[0] - x).powi(2) + (at[1] - y).powi(2)), total + weight)
+        });
+        1e3 * (moment / total).sqrt()
     }
 
     /// Touches of the image made last ([`Rig::image`]), which has nothing to do with the one before, strongest first.

@@ -11,12 +11,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{DrivePattern, MeasurePattern, Reads, Skin, refused};
 use crate::Error;
+use crate::bodies::Element;
 
 const MM: f64 = 1e-3;
 /// Half the distance over which fields are differentiated by height, metres.
 const STEP_M: f64 = 1e-4;
 /// Width of an element in the image relative to the pitch: standard deviation of a Gaussian.
-const ELEMENT_WIDTH: f64 = 0.25;
+pub(crate) const ELEMENT_WIDTH: f64 = 0.25;
 /// Standard deviations beyond which it counts as zero.
 const REACH: f64 = 4.0;
 /// Most elements along a side.
@@ -28,6 +29,9 @@ const MOST_PER_SIDE: usize = 32;
 pub struct Coils {
     /// One of the published arrays.
     pub array: EmArray,
+    /// Height of a conducting plate beneath, as a shield or the robot's arm; below 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shield_mm: Option<f64>,
 }
 
 /// Conducting elements that a touch moves toward the coils: a square grid around the skin's middle, numbered row by row from
@@ -56,11 +60,18 @@ pub enum ElementShape {
         /// Its diameter.
         diameter_mm: f64,
     },
-    /// An upright cylinder; modelled as the sphere of its volume.
+    /// An upright cylinder; in the model of images the sphere of its volume.
     Cylinder {
         /// Its diameter.
         diameter_mm: f64,
         /// Its height.
+        height_mm: f64,
+    },
+    /// A square plate that lies, sides along x and y; in the model of images the sphere of its volume.
+    Plate {
+        /// Its side.
+        side_mm: f64,
+        /// Its thickness.
         height_mm: f64,
     },
 }
@@ -71,11 +82,26 @@ impl ElementShape {
         match self {
             Self::Sphere { diameter_mm } => 0.5 * diameter_mm * MM,
             Self::Cylinder { diameter_mm, height_mm } => (0.1875 * diameter_mm * diameter_mm * height_mm).cbrt() * MM,
+            Self::Plate { side_mm, height_mm } => {
+                (0.75 / std::f64::consts::PI * side_mm * side_mm * height_mm).cbrt() * MM
+            }
         }
     }
 }
 
 impl Coils {
+    /// The array over its shield.
+    ///
+    /// # Errors
+    /// None with the published numbers.
+    pub fn coils(&self) -> Result<CoilArray, Error> {
+        let array = self.array.coils()?;
+        Ok(match self.shield_mm {
+            Some(z_mm) => array.with_shield(z_mm * MM),
+            None => array,
+        })
+    }
+
     /// Outlines of the coils, for drawing; none where the array cannot be made.
     pub fn outlines(&self) -> Vec<ElectrodeShape> {
         let (round, width_m) = match self.array {
@@ -110,8 +136,12 @@ pub struct MagneticModel {
     pub array: CoilArray,
     /// The elements.
     pub elements: Elements,
-    /// One element at the drive frequency.
+    /// What each is.
+    pub element: Element,
+    /// The sphere of its volume at the drive frequency.
     pub body: Body,
+    /// Of the drive.
+    pub frequency_hz: f64,
     /// Volts read for a mutual inductance of one henry: `2 pi f I`.
     pub volts_per_h: f64,
 }
@@ -130,16 +160,28 @@ impl Skin {
         let coils = self.frontend.coils.ok_or_else(|| missing("frontend.coils"))?;
         let elements = self.frontend.elements.ok_or_else(|| missing("frontend.elements"))?;
         let frequency_hz = 1e3 * self.backend.frequency_khz.ok_or_else(|| missing("backend.frequency_khz"))?;
+        let element = self.element().ok_or_else(|| missing("frontend.elements"))?;
         let sphere = Sphere {
             radius_m: elements.shape.volume_radius_m(),
-            conductivity_s_per_m: self.frontend.layer.conductivity_s_per_m,
-            relative_permeability: 1.0,
+            conductivity_s_per_m: element.conductivity_s_per_m,
+            relative_permeability: element.relative_permeability,
         };
         Ok(MagneticModel {
-            array: coils.array.coils()?,
+            array: coils.coils()?,
             elements,
+            element,
             body: Body::sphere(&sphere, frequency_hz)?,
+            frequency_hz,
             volts_per_h: std::f64::consts::TAU * frequency_hz * self.backend.current_ma * 1e-3,
+        })
+    }
+
+    /// What each element is, as far as fields go; `None` for skins without.
+    pub fn element(&self) -> Option<Element> {
+        self.frontend.elements.map(|elements| Element {
+            shape: elements.shape,
+            conductivity_s_per_m: self.frontend.layer.conductivity_s_per_m,
+            relative_permeability: 1.0,
         })
     }
 
@@ -182,7 +224,7 @@ impl Skin {
     }
 
     pub(super) fn check_magnetic(&self, file: &str) -> Result<(), Error> {
-        let (Some(_), Some(elements)) = (self.frontend.coils, self.frontend.elements) else {
+        let (Some(coils), Some(elements)) = (self.frontend.coils, self.frontend.elements) else {
             return Err(refused(file, "frontend.coils", "left out", "coils and elements with modality = \"mit\""));
         };
         if !self.frontend.electrodes.are_none() || self.frontend.contact_impedance_ohm_m2 != 0.0 {
@@ -194,6 +236,9 @@ impl Skin {
         if !(1..=MOST_PER_SIDE).contains(&elements.per_side) {
             let expected = format!("1 to {MOST_PER_SIDE}");
             return Err(refused(file, "frontend.elements.per_side", elements.per_side, &expected));
+        }
+        if let Some(z_mm) = coils.shield_mm.filter(|z| !(-1e4..=-1.0).contains(z)) {
+            return Err(refused(file, "frontend.coils.shield_mm", z_mm, "-10000 to -1: beneath the coils"));
         }
         let radius_mm = elements.shape.volume_radius_m() / MM;
         let positive = [

@@ -10,6 +10,7 @@ mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
 pub use twin::{StuckChannel, TwinFaults, TwinSettings};
@@ -412,6 +413,8 @@ pub struct Imaging {
     pub elements: usize,
     /// What is expected of an image.
     pub prior: PriorChoice,
+    /// What images are solved for.
+    pub solve: Solve,
     /// How lambda is found.
     pub hyperparameter: HyperparameterChoice,
     /// How much each channel counts.
@@ -431,6 +434,7 @@ impl Default for Imaging {
             grid: 64,
             elements: 4000,
             prior: PriorChoice::default(),
+            solve: Solve::default(),
             hyperparameter: HyperparameterChoice::default(),
             weights: WeightChoice::default(),
             gain: GainMatch::default(),
@@ -438,6 +442,17 @@ impl Default for Imaging {
             refinement: None,
         }
     }
+}
+
+/// What images are solved for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solve {
+    /// Pixels, by one linear operator.
+    #[default]
+    Pixels,
+    /// The travel of every element of a magnetic induction skin, by a nonlinear fit.
+    Heights,
 }
 
 /// Priors by name.
@@ -742,6 +757,9 @@ impl Skin {
         }
         if self.backend.drive == DrivePattern::EachCoil || self.backend.measure == MeasurePattern::HigherCoils {
             return Err(refused(file, "backend.drive", "coils", "a pattern of electrodes with modality = \"eit\""));
+        }
+        if self.imaging.solve == Solve::Heights {
+            return Err(refused(file, "imaging.solve", "heights", "pixels, except with modality = \"mit\""));
         }
         Ok(electrodes)
     }

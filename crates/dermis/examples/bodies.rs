@@ -1,0 +1,26 @@
+//! Makes `skins/bodies.json`, the answers of the built-in skins' elements, by edge elements:
+//! `cargo run --release -p dermis --example bodies > skins/bodies.json`. Times go to standard error.
+
+use std::time::Instant;
+
+use dermis::skin::Skin;
+
+/// Frequencies of the sweep, in Hz: the published band and the two frequencies of the skins.
+const FREQUENCIES_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!("[");
+    let last = FREQUENCIES_HZ.len() - 1;
+    for (name, end) in [("em-8", ","), ("em-16-circular", "")] {
+        let element = Skin::open(name)?.element().ok_or("a skin without elements")?;
+        for (k, frequency_hz) in FREQUENCIES_HZ.into_iter().enumerate() {
+            let start = Instant::now();
+            let record = element.compute(frequency_hz)?;
+            let comma = if k == last { end } else { "," };
+            println!("{}{comma}", serde_json::to_string(&record)?);
+            eprintln!("{name} {frequency_hz} Hz: {:.2} s", start.elapsed().as_secs_f64());
+        }
+    }
+    println!("]");
+    Ok(())
+}

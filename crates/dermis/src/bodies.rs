@@ -1,0 +1,218 @@
+//! The bodies that elements of magnetic induction skins are for the fields: their multipole matrices tau come from edge
+//! elements once for a shape, a material and a frequency (seconds), and are kept: those of the built-in skins in the program,
+//! all others in a directory of the user's.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use dermis_tomo::mit::edge::{Material, Shape, body_tau};
+use dermis_tomo::mit::{Body, Complex, HARMONICS, Sphere};
+use serde::{Deserialize, Serialize};
+use tracing::{info, warn};
+
+use crate::Error;
+use crate::skin::ElementShape;
+
+/// What [`BodyRecord::format`] says.
+const FORMAT: &str = "dermis-body-1";
+/// Relative differences of keys that count as none.
+const SAME: f64 = 1e-12;
+/// Harmonics are numbered from 0 in the files, entries below the diagonal are left out, as are zeros.
+type Entry = (usize, usize, f64, f64);
+
+const MM: f64 = 1e-3;
+
+/// A body of metal.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Element {
+    /// Its shape, upright.
+    pub shape: ElementShape,
+    /// Its conductivity.
+    pub conductivity_s_per_m: f64,
+    /// Its permeability over that of vacuum, 1 where it is not magnetic.
+    pub relative_permeability: f64,
+}
+
+/// An element's tau on disk.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BodyRecord {
+    /// `dermis-body-1`.
+    pub format: String,
+    /// Of what.
+    pub element: Element,
+    /// At which frequency.
+    pub frequency_hz: f64,
+    /// Row, column, real and imaginary part of the entries on and above the diagonal that are not zero; harmonics in the order
+    /// of [`dermis_tomo::mit::regular`], counted from 0; entry (i, j) in H.m^(li + lj).
+    pub tau: Vec<Entry>,
+}
+
+impl Element {
+    /// Its answer at a frequency: closed form for a ball, else from the program's own records, the cache, or edge elements, in
+    /// this order; what was computed goes into the cache.
+    ///
+    /// # Errors
+    /// Sizes, conductivity or permeability that make no sense, a frequency outside 1 Hz to 1 MHz. A cache that cannot be read
+    /// or written is only warned of.
+    pub fn body(&self, frequency_hz: f64) -> Result<Body, Error> {
+        self.body_cached(frequency_hz, cache_directory().as_deref())
+    }
+
+    /// The same with a cache of one's own, or none.
+    ///
+    /// # Errors
+    /// As [`Element::body`].
+    pub fn body_cached(&self, frequency_hz: f64, cache: Option<&Path>) -> Result<Body, Error> {
+        if let ElementShape::Sphere { diameter_mm } = self.shape {
+            let sphere = Sphere {
+                radius_m: 0.5 * diameter_mm * MM,
+                conductivity_s_per_m: self.conductivity_s_per_m,
+                relative_permeability: self.relative_permeability,
+            };
+            return Ok(Body::sphere(&sphere, frequency_hz)?);
+        }
+        if let Some(record) = builtin_records()?.iter().find(|record| record.is_of(self, frequency_hz)) {
+            return record.body();
+        }
+        let file = cache.map(|directory| directory.join(self.file_name(frequency_hz)));
+        if let Some(body) = file.as_deref().and_then(|file| self.read(frequency_hz, file)) {
+            return Ok(body);
+        }
+        info!("computing the answer of {} at {frequency_hz} Hz, once", self.name());
+        let record = self.compute(frequency_hz)?;
+        if let Some(file) = &file
+            && let Err(error) = write(file, &record)
+        {
+            warn!("cannot keep {}: {error}", file.display());
+        }
+        record.body()
+    }
+
+    /// By edge elements of second order ([`body_tau`]); seconds.
+    ///
+    /// # Errors
+    /// As [`Element::body`].
+    pub fn compute(&self, frequency_hz: f64) -> Result<BodyRecord, Error> {
+        let material = Material {
+            conductivity_s_per_m: self.conductivity_s_per_m,
+            relative_permeability: self.relative_permeability,
+        };
+        let body = body_tau(&self.shape.solid(), &material, frequency_hz)?;
+        let tau = (0..HARMONICS)
+            .flat_map(|i| (i..HARMONICS).map(move |j| (i, j)))
+            .map(|(i, j)| (i, j, body.tau()[i * HARMONICS + j]))
+            .filter(|(.., value)| value.norm() > 0.0)
+            .map(|(i, j, value)| (i, j, value.re, value.im))
+            .collect();
+        Ok(BodyRecord { format: FORMAT.into(), element: *self, frequency_hz, tau })
+    }
+
+    fn read(&self, frequency_hz: f64, file: &Path) -> Option<Body> {
+        let text = match fs::read_to_string(file) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+            Err(error) => {
+                warn!("cannot read {}: {error}; computing anew", file.display());
+                return None;
+            }
+        };
+        let found = serde_json::from_str::<BodyRecord>(&text).map_err(|error| error.to_string()).and_then(|record| {
+            if record.format != FORMAT || !record.is_of(self, frequency_hz) {
+                return Err("it is of another element, frequency or version".into());
+            }
+            record.body().map_err(|error| error.to_string())
+        });
+        found.map_err(|error| warn!("{} is of no use: {error}; computing anew", file.display())).ok()
+    }
+
+    fn name(&self) -> String {
+        match self.shape {
+            ElementShape::Sphere { diameter_mm } => format!("sphere-{diameter_mm}mm"),
+            ElementShape::Cylinder { diameter_mm, height_mm } => format!("cylinder-{diameter_mm}x{height_mm}mm"),
+            ElementShape::Plate { side_mm, height_mm } => format!("plate-{side_mm}x{height_mm}mm"),
+        }
+    }
+
+    fn file_name(&self, frequency_hz: f64) -> String {
+        let Self { conductivity_s_per_m, relative_permeability, .. } = self;
+        format!("{}-{conductivity_s_per_m:e}-mu{relative_permeability}-{frequency_hz}Hz.json", self.name())
+    }
+}
+
+impl BodyRecord {
+    fn is_of(&self, element: &Element, frequency_hz: f64) -> bool {
+        let key = |e: &Element, f: f64| {
+            let (kind, a, b) = match e.shape {
+                ElementShape::Sphere { diameter_mm } => (0.0, diameter_mm, diameter_mm),
+                ElementShape::Cylinder { diameter_mm, height_mm } => (1.0, diameter_mm, height_mm),
+                ElementShape::Plate { side_mm, height_mm } => (2.0, side_mm, height_mm),
+            };
+            [kind, a, b, e.conductivity_s_per_m, e.relative_permeability, f]
+        };
+        let (a, b) = (key(&self.element, self.frequency_hz), key(element, frequency_hz));
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * b.abs())
+    }
+
+    /// As a body over coils.
+    ///
+    /// # Errors
+    /// Entries that do not exist, numbers that are not finite.
+    pub fn body(&self) -> Result<Body, Error> {
+        let mut tau = vec![Complex::new(0.0, 0.0); HARMONICS * HARMONICS];
+        for &(i, j, re, im) in &self.tau {
+            if i > j || j >= HARMONICS {
+                return Err(Error::Frames {
+                    what: format!("tau of {}", self.element.name()),
+                    expected: format!("entries on or above the diagonal of {HARMONICS} harmonics"),
+                    got: format!("({i}, {j})"),
+                });
+            }
+            tau[i * HARMONICS + j] = Complex::new(re, im);
+            tau[j * HARMONICS + i] = Complex::new(re, im);
+        }
+        Ok(Body::from_tau(self.element.name(), self.element.shape.solid().radius_m(), tau)?)
+    }
+}
+
+impl ElementShape {
+    /// The body, metres.
+    pub fn solid(&self) -> Shape {
+        match *self {
+            Self::Sphere { diameter_mm } => Shape::Sphere { radius_m: 0.5 * diameter_mm * MM },
+            Self::Cylinder { diameter_mm, height_mm } => {
+                Shape::Cylinder { radius_m: 0.5 * diameter_mm * MM, height_m: height_mm * MM }
+            }
+            Self::Plate { side_mm, height_mm } => Shape::Plate { size_m: [side_mm * MM, side_mm * MM, height_mm * MM] },
+        }
+    }
+}
+
+/// Those that come with the program: of the built-in skins, and the larger of their two kinds from 1 to 100 kHz.
+///
+/// # Errors
+/// None, as a test sees to.
+pub fn builtin_records() -> Result<Vec<BodyRecord>, Error> {
+    serde_json::from_str(include_str!("../../../skins/bodies.json")).map_err(|error| Error::Frames {
+        what: "skins/bodies.json".into(),
+        expected: "records of bodies".into(),
+        got: error.to_string(),
+    })
+}
+
+/// `$DERMIS_CACHE`, or `dermis` in the user's directory for caches; none where there is neither.
+pub fn cache_directory() -> Option<PathBuf> {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    set("DERMIS_CACHE")
+        .or_else(|| set("XDG_CACHE_HOME").map(|directory| directory.join("dermis")))
+        .or_else(|| set("HOME").map(|directory| directory.join(".cache/dermis")))
+}
+
+fn write(file: &Path, record: &BodyRecord) -> Result<(), Error> {
+    if let Some(directory) = file.parent() {
+        fs::create_dir_all(directory).map_err(Error::io(directory))?;
+    }
+    dermis_device::write_atomic(file, |out| Ok(serde_json::to_writer(out, record)?))?;
+    Ok(())
+}

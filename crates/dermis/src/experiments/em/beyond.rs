@@ -1,0 +1,157 @@
+//! What the paper could not do: the frequency that shows most, and metal that lies nearby.
+
+use dermis_tomo::mit::Sphere;
+use dermis_twin::instrument::Instrument;
+use dermis_twin::{EmElement, EmOptions, EmSkin, Frontend, NearbyMetal};
+
+use super::{Array, Bench, CIRCULAR, EIGHT, row};
+use crate::Error;
+use crate::experiments::{Curve, Figure, Kind, Report, Rig};
+use crate::skin::{Skin, Solve};
+use crate::twins::em_options;
+
+/// Of the sweep.
+const FREQUENCIES_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
+
+/// E12: how much one element in the middle, pressed by half its travel, changes the readings, as the root mean square over
+/// channels of their relative change, which is signal over noise where noise is a share of the reading.
+pub(super) fn sweep() -> Result<Report, Error> {
+    let (mut rows, mut curves) = (Vec::new(), Vec::new());
+    for array in [EIGHT, CIRCULAR] {
+        let skin = Skin::open(array.skin)?;
+        let element = skin.magnetic()?.element;
+        let mut points = Vec::new();
+        for frequency_hz in FREQUENCIES_HZ {
+            let body = EmElement::Body(element.body(frequency_hz)?);
+            let options =
+                EmOptions { frequency_hz, element: body, tolerance_m: 0.0, memory: None, ..em_options(&skin)? };
+            let mut frontend = EmSkin::new(&options)?;
+            let mut travel_m = vec![0.0; frontend.places_m().len()];
+            let (mut rest, mut pressed) = (vec![0.0; frontend.channel_count()], vec![0.0; frontend.channel_count()]);
+            frontend.read_at(&travel_m, &mut rest)?;
+            let middle = (options.per_side / 2) * options.per_side + options.per_side / 2;
+            travel_m[middle] = 0.5 * options.springs.limit_m;
+            frontend.read_at(&travel_m, &mut pressed)?;
+            let square: f64 = pressed.iter().zip(&rest).map(|(p, r)| (p / r - 1.0).powi(2)).sum();
+            points.push([1e-3 * frequency_hz, 1e3 * (square / rest.len() as f64).sqrt()]);
+        }
+        let best = points.iter().copied().fold([0.0, 0.0], |best, p| if p[1] > best[1] { p } else { best });
+        let at = |khz: f64| points.iter().find(|p| (p[0] - khz).abs() < 1e-9).map_or(f64::NAN, |p| p[1]);
+        rows.push(row(
+            format!("{}: frequency of the largest change", array.name),
+            "kHz",
+            None,
+            best[0],
+            Kind::Predicted,
+        ));
+        for khz in [1.0, 10.0, 20.0, 55.0, 100.0] {
+            rows.push(row(format!("{}: change at {khz} kHz", array.name), "per mille", None, at(khz), Kind::Predicted));
+        }
+        curves.push(Curve { name: array.name.into(), points, joined: true });
+    }
+    let title = "E12: change of the readings by one element half way down".into();
+    let figures = vec![Figure::Curves {
+        name: "sweep",
+        title,
+        x_label: "frequency (kHz)",
+        y_label: "rms relative change (per mille)",
+        curves,
+    }];
+    let notes = vec![
+        "Noise is taken as the same share of a reading at every frequency; an instrument's own noise decides between frequencies that differ little.".into(),
+    ];
+    Ok(Report { id: "E12", title: super::EXPERIMENTS[10].title, rows, figures, notes })
+}
+
+/// What lies nearby.
+#[derive(Clone, Copy)]
+struct Metal {
+    name: &'static str,
+    plate_mm: Option<f64>,
+    /// Whether the model knows of the plate.
+    known: bool,
+    ball: Option<NearbyMetal>,
+}
+
+/// E13: every element pressed with metal that was there from the start, which the model knows of or not; and the same metal
+/// come after the baseline.
+pub(super) fn metal() -> Result<Report, Error> {
+    let plate = |name, z_mm, known| Metal { name, plate_mm: Some(z_mm), known, ball: None };
+    let ball = |name, x_m| {
+        let sphere = Sphere { radius_m: 0.03, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
+        let ball = Some(NearbyMetal { sphere, centre_m: [x_m, 0.0, 0.03] });
+        Metal { name, plate_mm: None, known: false, ball }
+    };
+    let cases = [
+        plate("plate 80 mm below", -80.0, false),
+        plate("plate 40 mm below", -40.0, false),
+        plate("plate 20 mm below", -20.0, false),
+        plate("plate 40 mm below, known", -40.0, true),
+        plate("plate 20 mm below, known", -20.0, true),
+        plate("plate 10 mm below, known", -10.0, true),
+        ball("ball of 60 mm, 60 mm beside", 0.155),
+        ball("ball of 60 mm, 20 mm beside", 0.115),
+    ];
+    let mut clear = bench(EIGHT, Metal { name: "nothing", plate_mm: None, known: false, ball: None })?;
+    let mut rows = Vec::new();
+    let number = |name: &str, what: &str, unit, here| row(format!("{name}: {what}"), unit, None, here, Kind::Algorithm);
+    rows.push(number("nothing", "elements located, of 25", "", located(&mut clear)?));
+    let (mut changed, mut misfits) = (Vec::new(), Vec::new());
+    for case in cases {
+        let mut bench = bench(EIGHT, case)?;
+        rows.push(number(case.name, "elements located after a tare, of 25", "", located(&mut bench)?));
+        if case.known {
+            continue;
+        }
+        let (now, before) = (&bench.rig.reference().baseline, &clear.rig.reference().baseline);
+        let square: f64 = now.iter().zip(before).map(|(n, b)| (n / b - 1.0).powi(2)).sum();
+        changed.push(100.0 * (square / now.len() as f64).sqrt());
+        // Come after the baseline: what an image without a tare shows.
+        bench.rig.set_reference(clear.rig.reference().clone());
+        let frame = bench.rig.frames(&[], 1)?.swap_remove(0);
+        let image = bench.rig.image(&frame)?;
+        let touches = bench.rig.touches(&image)?.len() as f64;
+        misfits.push(bench.rig.heights().map_or(f64::NAN, |fit| fit.misfit));
+        let last = changed.len() - 1;
+        rows.push(number(case.name, "readings at rest change by", "%", changed[last]));
+        rows.push(number(case.name, "come after the baseline: false touches", "", touches));
+        rows.push(number(case.name, "come after the baseline: misfit", "", misfits[last]));
+    }
+    let frame = clear.settled(&[12], 1)?;
+    clear.rig.image(&frame)?;
+    let misfit = clear.rig.heights().map_or(f64::NAN, |fit| fit.misfit);
+    rows.push(number("a touch, for comparison", "misfit", "", misfit));
+    let points = changed.iter().zip(&misfits).map(|(c, m)| [*c, m.log10()]).collect();
+    let curves = vec![Curve { name: "metal".into(), points, joined: false }];
+    let title = "E13: metal that came after the baseline".into();
+    let (x_label, y_label) = ("change of the readings (%)", "log10 of the misfit");
+    let figures = vec![Figure::Curves { name: "metal", title, x_label, y_label, curves }];
+    let notes = vec![
+        "Plates conduct perfectly; the ball is of aluminium. A known plate is shield_mm in the skin file.".into(),
+        "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no element moved.".into(),
+    ];
+    Ok(Report { id: "E13", title: super::EXPERIMENTS[11].title, rows, figures, notes })
+}
+
+fn bench(array: Array, metal: Metal) -> Result<Bench, Error> {
+    let mut skin = Skin::open(array.skin)?;
+    skin.imaging.solve = Solve::Heights;
+    let plate_m = metal.plate_mm.map(|z_mm| 1e-3 * z_mm);
+    let options = EmOptions { plate_m, nearby: metal.ball, ..em_options(&skin)? };
+    if let (true, Some(coils)) = (metal.known, &mut skin.frontend.coils) {
+        coils.shield_mm = metal.plate_mm;
+    }
+    let frontend = EmSkin::new(&options)?;
+    let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+    array.bench_from(Rig::from_parts(skin, Box::new(frontend), instrument)?)
+}
+
+/// Elements that have their touch, and no other, in one frame.
+fn located(bench: &mut Bench) -> Result<f64, Error> {
+    let mut count = 0;
+    for element in 0..bench.places.len() {
+        let frame = bench.settled(&[element], 1)?;
+        count += usize::from(bench.finds(&frame, &[element])?.1);
+    }
+    Ok(count as f64)
+}

@@ -1,0 +1,111 @@
+//! Images of conducting elements by their heights: the travel of every element is solved for directly
+//! ([`dermis_tomo::mit::Heights`]) and painted around its place, so that neighbours stay apart. The model keeps degrees 1 and
+//! 2 of an element's answer, passes dipoles on between neighbours, and takes all heights at rest as alike.
+
+use dermis_tomo::mit::{Bodies, CoilTables, Coupling, Heights, HeightsFit, HeightsOptions};
+
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::skin::ELEMENT_WIDTH;
+
+const MM: f64 = 1e-3;
+/// Degrees kept of an element's answer.
+const DEGREE: usize = 2;
+/// Neighbours within this many pitches excite each other.
+const REACH: f64 = 1.5;
+/// Travels that change by less are settled, metres.
+const TOLERANCE_M: f64 = 1e-5;
+/// How far beyond rest and full travel fields are tabulated, metres.
+const SLACK_M: f64 = 1e-4;
+
+/// Solves one frame after the other.
+#[derive(Debug)]
+pub(crate) struct ElementImager {
+    heights: Heights,
+    options: HeightsOptions,
+    /// Henries of this model for a volt of difference data, channel by channel.
+    h_per_volt: Vec<f64>,
+    /// Standard deviations of the channels, henries.
+    noise_h: Vec<f64>,
+    /// Of every inside pixel: the nearest element and the share of its travel that is shown.
+    paint: Vec<(u32, f32)>,
+    limit_m: f64,
+    differences_h: Vec<f64>,
+    /// No travel at all.
+    rest_m: Vec<f64>,
+    /// The last frame's.
+    fit: Option<HeightsFit>,
+}
+
+impl Prepared {
+    /// What solves for heights at this noise of the channels (model volts).
+    pub(crate) fn element_imager(&self, noise: &[f64]) -> Result<ElementImager, Error> {
+        let model = self.skin.magnetic()?;
+        let elements = model.elements;
+        let places = elements.places_m();
+        let (rest_m, limit_m, pitch_m) = (elements.rest_mm * MM, elements.travel_mm * MM, elements.pitch_mm * MM);
+        let body = model.element.body(model.frequency_hz)?.truncated(DEGREE);
+        let range = [rest_m - limit_m - SLACK_M, rest_m + SLACK_M];
+        let tables = CoilTables::new(&model.array, &places, range, body.radius_m)?;
+        let coupling = Coupling { degree: 1, reach_m: REACH * pitch_m, sweeps: 1 };
+        let bodies = Bodies::new(vec![body; places.len()], tables, Some(coupling))?;
+        let heights = Heights::new(bodies, model.array.mutuals_h(), vec![rest_m; places.len()], limit_m)?;
+        // Difference data are in volts of the model of images, whose readings at rest differ a little from these; each channel's
+        // relative change is what was measured.
+        let h_per_volt: Vec<f64> = heights.rest_h().iter().zip(&self.voltages).map(|(h, v)| h / v).collect();
+        let paint =
+            self.map.inside_centres_m().iter().map(|at| nearest(&places, *at, ELEMENT_WIDTH * pitch_m)).collect();
+        let mut imager = ElementImager {
+            heights,
+            options: HeightsOptions { tolerance_m: TOLERANCE_M, ..HeightsOptions::default() },
+            rest_m: vec![0.0; places.len()],
+            noise_h: Vec::new(),
+            paint,
+            limit_m,
+            differences_h: Vec::with_capacity(h_per_volt.len()),
+            h_per_volt,
+            fit: None,
+        };
+        imager.set_noise(noise);
+        Ok(imager)
+    }
+}
+
+impl ElementImager {
+    /// Replaces the noise of the channels, model volts.
+    pub(crate) fn set_noise(&mut self, noise: &[f64]) {
+        self.noise_h = noise.iter().zip(&self.h_per_volt).map(|(sigma, h)| (sigma * h).abs()).collect();
+    }
+
+    /// Solves for a frame of difference data (model volts, complete) and paints the inside pixels: shares of the full travel.
+    pub(crate) fn image(&mut self, difference: &[f64], inside: &mut [f32]) -> Result<(), Error> {
+        self.differences_h.clear();
+        self.differences_h.extend(difference.iter().zip(&self.h_per_volt).map(|(d, h)| d * h));
+        let start = self.fit.as_ref().map_or(&self.rest_m[..], |fit| &fit.travel_m);
+        let fit = self.heights.solve_from(start, &self.differences_h, &self.noise_h, &self.options)?;
+        for (pixel, (element, share)) in inside.iter_mut().zip(&self.paint) {
+            *pixel = share * (fit.travel_m[*element as usize] / self.limit_m) as f32;
+        }
+        self.fit = Some(fit);
+        Ok(())
+    }
+
+    /// Noise of the inside pixels on a skin at rest: of each element as if it alone could move.
+    pub(crate) fn noise_of_pixels(&mut self) -> Result<Vec<f32>, Error> {
+        let rest = self.heights.solve(&vec![0.0; self.noise_h.len()], &self.noise_h, &self.options)?;
+        let share = |(element, share): &(u32, f32)| share * (rest.deviation_m[*element as usize] / self.limit_m) as f32;
+        Ok(self.paint.iter().map(share).collect())
+    }
+
+    /// Travel of every element in the last frame and its standard deviation.
+    pub(crate) fn fit(&self) -> Option<&HeightsFit> {
+        self.fit.as_ref()
+    }
+}
+
+/// The nearest of the places, and a Gaussian of the distance from it.
+fn nearest(places: &[[f64; 2]], [x, y]: [f64; 2], width_m: f64) -> (u32, f32) {
+    let distance = |p: &[f64; 2]| (p[0] - x).hypot(p[1] - y);
+    let found = places.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+    found.map_or((0, 0.0), |(k, place)| (k as u32, (-0.5 * (distance(place) / width_m).powi(2)).exp() as f32))
+}
