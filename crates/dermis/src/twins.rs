@@ -153,11 +153,11 @@ pub fn em_options(skin: &Skin) -> Result<EmOptions, Error> {
     let elements = model.elements;
     options.plate_m = skin.frontend.coils.and_then(|coils| coils.shield_mm).map(|z_mm| z_mm * 1e-3);
     options.per_side = elements.per_side;
-    (options.pitch_m, options.rest_m) = (elements.pitch_mm * 1e-3, elements.rest_mm * 1e-3);
-    options.springs.limit_m = elements.travel_mm * 1e-3;
+    (options.pitch_m, options.rest_m) = (elements.pitch_mm / 1e3, elements.rest_mm / 1e3);
+    options.springs.limit_m = elements.travel_mm / 1e3;
     options.element = EmElement::Body(model.element.body(model.frequency_hz)?);
     options.frequency_hz = model.frequency_hz;
-    options.current_a = skin.backend.current_ma * 1e-3;
+    options.current_a = skin.backend.current_ma / 1e3;
     options.frame_rate_hz = skin.backend.frames_per_s.unwrap_or(options.frame_rate_hz);
     options.instrument = as_the_skin_reads(options.instrument, skin);
     options.seed = skin.twin.seed.unwrap_or(options.seed);

@@ -3,6 +3,7 @@
 
 use dermis::bodies::{Element, builtin_records};
 use dermis::calibrate::Pokes;
+use dermis::experiments::Rig;
 use dermis::prepare::Prepared;
 use dermis::skin::{ElementShape, Skin, Solve};
 use dermis::twins::em_options;
@@ -101,6 +102,17 @@ fn every_element_is_found_by_the_model_and_by_the_measured_jacobian() {
 }
 
 #[test]
+fn a_skin_at_rest_has_no_touches() {
+    for name in ["em-8", "em-16-square"] {
+        let mut rig = Rig::new(name).unwrap();
+        for frame in &rig.frames(&[], 100).unwrap() {
+            let image = rig.image(frame).unwrap();
+            assert!(rig.touches(&image).unwrap().is_empty(), "{name}");
+        }
+    }
+}
+
+#[test]
 fn files_that_mix_coils_and_electrodes_are_refused() {
     let text = dermis::skin::builtin_text("em-8").unwrap();
     let refused = |from: &str, to: &str, field: &str| {
@@ -114,6 +126,10 @@ fn files_that_mix_coils_and_electrodes_are_refused() {
     refused("frequency_khz = 55.0", "frequency_khz = 5500.0", "backend.frequency_khz");
     refused("travel_mm = 11.0", "travel_mm = 21.0", "frontend.elements.travel_mm");
     refused("pitch_mm = 20.0", "pitch_mm = -1.0", "frontend.elements.pitch_mm");
+    refused("array = \"em-8\"", "array = \"em-8\", shield_mm = 5.0", "frontend.coils.shield_mm");
+    let electrodes = dermis::skin::builtin_text("ionic-disc").unwrap();
+    let text = electrodes.replace("[imaging]\n", "[imaging]\nsolve = \"heights\"\n");
+    assert!(Skin::parse(&text, "x").unwrap_err().to_string().contains("imaging.solve"));
 }
 
 #[test]

@@ -87,16 +87,22 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let skin = Skin::open(name)?;
     let protocol = skin.protocol()?;
     let (low, high) = skin.outline().bounds_m();
-    writeln!(
-        out,
-        "# {:.1} x {:.1} mm, {} electrodes, {} drives, {} channels, sheet conductance {:.4} mS",
-        1e3 * (high[0] - low[0]),
-        1e3 * (high[1] - low[1]),
-        protocol.electrode_count(),
-        protocol.stimulations().len(),
-        protocol.channel_count(),
-        1e3 * skin.sheet_conductance_s(),
-    )?;
+    let (width_mm, height_mm) = (1e3 * (high[0] - low[0]), 1e3 * (high[1] - low[1]));
+    let (count, drives, channels) =
+        (protocol.electrode_count(), protocol.stimulations().len(), protocol.channel_count());
+    let what = match skin.frontend.elements {
+        Some(elements) => {
+            let elements = elements.per_side * elements.per_side;
+            format!("{count} coils, {elements} elements, {channels} channels")
+        }
+        None => {
+            let conductance_ms = 1e3 * skin.sheet_conductance_s();
+            format!(
+                "{count} electrodes, {drives} drives, {channels} channels, sheet conductance {conductance_ms:.4} mS"
+            )
+        }
+    };
+    writeln!(out, "# {width_mm:.1} x {height_mm:.1} mm, {what}")?;
     write!(out, "{}", skin.to_toml())?;
     Ok(Outcome::Done)
 }

@@ -1,6 +1,6 @@
 //! Images of conducting elements by their heights: the travel of every element is solved for directly
-//! ([`dermis_tomo::mit::Heights`]) and painted around its place, so that neighbours stay apart. The model keeps degrees 1 and
-//! 2 of an element's answer, passes dipoles on between neighbours, and takes all heights at rest as alike.
+//! ([`dermis_tomo::mit::Heights`]) and painted around its place, so that neighbours stay apart. The model keeps degrees 1 to
+//! 3 of an element's answer, passes dipoles on between neighbours, and takes all heights at rest as alike.
 
 use dermis_tomo::mit::{Bodies, CoilTables, Coupling, Heights, HeightsFit, HeightsOptions};
 
@@ -10,9 +10,13 @@ use crate::skin::ELEMENT_WIDTH;
 
 const MM: f64 = 1e-3;
 /// Degrees kept of an element's answer.
-const DEGREE: usize = 2;
+const DEGREE: usize = 3;
 /// Neighbours within this many pitches excite each other.
 const REACH: f64 = 1.5;
+/// Mean travel of the prior that lets few elements move, as a share of the full travel.
+const MEAN: f64 = 0.25;
+/// Mean squared residual above which a fit is tried again from rest.
+const BAD_MISFIT: f64 = 2.0;
 /// Travels that change by less are settled, metres.
 const TOLERANCE_M: f64 = 1e-5;
 /// How far beyond rest and full travel fields are tabulated, metres.
@@ -57,7 +61,7 @@ impl Prepared {
             self.map.inside_centres_m().iter().map(|at| nearest(&places, *at, ELEMENT_WIDTH * pitch_m)).collect();
         let mut imager = ElementImager {
             heights,
-            options: HeightsOptions { tolerance_m: TOLERANCE_M, ..HeightsOptions::default() },
+            options: HeightsOptions { tolerance_m: TOLERANCE_M, mean_m: MEAN * limit_m, ..HeightsOptions::default() },
             rest_m: vec![0.0; places.len()],
             noise_h: Vec::new(),
             paint,
@@ -82,7 +86,14 @@ impl ElementImager {
         self.differences_h.clear();
         self.differences_h.extend(difference.iter().zip(&self.h_per_volt).map(|(d, h)| d * h));
         let start = self.fit.as_ref().map_or(&self.rest_m[..], |fit| &fit.travel_m);
-        let fit = self.heights.solve_from(start, &self.differences_h, &self.noise_h, &self.options)?;
+        let mut fit = self.heights.solve_from(start, &self.differences_h, &self.noise_h, &self.options)?;
+        // A fit that begins where other elements were pressed may end beside the best one.
+        if fit.misfit > BAD_MISFIT && self.fit.is_some() {
+            let anew = self.heights.solve(&self.differences_h, &self.noise_h, &self.options)?;
+            if anew.misfit < fit.misfit {
+                fit = anew;
+            }
+        }
         for (pixel, (element, share)) in inside.iter_mut().zip(&self.paint) {
             *pixel = share * (fit.travel_m[*element as usize] / self.limit_m) as f32;
         }
