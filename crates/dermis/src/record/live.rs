@@ -23,6 +23,9 @@ pub struct LiveRecording {
     path: PathBuf,
     handle: RecorderHandle,
     last_sequence: Option<u64>,
+    /// Time of the frame at hand, by the device's clock where it has one, so that a twin that runs faster than time is
+    /// pictured as often as one that does not.
+    time_ns: u64,
     failure_told: bool,
 }
 
@@ -51,7 +54,7 @@ impl LiveRecording {
             recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
         }
         let handle = RecorderHandle::spawn(recorder, QUEUE)?;
-        let live = Self { path: path.to_owned(), handle, last_sequence: None, failure_told: false };
+        let live = Self { path: path.to_owned(), handle, last_sequence: None, time_ns: 0, failure_told: false };
         live.baseline(pipeline, HostStamp::now().wall_ns);
         Ok(live)
     }
@@ -74,12 +77,13 @@ impl LiveRecording {
             self.handle.offer_event(frame.host_wall_ns, "gap", &detail, &[missing as f64]);
         }
         self.last_sequence = Some(frame.sequence);
+        self.time_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
         self.handle.offer(frame);
     }
 
     /// Takes what was made of the frame.
     pub fn results(&mut self, output: &Output<'_>) {
-        self.handle.offer_results(output);
+        self.handle.offer_results(output, self.time_ns);
     }
 
     /// Takes the baseline in use, if there is one.

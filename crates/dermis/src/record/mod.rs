@@ -30,22 +30,28 @@
 //! pipe, a terminal), it is written to directly.
 
 mod cdr;
+mod export;
 mod head;
 mod live;
 mod messages;
 mod queue;
 mod reader;
+mod recover;
 mod replay;
+mod rerun;
 mod scan;
 mod schema;
 mod view;
 mod writer;
 
+pub use export::{Exported, Table, TableFormat, export};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
 pub use messages::{BaselineEntry, EventEntry, TouchEntry, TouchesEntry};
 pub use queue::{RecorderHandle, RecorderStatus};
 pub use reader::{Damage, Entry, LostFrames, Recording};
+pub use recover::{Recovered, recover};
 pub use replay::Replay;
+pub use rerun::{RerunOptions, RerunReport, rerun};
 pub use view::SkinView;
 pub use writer::{Recorder, RecordingSummary};

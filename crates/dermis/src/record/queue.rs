@@ -118,9 +118,9 @@ impl RecorderHandle {
         queued
     }
 
-    /// Queues what was made of a frame: its touches, if there are any or one ended, and its image, if one is due. What
-    /// does not fit is left out: it can be made again from the frame.
-    pub fn offer_results(&mut self, output: &Output<'_>) {
+    /// Queues what was made of a frame: its touches, if there are any or one ended, and its image, if one is due at
+    /// `time_ns` on the frames' clock. What does not fit is left out: it can be made again from the frame.
+    pub fn offer_results(&mut self, output: &Output<'_>, time_ns: u64) {
         let wall_ns = output.wall_ns;
         let ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
         if ended || !output.touches.is_empty() {
@@ -136,11 +136,13 @@ impl RecorderHandle {
             }
         }
         let Some(view) = &self.view else { return };
-        if output.time_ns >= self.image_due_ns
+        // A clock that was set back does not end the images.
+        let due = time_ns >= self.image_due_ns || time_ns.saturating_add(view.period_ns()) < self.image_due_ns;
+        if due
             && output.image.iter().any(|value| value.is_finite())
             && let Ok(mut image) = self.free_images.try_recv()
         {
-            self.image_due_ns = output.time_ns.saturating_add(view.period_ns());
+            self.image_due_ns = time_ns.saturating_add(view.period_ns());
             image.clear();
             image.extend_from_slice(output.image);
             self.send(Item::Image { wall_ns, image });

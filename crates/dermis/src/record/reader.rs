@@ -97,6 +97,8 @@ pub struct Recording<R = BufReader<File>> {
     announced_bytes: u64,
     memory: Memory,
     tally: Tally,
+    /// Messages read since the last rewind, by channel.
+    counts: BTreeMap<u16, u64>,
 }
 
 /// The entry read last, by kind.
@@ -178,6 +180,7 @@ impl<R: Read + Seek> Recording<R> {
             chunk: None,
             announced_bytes: 0,
             memory: Memory::default(),
+            counts: BTreeMap::new(),
             tally: Tally::default(),
         })
     }
@@ -234,6 +237,15 @@ impl<R: Read + Seek> Recording<R> {
         self.next_chunk = 0;
         self.chunk = None;
         self.tally = Tally::default();
+        self.counts.clear();
+    }
+
+    /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left out.
+    pub fn counts(&self) -> BTreeMap<&str, u64> {
+        let named = self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
+        let mut counts = BTreeMap::new();
+        named.for_each(|(topic, count)| *counts.entry(topic).or_default() += count);
+        counts
     }
 
     /// The next entry, or none after the last one that can be read.
@@ -268,6 +280,16 @@ impl<R: Read + Seek> Recording<R> {
         Ok(false)
     }
 
+    /// The next frame in the recording's own memory, passing over other entries.
+    pub(super) fn next_frame_peek(&mut self) -> Result<Option<&Frame>, Error> {
+        while let Some((kind, _)) = self.advance().map_err(|error| Error::io(&self.path)(error))? {
+            if matches!(kind, Kind::Frame) {
+                return Ok(Some(&self.memory.frame));
+            }
+        }
+        Ok(None)
+    }
+
     /// The frames from here on.
     pub fn frames(&mut self) -> impl Iterator<Item = Result<Frame, Error>> {
         std::iter::from_fn(move || {
@@ -299,21 +321,11 @@ impl<R: Read + Seek> Recording<R> {
     fn open_chunk(&mut self) -> io::Result<bool> {
         while let Some(&place) = self.outline.chunks.get(self.next_chunk) {
             self.next_chunk += 1;
-            let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
+            let Some((reader, announced_bytes)) = read_chunk(&mut self.input, place)? else {
                 self.count_damaged(place, 0);
                 continue;
             };
-            let options = LinearReaderOptions::default()
-                .with_skip_start_magic(true)
-                .with_skip_end_magic(true)
-                .with_prevalidate_chunk_crcs(true)
-                .with_record_length_limit(MOST_BYTES);
-            let mut reader = LinearReader::new_with_options(options);
-            self.input.seek(SeekFrom::Start(place.offset))?;
-            let buffer = reader.insert(length);
-            self.input.read_exact(&mut buffer[..length])?;
-            self.announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
-            reader.notify_read(length);
+            self.announced_bytes = announced_bytes;
             self.chunk = Some(reader);
             return Ok(true);
         }
@@ -345,6 +357,9 @@ impl<R: Read + Seek> Recording<R> {
                 _ => self.tally.messages += 1,
             },
             op::MESSAGE => {
+                if let Some(channel) = data.first_chunk::<2>() {
+                    *self.counts.entry(u16::from_le_bytes(*channel)).or_default() += 1;
+                }
                 match decode(data, &self.topics, self.head.layout.channels(), &mut self.memory) {
                     Some((Kind::Other, _)) => {}
                     Some((kind, wall_ns)) => {
@@ -361,6 +376,26 @@ impl<R: Read + Seek> Recording<R> {
         }
         Step::Skipped
     }
+}
+
+/// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is too
+/// large to be one of ours.
+pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> io::Result<Option<(LinearReader, u64)>> {
+    let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
+        return Ok(None);
+    };
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(MOST_BYTES);
+    let mut reader = LinearReader::new_with_options(options);
+    input.seek(SeekFrom::Start(place.offset))?;
+    let buffer = reader.insert(length);
+    input.read_exact(&mut buffer[..length])?;
+    let announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
+    reader.notify_read(length);
+    Ok(Some((reader, announced_bytes)))
 }
 
 /// Decodes a message into the memory for its kind; none if it is malformed or nothing describes its channel.

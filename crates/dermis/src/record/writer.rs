@@ -34,6 +34,9 @@ pub struct RecordingSummary {
     pub dropped: u64,
 }
 
+/// The format's writer to wherever the bytes go.
+pub(super) type FileWriter = Writer<NoSeek<Box<dyn Destination>>>;
+
 /// Where the bytes go.
 pub(super) trait Destination: Write + Send {
     /// Makes everything durable and gives it its final name.
@@ -63,7 +66,7 @@ struct Drawn {
 pub struct Recorder {
     name: PathBuf,
     /// None after a failure.
-    writer: Option<Writer<NoSeek<Box<dyn Destination>>>>,
+    writer: Option<FileWriter>,
     channels: Channels,
     readings: usize,
     drawn: Option<Drawn>,
@@ -92,30 +95,13 @@ impl Recorder {
     /// [`Error::Frames`] for a wrong number of labels.
     pub fn create(path: &Path, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
-        let special = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
-        let destination: Box<dyn Destination> = if special {
-            let file = OpenOptions::new().write(true).open(path).map_err(Error::io(path))?;
-            Box::new(Device(BufWriter::new(file)))
-        } else {
-            Box::new(PartialFile::create(path)?)
-        };
-        Self::new(destination, path.to_owned(), head)
+        Self::new(destination(path)?, path.to_owned(), head)
     }
 
     pub(super) fn new(out: Box<dyn Destination>, name: PathBuf, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
         let failed = |error| mcap_error(&name, error);
-        // Chunks are built in memory and written whole, so that a killed writer leaves no half chunk but the last. They are
-        // ended here and not by size, so that it is known which frames are out of this process's hands.
-        let options = WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("dermis ", env!("CARGO_PKG_VERSION")))
-            .disable_seeking(true)
-            .chunk_size(None)
-            .compression(Some(Compression::Zstd))
-            .compression_level(1)
-            .compression_threads(0);
-        let mut writer = options.create(NoSeek::new(out)).map_err(failed)?;
+        let mut writer = new_writer(out).map_err(failed)?;
         let channels = write_head(&mut writer, head).map_err(failed)?;
         Ok(Self {
             name,
@@ -331,7 +317,7 @@ impl Recorder {
     /// Runs a step; after a failure the writer is put out of use without writing anything more.
     fn attempt(
         &mut self,
-        step: impl FnOnce(&mut Writer<NoSeek<Box<dyn Destination>>>) -> Result<(), McapError>,
+        step: impl FnOnce(&mut FileWriter) -> Result<(), McapError>,
     ) -> Result<(), Error> {
         let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
         let writer = self.writer.as_mut().ok_or_else(stopped)?;
@@ -342,21 +328,36 @@ impl Recorder {
     }
 }
 
+/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk but the
+/// last. They are ended by whoever writes and not by size, so that it is known which messages are out of this process's
+/// hands.
+pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapError> {
+    let options = WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("dermis ", env!("CARGO_PKG_VERSION")))
+        .disable_seeking(true)
+        .chunk_size(None)
+        .compression(Some(Compression::Zstd))
+        .compression_level(1)
+        .compression_threads(0);
+    options.create(NoSeek::new(out))
+}
+
+/// A file under its partial name, or the device that stands at `path`.
+pub(super) fn destination(path: &Path) -> Result<Box<dyn Destination>, Error> {
+    if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+        let file = OpenOptions::new().write(true).open(path).map_err(Error::io(path))?;
+        return Ok(Box::new(Device(BufWriter::new(file))));
+    }
+    Ok(Box::new(PartialFile::create(path)?))
+}
+
 /// Writes metadata, the skin and the channels, and hands them out at once: they are what a reader needs most.
-fn write_head<W: Write + io::Seek>(writer: &mut Writer<W>, head: &RecordingHead) -> Result<Channels, McapError> {
+fn write_head(writer: &mut FileWriter, head: &RecordingHead) -> Result<Channels, McapError> {
     for record in head.metadata() {
         writer.write_metadata(&record)?;
     }
-    let now_ns = HostStamp::now().wall_ns;
-    for (name, media_type, text) in head.attachments() {
-        writer.attach(&Attachment {
-            log_time: now_ns,
-            create_time: now_ns,
-            name: name.to_owned(),
-            media_type: media_type.to_owned(),
-            data: Cow::Borrowed(text.as_bytes()),
-        })?;
-    }
+    attach_all(writer, head)?;
     let [frames, baselines, touches, events] = &schema::OWN;
     let channels = Channels {
         frames: add_channel(writer, frames)?,
@@ -368,12 +369,27 @@ fn write_head<W: Write + io::Seek>(writer: &mut Writer<W>, head: &RecordingHead)
     Ok(channels)
 }
 
-fn add_channel<W: Write + io::Seek>(writer: &mut Writer<W>, schema: &schema::Schema) -> Result<u16, McapError> {
+/// Attaches the skin file and the calibrations.
+pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead) -> Result<(), McapError> {
+    let now_ns = HostStamp::now().wall_ns;
+    for (name, media_type, text) in head.attachments() {
+        writer.attach(&Attachment {
+            log_time: now_ns,
+            create_time: now_ns,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: Cow::Borrowed(text.as_bytes()),
+        })?;
+    }
+    Ok(())
+}
+
+fn add_channel(writer: &mut FileWriter, schema: &schema::Schema) -> Result<u16, McapError> {
     let id = writer.add_schema(schema.name, "ros2msg", schema.text().as_bytes())?;
     writer.add_channel(id, schema.topic, "cdr", &BTreeMap::new())
 }
 
-fn mcap_error(name: &Path, error: McapError) -> Error {
+pub(super) fn mcap_error(name: &Path, error: McapError) -> Error {
     match error {
         McapError::Io(error) => Error::io(name)(error),
         other => Error::io(name)(io::Error::other(other)),
