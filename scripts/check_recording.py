@@ -154,10 +154,16 @@ def with_rerun(path):
         said = [line for line in (done.stdout + done.stderr).splitlines() if "WARN" in line or "ERROR" in line]
         printed = subprocess.run([rerun, "rrd", "print", "-v", target], capture_output=True, text=True).stdout
         size = target.stat().st_size
-    for component in ("Points3D:positions", "/dermis/image", "/dermis/frames"):
+    for component in (
+        "/dermis/image@DepthImage:buffer",
+        "/dermis/points@Points3D:positions",
+        "/dermis/points@Points3D:pressure",
+        "/dermis/touch_points@Points3D:positions",
+        "/dermis/frames@dermis_msgs.msg.Frame:message",
+        "/dermis/touches@dermis_msgs.msg.Touches:message",
+    ):
         require(component in printed, f"rerun made no {component} of the recording")
-    archetypes = sorted({word for word in ("Points3D", "DepthImage", "Image") if f"{word}:" in printed})
-    print(f"rerun: {size} bytes, archetypes {archetypes}, {len(said)} warnings")
+    print(f"rerun: {size} bytes; a depth image, two point clouds, frames and touches by field; {len(said)} warnings")
     for line in said:
         print(f"  {line}")
 

@@ -243,7 +243,12 @@ impl Pipeline {
     ///
     /// # Errors
     /// Another number of channels than the skin's, or a baseline that does not fit its model.
-    pub fn restore_baseline(&mut self, record: ReferenceRecord, values: &[f64], noise_std: &[f64]) -> Result<(), Error> {
+    pub fn restore_baseline(
+        &mut self,
+        record: ReferenceRecord,
+        values: &[f64],
+        noise_std: &[f64],
+    ) -> Result<(), Error> {
         self.baseline.restore(record, values, noise_std)?;
         self.renew()
     }

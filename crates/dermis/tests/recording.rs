@@ -124,7 +124,10 @@ fn everything_comes_back_bit_for_bit() {
                     others.push("baseline".to_owned());
                 }
                 Entry::Touches { wall_ns, entry } => {
-                    assert_eq!((wall_ns, entry.sequence, entry.time_ns, entry.touches.len()), (10, 1, 1_500_000_000, 0));
+                    assert_eq!(
+                        (wall_ns, entry.sequence, entry.time_ns, entry.touches.len()),
+                        (10, 1, 1_500_000_000, 0)
+                    );
                     others.push("touches".to_owned());
                 }
                 Entry::Event { entry: EventEntry { event, .. }, .. } if event == "filler" => {}

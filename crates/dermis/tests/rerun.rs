@@ -14,6 +14,10 @@ use dermis::twin_source::TwinSource;
 use dermis_device::{Frame, Source, SourceEvent};
 
 const SKIN: &str = "healing-square";
+/// The demonstration presses from frame 61 on. The tare, forced under load, is done 32 frames after it was asked for.
+const TARE_AT: u64 = 70;
+const LAMBDA_AT: u64 = 90;
+const FRAMES: u64 = 110;
 
 /// What came of a frame: its line, and its image bit for bit.
 #[derive(Debug, PartialEq)]
@@ -52,11 +56,11 @@ fn live(path: &Path, frames: u64, from: u64, lost: &[u64]) -> Vec<Result> {
         if number == from {
             recording = Some(LiveRecording::start(path, &head, &pipeline, 10.0).unwrap());
         }
-        if number == 80 {
+        if number == TARE_AT {
             pipeline.tare(true, "test").unwrap();
             recording.iter().for_each(|recording| recording.tare(true, "test"));
         }
-        if number == 120 {
+        if number == LAMBDA_AT {
             let lambda = 3.0 * pipeline.hyperparameter().unwrap();
             pipeline.set_hyperparameter(lambda).unwrap();
             recording.iter().for_each(|recording| recording.hyperparameter(lambda));
@@ -92,13 +96,16 @@ fn again(path: &Path, options: RerunOptions, change: impl FnOnce(&mut Skin)) -> 
 fn a_rerun_gives_the_live_result_to_the_bit_at_any_speed() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
-    let first = live(&path, 160, 0, &[]);
-    assert!(first.iter().filter(|result| result.line.contains("\"id\"")).count() > 30, "too few touches to say much");
+    let first = live(&path, FRAMES, 0, &[]);
+    assert!(first.iter().filter(|result| result.line.contains("\"id\"")).count() > 20, "too few touches to say much");
     // A hundred times as fast as recorded: the unpaced recording is short, and this only has to wait at all.
     for speed in [0.0, 100.0] {
         let (second, report) = again(&path, RerunOptions { speed, ..RerunOptions::default() }, |_| {});
-        assert_eq!(second, first);
-        assert_eq!((report.frames, report.missing, report.refused, report.has_losses()), (160, 0, 0, false));
+        for (second, first) in second.iter().zip(&first) {
+            assert_eq!((second.sequence, &second.line), (first.sequence, &first.line));
+            assert!(second.image == first.image, "image of frame {} at speed {speed}", first.sequence);
+        }
+        assert_eq!((report.frames, report.missing, report.refused, report.has_losses()), (FRAMES, 0, 0, false));
     }
 }
 
@@ -106,14 +113,14 @@ fn a_rerun_gives_the_live_result_to_the_bit_at_any_speed() {
 fn another_lambda_gives_other_images_of_the_same_frames() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
-    let first = live(&path, 130, 0, &[50, 51, 70]);
+    let first = live(&path, 80, 0, &[50, 51, 65]);
     let options = RerunOptions { follow_hyperparameter: false, ..RerunOptions::default() };
     let rule = "relative=0.5".parse().unwrap();
     let (second, report) = again(&path, options, |skin| skin.imaging.hyperparameter = rule);
-    assert_eq!((report.frames, report.missing, report.has_losses()), (127, 3, true));
+    assert_eq!((report.frames, report.missing, report.has_losses()), (77, 3, true));
     let sequences = |results: &[Result]| results.iter().map(|result| result.sequence).collect::<Vec<_>>();
     assert_eq!(sequences(&second), sequences(&first));
-    assert_ne!(second.last().unwrap().image, first.last().unwrap().image);
+    assert!(second.last().unwrap().image != first.last().unwrap().image, "the same image under another lambda");
 }
 
 #[test]
@@ -121,13 +128,18 @@ fn a_recording_begun_in_the_middle_goes_on_from_the_baseline_in_use() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.mcap");
     // Before the demonstration presses, so that no touch is on the skin that the recording would not know of.
-    let first = live(&path, 79, 34, &[]);
+    let first = live(&path, TARE_AT - 1, 34, &[]);
     let (second, report) = again(&path, RerunOptions::default(), |_| {});
-    assert_eq!(report.frames, 45);
-    assert!(second.iter().any(|result| result.line.contains("\"id\"")), "no touch");
+    assert_eq!(report.frames, TARE_AT - 1 - 34);
+    let values = |result: &Result| result.image.iter().map(|bits| f32::from_bits(*bits)).collect::<Vec<_>>();
+    let largest = |image: &[f32]| image.iter().filter(|value| value.is_finite()).fold(0.0_f32, |a, b| a.max(b.abs()));
+    let peak = first.iter().map(|result| largest(&values(result))).fold(0.0, f32::max);
     for (second, first) in second.iter().zip(&first[34..]) {
         assert_eq!(second.sequence, first.sequence);
-        assert_eq!(second.image, first.image, "image of frame {}", first.sequence);
-        assert_eq!(second.line, first.line);
+        assert_eq!(second.line.matches("\"id\"").count(), first.line.matches("\"id\"").count(), "{}", first.line);
+        let difference: Vec<f32> = values(second).iter().zip(values(first)).map(|(a, b)| a - b).collect();
+        // The gain is matched to the baseline as it has drifted since: two frames in 60 s, of noise.
+        assert!(largest(&difference) < 1e-3 * peak, "image of frame {}: {}", first.sequence, largest(&difference));
     }
+    assert!(second.iter().any(|result| result.line.contains("\"id\"")), "no touch");
 }

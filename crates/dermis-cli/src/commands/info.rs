@@ -49,7 +49,11 @@ impl Arguments {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let mut recording = Recording::open(&self.file)?;
         let findings = Findings::of(&mut recording)?;
-        if self.json { print_json(&recording, &findings, out)? } else { print_text(&recording, &findings, out)? }
+        if self.json {
+            print_json(&recording, &findings, out)?
+        } else {
+            print_text(&recording, &findings, out)?
+        }
         Ok(Outcome::Done)
     }
 }
@@ -60,7 +64,8 @@ impl Findings {
         while let Some(entry) = recording.next_entry()? {
             match entry {
                 Entry::Frame(frame) => {
-                    let missing = found.numbers.map_or(0, |(_, last)| frame.sequence.saturating_sub(last).saturating_sub(1));
+                    let missing =
+                        found.numbers.map_or(0, |(_, last)| frame.sequence.saturating_sub(last).saturating_sub(1));
                     found.missing += missing;
                     found.gaps += u64::from(missing > 0);
                     found.frames += 1;
@@ -130,7 +135,10 @@ fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> s
         let end = if damage.cut_off { "the end is missing" } else { "the end is there" };
         let Damage { bytes, chunks, messages, .. } = damage;
         let frames = lost_frames(&damage);
-        writeln!(out, "state: {end}; unreadable: {bytes} bytes, {chunks} chunks, {messages} messages, {frames} frames")?;
+        writeln!(
+            out,
+            "state: {end}; unreadable: {bytes} bytes, {chunks} chunks, {messages} messages, {frames} frames"
+        )?;
     }
     writeln!(out, "messages:")?;
     for (topic, count) in recording.counts() {

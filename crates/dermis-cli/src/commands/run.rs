@@ -209,10 +209,8 @@ impl Run {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
-        self.feed.count(
-            acquisition.counters(),
-            self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())),
-        );
+        self.feed
+            .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {

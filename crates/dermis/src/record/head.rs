@@ -82,7 +82,9 @@ impl RecordingHead {
     pub(super) fn attachments(&self) -> Vec<(&'static str, &'static str, &str)> {
         let mut all = vec![("skin.toml", "application/toml", self.skin_toml.as_str())];
         let calibrations = [("calibration.json", &self.calibration), ("forces.json", &self.forces)];
-        all.extend(calibrations.into_iter().filter_map(|(name, text)| Some((name, "application/json", text.as_deref()?))));
+        all.extend(
+            calibrations.into_iter().filter_map(|(name, text)| Some((name, "application/json", text.as_deref()?))),
+        );
         all
     }
 

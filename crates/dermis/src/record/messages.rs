@@ -116,13 +116,7 @@ pub(super) fn read_baseline(bytes: &[u8]) -> Option<BaselineEntry> {
 }
 
 /// Writes the touches of frame `sequence`; those that ended in it stand in `events`.
-pub(super) fn write_touches(
-    out: &mut Vec<u8>,
-    sequence: u64,
-    time_ns: u64,
-    touches: &[Touch],
-    events: &[TouchEvent],
-) {
+pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
     let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
     let mut cdr = CdrWriter::new(out);
     cdr.u64(sequence);
@@ -176,7 +170,8 @@ pub(super) fn write_event(out: &mut Vec<u8>, event: &str, detail: &str, values: 
 
 pub(super) fn read_event(bytes: &[u8]) -> Option<EventEntry> {
     let mut cdr = CdrReader::new(bytes)?;
-    let mut entry = EventEntry { event: cdr.string()?.to_owned(), detail: cdr.string()?.to_owned(), values: Vec::new() };
+    let mut entry =
+        EventEntry { event: cdr.string()?.to_owned(), detail: cdr.string()?.to_owned(), values: Vec::new() };
     cdr.doubles(&mut entry.values)?;
     Some(entry)
 }

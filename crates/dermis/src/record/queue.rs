@@ -98,7 +98,8 @@ impl RecorderHandle {
         let view = recorder.view().cloned();
         let shared = Arc::new(Shared::default());
         let path = recorder.path().to_owned();
-        let writer = WriterThread { recorder, queue, return_frame, return_message, return_image, shared: shared.clone() };
+        let writer =
+            WriterThread { recorder, queue, return_frame, return_message, return_image, shared: shared.clone() };
         let thread = thread::Builder::new().name("dermis-recorder".to_owned()).spawn(move || writer.run());
         let thread = Some(thread.map_err(Error::io(path))?);
         let image_due_ns = 0;

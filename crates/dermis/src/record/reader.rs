@@ -242,7 +242,8 @@ impl<R: Read + Seek> Recording<R> {
 
     /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left out.
     pub fn counts(&self) -> BTreeMap<&str, u64> {
-        let named = self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
+        let named =
+            self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
         let mut counts = BTreeMap::new();
         named.for_each(|(topic, count)| *counts.entry(topic).or_default() += count);
         counts
@@ -399,12 +400,7 @@ pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> i
 }
 
 /// Decodes a message into the memory for its kind; none if it is malformed or nothing describes its channel.
-fn decode(
-    data: &[u8],
-    topics: &BTreeMap<u16, String>,
-    channels: usize,
-    memory: &mut Memory,
-) -> Option<(Kind, u64)> {
+fn decode(data: &[u8], topics: &BTreeMap<u16, String>, channels: usize, memory: &mut Memory) -> Option<(Kind, u64)> {
     let (header, body) = data.split_at_checked(MESSAGE_HEADER)?;
     let channel = u16::from_le_bytes([header[0], header[1]]);
     let wall_ns = u64::from_le_bytes(header[6..14].try_into().ok()?);

@@ -76,7 +76,8 @@ impl RecordingHead {
     /// # Errors
     /// A skin that cannot be prepared or does not fit the recorded frames, calibrations that cannot be read.
     pub fn pipeline(&self, skin: Skin, file: &Path) -> Result<Pipeline, Error> {
-        let calibration = self.calibration.as_deref().map(|text| Calibration::parse(text.as_bytes(), file)).transpose()?;
+        let calibration =
+            self.calibration.as_deref().map(|text| Calibration::parse(text.as_bytes(), file)).transpose()?;
         let forces = self.forces.as_deref().map(|text| parse_forces(text.as_bytes(), file, &skin.name)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, &self.layout, calibration)?;
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;

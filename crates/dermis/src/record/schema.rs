@@ -30,7 +30,11 @@ pub(super) const OWN: [Schema; 4] = [
 pub(super) const STANDARD: [Schema; 3] = [
     Schema { topic: IMAGE, name: "sensor_msgs/msg/Image", parts: &[IMAGE_OF_ROS, HEADER, TIME] },
     Schema { topic: POINTS, name: "sensor_msgs/msg/PointCloud2", parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME] },
-    Schema { topic: TOUCH_POINTS, name: "sensor_msgs/msg/PointCloud2", parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME] },
+    Schema {
+        topic: TOUCH_POINTS,
+        name: "sensor_msgs/msg/PointCloud2",
+        parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME],
+    },
 ];
 
 impl Schema {

@@ -27,8 +27,7 @@ impl SkinView {
     /// The view of a prepared skin, with [`Self::IMAGES_PER_S`].
     pub fn new(prepared: &Prepared) -> Self {
         let (map, grid) = (&prepared.map, prepared.map.grid());
-        let bend_radius_m =
-            prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| 0.5e-3 * diameter_mm);
+        let bend_radius_m = prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| 0.5e-3 * diameter_mm);
         let points = map.inside_pixels().iter().map(|&pixel| pixel as usize);
         let points = points.map(|pixel| (pixel, in_space(grid.centre_m(pixel), bend_radius_m))).collect();
         let frame_id = prepared.skin.name.clone();

@@ -315,10 +315,7 @@ impl Recorder {
     }
 
     /// Runs a step; after a failure the writer is put out of use without writing anything more.
-    fn attempt(
-        &mut self,
-        step: impl FnOnce(&mut FileWriter) -> Result<(), McapError>,
-    ) -> Result<(), Error> {
+    fn attempt(&mut self, step: impl FnOnce(&mut FileWriter) -> Result<(), McapError>) -> Result<(), Error> {
         let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
         let writer = self.writer.as_mut().ok_or_else(stopped)?;
         step(writer).map_err(|error| {

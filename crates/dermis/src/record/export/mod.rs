@@ -213,15 +213,17 @@ fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool
             &[("wall_ns", Kind::Count), ("event", Kind::Text), ("detail", Kind::Text), ("values", Kind::Text)]
         }
     };
-    let mut columns: Vec<Column> = fixed.iter().map(|(name, kind)| Column { name: (*name).to_owned(), kind: *kind }).collect();
+    let mut columns: Vec<Column> =
+        fixed.iter().map(|(name, kind)| Column { name: (*name).to_owned(), kind: *kind }).collect();
     if table == Table::Frames {
         let head = recording.head();
-        let label = |channel: usize| {
-            head.labels.get(channel).cloned().unwrap_or_else(|| format!("channel {}", channel + 1))
-        };
+        let label =
+            |channel: usize| head.labels.get(channel).cloned().unwrap_or_else(|| format!("channel {}", channel + 1));
         let parts: &[&str] = if complex { &["re ", "im "] } else { &[""] };
         let all = parts.iter().flat_map(|part| (0..head.layout.channels()).map(move |channel| (*part, channel)));
-        columns.extend(all.map(|(part, channel)| Column { name: format!("{part}{}", label(channel)), kind: Kind::Number }));
+        columns.extend(
+            all.map(|(part, channel)| Column { name: format!("{part}{}", label(channel)), kind: Kind::Number }),
+        );
     }
     columns
 }
