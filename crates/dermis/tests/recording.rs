@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use dermis::record::{
-    BaselineEntry, Entry, EventEntry, LostFrames, Recorder, Recording, RecordingHead, RecordingSummary, Replay,
+    BaselineEntry, Entry, EventEntry, LostFrames, Recorder, Recording, RecordingHead, RecordingSummary, Replay, recover,
 };
 use dermis_device::{Counters, Frame, Layout, Pacing, Repeat, Source, SourceEvent};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord};
@@ -231,6 +231,41 @@ fn foreign_files_are_named() {
         assert!(message.contains(expected), "{message}");
     }
     assert!(Recording::open(Path::new("none.mcap")).unwrap_err().to_string().starts_with("none.mcap: "));
+}
+
+#[test]
+fn what_is_readable_of_a_broken_recording_becomes_a_whole_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let [from, to] = ["broken.mcap", "whole.mcap"].map(|name| directory.path().join(name));
+    let mut bytes = recorded(450);
+    let places = chunks(&bytes);
+    let (offset, length) = places[2];
+    bytes[offset + length - 20] ^= 0x40;
+    bytes.truncate(places[4].0 + 100);
+    fs::write(&from, &bytes).unwrap();
+    let expected = sequences(&mut open(&bytes));
+    let recovered = recover(&from, &to).unwrap();
+    assert_eq!((recovered.frames, recovered.damage.chunks), (expected.len() as u64, 1));
+    assert!(recovered.damage.cut_off && recovered.messages > recovered.frames);
+    let whole = fs::read(&to).unwrap();
+    let mut recording = open(&whole);
+    assert_eq!(sequences(&mut recording), expected);
+    assert!(recording.damage().is_none(), "{:?}", recording.damage());
+    assert_eq!((recording.head(), recording.frames_dropped()), (&head(), None));
+    assert!(recover(&from, &to).unwrap_err().to_string().contains("never overwritten"));
+    assert_eq!(fs::read(&from).unwrap(), bytes, "what is broken stays as it is");
+}
+
+#[test]
+fn messages_that_dermis_does_not_know_are_recovered_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let [from, to] = ["a.mcap", "b.mcap"].map(|name| directory.path().join(name));
+    fs::write(&from, made_of(&[(4, vec![1, 2, 3]), (4, vec![])])).unwrap();
+    assert_eq!(recover(&from, &to).unwrap().messages, 2);
+    let bytes = fs::read(&to).unwrap();
+    let mut recording = open(&bytes);
+    assert!(recording.next_entry().unwrap().is_none());
+    assert_eq!(recording.counts().into_iter().collect::<Vec<_>>(), [("/other", 2)]);
 }
 
 fn drain(source: &mut dyn Source, most: usize) -> Vec<Frame> {

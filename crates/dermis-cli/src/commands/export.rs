@@ -9,8 +9,8 @@ use crate::exit::Outcome;
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis export press.mcap --out frames.csv
-  dermis export press.mcap --format npy --out frames.npy
+  dermis export press.mcap --out readings.csv
+  dermis export press.mcap --format npy --out readings.npy
   dermis export press.mcap --table touches --format parquet --out touches.parquet
 
 Tables: frames (number, times in nanoseconds, a column for each channel), touches, baselines, events. NPY holds the readings

@@ -81,7 +81,7 @@ impl Arguments {
             tracing::error!("the recording is not whole: {error}");
         }
         outcome?;
-        Ok(Outcome::of_frames(counters, end.lost))
+        Ok(Outcome::of_frames(counters, end.lost, end.error.is_some()))
     }
 
     fn follow(

@@ -90,6 +90,7 @@ struct Run {
     twin: Option<source::TwinControl>,
     recorder: Option<LiveRecording>,
     not_recorded: u64,
+    recording_failed: bool,
     head: RecordingHead,
     hub: Hub,
     feed: PageFeed,
@@ -115,7 +116,16 @@ impl Arguments {
             Some(server)
         };
         let feed = PageFeed::new(&pipeline);
-        let mut run = Run { pipeline, twin: opened.twin, recorder: None, not_recorded: 0, head, hub, feed };
+        let mut run = Run {
+            pipeline,
+            twin: opened.twin,
+            recorder: None,
+            not_recorded: 0,
+            recording_failed: false,
+            head,
+            hub,
+            feed,
+        };
         if let Some(path) = &self.record {
             run.start_recording(path)?;
         }
@@ -129,7 +139,7 @@ impl Arguments {
             server.shutdown();
         }
         outcome?;
-        Ok(Outcome::of_frames(counters, run.not_recorded))
+        Ok(Outcome::of_frames(counters, run.not_recorded, run.recording_failed))
     }
 
     fn address(&self) -> SocketAddr {
@@ -214,6 +224,9 @@ impl Run {
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
+            if let Some(recorder) = &self.recorder {
+                recorder.event("notice", &text, &[]);
+            }
             self.hub.announce(Level::Warning, text);
         }
         if self.pipeline.baseline_records().len() > before {
@@ -332,6 +345,7 @@ impl Run {
         let end = self.recorder.take().map(LiveRecording::finish)?;
         self.not_recorded += end.lost;
         if let Some(error) = &end.error {
+            self.recording_failed = true;
             tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
         }
         Some(end)

@@ -31,6 +31,7 @@
 
 mod cdr;
 mod export;
+mod file;
 mod head;
 mod live;
 mod messages;

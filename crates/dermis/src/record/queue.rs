@@ -19,7 +19,7 @@ use crate::sink::Output;
 const RARE: usize = 64;
 
 /// Images that may wait; they are made from what is recorded anyway, and one left out is no loss.
-const IMAGES: usize = 4;
+const IMAGES: usize = 16;
 
 /// How a recording in progress is doing.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -300,7 +300,7 @@ mod tests {
 
     use dermis_device::Layout;
 
-    use super::super::writer::Destination;
+    use super::super::file::Destination;
     use super::super::{Recorder, Recording, RecordingHead};
     use super::*;
 

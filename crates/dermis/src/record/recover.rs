@@ -10,9 +10,10 @@ use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record, op};
 use mcap::sans_io::linear_reader::LinearReadEvent;
 
+use super::file::whole_file;
 use super::head::{FINISHED, record};
 use super::scan::Outline;
-use super::writer::{FileWriter, attach_all, destination, mcap_error, new_writer};
+use super::writer::{FileWriter, attach_all, mcap_error, new_writer};
 use super::{Damage, Recording, reader};
 use crate::Error;
 
@@ -44,7 +45,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     let mut input = BufReader::new(File::open(from).map_err(Error::io(from))?);
     let outline = Outline::read(&mut input).map_err(Error::io(from))?.unwrap_or_default();
     let failed = |error| mcap_error(to, error);
-    let writer = new_writer(destination(to)?).map_err(failed)?;
+    let writer = new_writer(whole_file(to)?).map_err(failed)?;
     let mut copy = Copy { writer, outline: &outline, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 };
     copy.head(&recording).map_err(failed)?;
     for place in &outline.chunks {

@@ -2,9 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -14,6 +12,7 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
+use super::file::{Destination, destination};
 use super::head::{FINISHED, RecordingHead, record};
 use super::view::SkinView;
 use super::{messages, schema};
@@ -36,12 +35,6 @@ pub struct RecordingSummary {
 
 /// The format's writer to wherever the bytes go.
 pub(super) type FileWriter = Writer<NoSeek<Box<dyn Destination>>>;
-
-/// Where the bytes go.
-pub(super) trait Destination: Write + Send {
-    /// Makes everything durable and gives it its final name.
-    fn complete(self: Box<Self>) -> io::Result<()>;
-}
 
 /// Numbers of the channels in the file.
 #[derive(Clone, Copy)]
@@ -340,15 +333,6 @@ pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapEr
     options.create(NoSeek::new(out))
 }
 
-/// A file under its partial name, or the device that stands at `path`.
-pub(super) fn destination(path: &Path) -> Result<Box<dyn Destination>, Error> {
-    if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
-        let file = OpenOptions::new().write(true).open(path).map_err(Error::io(path))?;
-        return Ok(Box::new(Device(BufWriter::new(file))));
-    }
-    Ok(Box::new(PartialFile::create(path)?))
-}
-
 /// Writes metadata, the skin and the channels, and hands them out at once: they are what a reader needs most.
 fn write_head(writer: &mut FileWriter, head: &RecordingHead) -> Result<Channels, McapError> {
     for record in head.metadata() {
@@ -390,74 +374,5 @@ pub(super) fn mcap_error(name: &Path, error: McapError) -> Error {
     match error {
         McapError::Io(error) => Error::io(name)(error),
         other => Error::io(name)(io::Error::other(other)),
-    }
-}
-
-/// A file under its partial name.
-struct PartialFile {
-    out: BufWriter<File>,
-    partial: PathBuf,
-    target: PathBuf,
-}
-
-impl PartialFile {
-    fn create(path: &Path) -> Result<Self, Error> {
-        let partial = partial_name(path).ok_or_else(|| Error::io(path)(io::ErrorKind::IsADirectory.into()))?;
-        if path.exists() {
-            let reason = io::Error::new(io::ErrorKind::AlreadyExists, "exists, and recordings are never overwritten");
-            return Err(Error::io(path)(reason));
-        }
-        let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(Error::io(&partial))?;
-        Ok(Self { out: BufWriter::new(file), partial, target: path.to_owned() })
-    }
-}
-
-/// `a/press.mcap` becomes `a/press.partial.mcap`.
-pub(super) fn partial_name(path: &Path) -> Option<PathBuf> {
-    let mut name = OsString::from(path.file_stem()?);
-    name.push(".partial");
-    if let Some(extension) = path.extension() {
-        name.push(".");
-        name.push(extension);
-    }
-    Some(path.with_file_name(name))
-}
-
-/// What is no regular file and has no other name meanwhile.
-struct Device(BufWriter<File>);
-
-impl Write for Device {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
-    }
-}
-
-impl Destination for Device {
-    fn complete(mut self: Box<Self>) -> io::Result<()> {
-        self.0.flush()
-    }
-}
-
-impl Write for PartialFile {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.out.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
-    }
-}
-
-impl Destination for PartialFile {
-    fn complete(mut self: Box<Self>) -> io::Result<()> {
-        self.out.flush()?;
-        self.out.get_ref().sync_all()?;
-        fs::rename(&self.partial, &self.target)?;
-        crate::sink::sync_directory(&self.target);
-        Ok(())
     }
 }
