@@ -104,7 +104,7 @@ fn skin_name(recording: &Recording) -> String {
 fn lost_frames(damage: &Damage) -> String {
     match damage.frames {
         LostFrames::Exactly(count) => count.to_string(),
-        LostFrames::Unknown { in_damaged_chunks } => format!("about {in_damaged_chunks}"),
+        LostFrames::Unknown { in_damaged_chunks } => format!("at most {in_damaged_chunks}"),
     }
 }
 

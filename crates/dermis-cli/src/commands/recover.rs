@@ -40,7 +40,7 @@ impl Arguments {
         }
         let frames = match damage.frames {
             LostFrames::Exactly(count) => count.to_string(),
-            LostFrames::Unknown { in_damaged_chunks } => format!("about {in_damaged_chunks}"),
+            LostFrames::Unknown { in_damaged_chunks } => format!("at most {in_damaged_chunks}"),
         };
         tracing::error!(
             frames,

@@ -119,7 +119,7 @@ fn outcome(report: &RerunReport) -> Outcome {
     let damage = &report.damage;
     let unreadable = match damage.frames {
         LostFrames::Exactly(count) => count.to_string(),
-        LostFrames::Unknown { in_damaged_chunks } => format!("at least {in_damaged_chunks}"),
+        LostFrames::Unknown { in_damaged_chunks } => format!("at most {in_damaged_chunks}"),
     };
     tracing::error!(lost = report.missing, unreadable, cut_off = damage.cut_off, "frames were lost");
     Outcome::DataLost
