@@ -3,6 +3,7 @@
 use std::io;
 use std::process::ExitCode;
 
+use dermis::acquire::AcquisitionCounters;
 use dermis_device::DeviceError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
@@ -21,6 +22,20 @@ pub enum Outcome {
 }
 
 impl Outcome {
+    /// Data lost if any frame was, which is said with the counts: by the source, on the way, or by a recording, which may
+    /// also have failed without losing one.
+    pub fn of_frames(counters: AcquisitionCounters, not_recorded: u64, recording_failed: bool) -> Self {
+        if counters.repeated > 0 {
+            tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
+        }
+        if counters.total() + not_recorded == 0 {
+            return if recording_failed { Outcome::DataLost } else { Outcome::Done };
+        }
+        let AcquisitionCounters { dropped, lost, bad: damaged, .. } = counters;
+        tracing::error!(dropped, lost, damaged, not_recorded, "frames were lost");
+        Outcome::DataLost
+    }
+
     /// The code for the shell.
     pub fn code(self) -> ExitCode {
         match self {

@@ -493,6 +493,10 @@ fn measured_files(desk: &Desk) {
     write_rows(desk, "rest.csv", std::slice::from_ref(&square.voltages));
     let presses = [[0.0, 0.0], [0.02, 0.01], [-0.02, 0.0]].map(|at| touched(&square, at, 0.3));
     write_rows(desk, "press.csv", &presses);
+    // What a recorder leaves that never came to its end.
+    let layout = dermis_device::Layout::Channels { count: 1 };
+    let head = dermis::record::RecordingHead::new("name = \"a\"\n", layout, "test");
+    drop(dermis::record::Recorder::create(&desk.path("broken.mcap"), &head).expect("a recording"));
     let gel = prepare("hydrogel-disc");
     let magnitudes = |frame: Vec<f64>| frame.iter().map(|v| v.abs()).collect::<Vec<_>>();
     let places: Vec<[f64; 2]> =

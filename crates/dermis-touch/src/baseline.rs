@@ -314,6 +314,22 @@ impl Baseline {
         Ok(())
     }
 
+    /// Goes on with a baseline that was in use before and the noise measured with it, and ends start-up.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`]; nothing has then changed.
+    pub fn restore(&mut self, record: ReferenceRecord, values: &[f64], noise_std: &[f64]) -> Result<(), TouchError> {
+        require_length("baseline", self.channels(), values.len())?;
+        require_length("noise of the baseline", self.channels(), noise_std.len())?;
+        self.baseline.copy_from_slice(values);
+        self.noise_std.copy_from_slice(noise_std);
+        self.started = true;
+        self.tare = None;
+        self.startup.clear();
+        self.records.push(record);
+        Ok(())
+    }
+
     fn record(&mut self, time_ns: u64, frames: usize, origin: ReferenceOrigin, reason: String) {
         self.records.push(ReferenceRecord { time_ns, frames, origin, reason });
     }

@@ -301,9 +301,16 @@ impl Calibration {
     /// # Errors
     /// No such file, not a calibration, one of another version, or one whose parts do not fit each other.
     pub fn load(path: &Path) -> Result<Self, Error> {
-        let bytes = dermis_device::instruments::read_bytes(path)?;
+        Self::parse(&dermis_device::instruments::read_bytes(path)?, path)
+    }
+
+    /// Reads a calibration from its text; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`Calibration::load`].
+    pub fn parse(text: &[u8], path: &Path) -> Result<Self, Error> {
         let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
-        let calibration: Self = serde_json::from_slice(&bytes)
+        let calibration: Self = serde_json::from_slice(text)
             .map_err(|error| content(format!("line {}, column {}", error.line(), error.column()), error.to_string()))?;
         if calibration.version != VERSION {
             let reason = format!("{}, expected {VERSION}", calibration.version);

@@ -238,6 +238,21 @@ impl Pipeline {
         Ok(TARE_FRAMES)
     }
 
+    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the channels
+    /// at rest, in place of learning one from the first frames.
+    ///
+    /// # Errors
+    /// Another number of channels than the skin's, or a baseline that does not fit its model.
+    pub fn restore_baseline(
+        &mut self,
+        record: ReferenceRecord,
+        values: &[f64],
+        noise_std: &[f64],
+    ) -> Result<(), Error> {
+        self.baseline.restore(record, values, noise_std)?;
+        self.renew()
+    }
+
     /// Rebuilds the operator at another lambda.
     ///
     /// # Errors

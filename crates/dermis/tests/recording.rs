@@ -5,7 +5,9 @@ use std::io::Cursor;
 use std::path::Path;
 use std::time::Duration;
 
-use dermis::record::{BaselineEntry, Entry, LostFrames, Recorder, Recording, RecordingHead, RecordingSummary, Replay};
+use dermis::record::{
+    BaselineEntry, Entry, EventEntry, LostFrames, Recorder, Recording, RecordingHead, RecordingSummary, Replay, recover,
+};
 use dermis_device::{Counters, Frame, Layout, Pacing, Repeat, Source, SourceEvent};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord};
 use proptest::prelude::*;
@@ -42,7 +44,7 @@ fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
 
 fn baseline() -> BaselineEntry {
     let record = ReferenceRecord { time_ns: 5, frames: 32, origin: ReferenceOrigin::Tare, reason: "button".to_owned() };
-    BaselineEntry { record, values: vec![0.1, f64::NAN.copysign(-1.0), 3e-300] }
+    BaselineEntry { record, values: vec![0.1, f64::NAN.copysign(-1.0), 3e-300], noise_std: vec![1e-6] }
 }
 
 /// Writes frames 0 to `frames`, with other entries after the second. Events of a megabyte close a chunk after every
@@ -52,12 +54,13 @@ fn record(path: &Path, frames: u64) {
     for n in 0..frames {
         recorder.write_frame(&frame(n)).unwrap();
         if n == 1 {
-            recorder.write_baseline(9, &baseline().record, &baseline().values).unwrap();
+            let BaselineEntry { record, values, noise_std } = baseline();
+            recorder.write_baseline(9, &record, &values, &noise_std).unwrap();
             recorder.write_touches(10, 1, 1_500_000_000, &[], &[]).unwrap();
-            recorder.write_event(11, "tare-refused", "a \"touch\" began").unwrap();
+            recorder.write_event(11, "tare-refused", "a \"touch\" began", &[0.5]).unwrap();
         }
         if n % 100 == 99 {
-            recorder.write_event(12, "filler", &"x".repeat(1 << 20)).unwrap();
+            recorder.write_event(12, "filler", &"x".repeat(1 << 20), &[]).unwrap();
         }
     }
     let summary = recorder.finish(7).unwrap();
@@ -117,18 +120,24 @@ fn everything_comes_back_bit_for_bit() {
                 Entry::Baseline { wall_ns, entry } => {
                     let to_bits = |entry: &BaselineEntry| entry.values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
                     assert_eq!((wall_ns, &entry.record), (9, &baseline().record));
-                    assert_eq!(to_bits(entry), to_bits(&baseline()));
+                    assert_eq!((to_bits(entry), &entry.noise_std), (to_bits(&baseline()), &vec![1e-6]));
                     others.push("baseline".to_owned());
                 }
-                Entry::Touches { json, .. } => others.push(json.to_owned()),
-                Entry::Event { json, .. } if json.len() < 100 => others.push(json.to_owned()),
-                Entry::Event { .. } => {}
+                Entry::Touches { wall_ns, entry } => {
+                    assert_eq!(
+                        (wall_ns, entry.sequence, entry.time_ns, entry.touches.len()),
+                        (10, 1, 1_500_000_000, 0)
+                    );
+                    others.push("touches".to_owned());
+                }
+                Entry::Event { entry: EventEntry { event, .. }, .. } if event == "filler" => {}
+                Entry::Event { entry: EventEntry { event, detail, values }, .. } => {
+                    others.push(format!("{event}: {detail} {values:?}"));
+                }
             }
         }
         assert_eq!(n, 250);
-        let touches = "{\"sequence\":1,\"time_s\":1.500000000,\"touches\":[]}";
-        let event = "{\"detail\":\"a \\\"touch\\\" began\",\"event\":\"tare-refused\"}";
-        assert_eq!(others, ["baseline", touches, event]);
+        assert_eq!(others, ["baseline", "touches", "tare-refused: a \"touch\" began [0.5]"]);
         assert!(recording.damage().is_none(), "{:?}", recording.damage());
         recording.rewind();
     }
@@ -224,6 +233,41 @@ fn foreign_files_are_named() {
     assert!(Recording::open(Path::new("none.mcap")).unwrap_err().to_string().starts_with("none.mcap: "));
 }
 
+#[test]
+fn what_is_readable_of_a_broken_recording_becomes_a_whole_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let [from, to] = ["broken.mcap", "whole.mcap"].map(|name| directory.path().join(name));
+    let mut bytes = recorded(450);
+    let places = chunks(&bytes);
+    let (offset, length) = places[2];
+    bytes[offset + length - 20] ^= 0x40;
+    bytes.truncate(places[4].0 + 100);
+    fs::write(&from, &bytes).unwrap();
+    let expected = sequences(&mut open(&bytes));
+    let recovered = recover(&from, &to).unwrap();
+    assert_eq!((recovered.frames, recovered.damage.chunks), (expected.len() as u64, 1));
+    assert!(recovered.damage.cut_off && recovered.messages > recovered.frames);
+    let whole = fs::read(&to).unwrap();
+    let mut recording = open(&whole);
+    assert_eq!(sequences(&mut recording), expected);
+    assert!(recording.damage().is_none(), "{:?}", recording.damage());
+    assert_eq!((recording.head(), recording.frames_dropped()), (&head(), None));
+    assert!(recover(&from, &to).unwrap_err().to_string().contains("never overwritten"));
+    assert_eq!(fs::read(&from).unwrap(), bytes, "what is broken stays as it is");
+}
+
+#[test]
+fn messages_that_dermis_does_not_know_are_recovered_too() {
+    let directory = tempfile::tempdir().unwrap();
+    let [from, to] = ["a.mcap", "b.mcap"].map(|name| directory.path().join(name));
+    fs::write(&from, made_of(&[(4, vec![1, 2, 3]), (4, vec![])])).unwrap();
+    assert_eq!(recover(&from, &to).unwrap().messages, 2);
+    let bytes = fs::read(&to).unwrap();
+    let mut recording = open(&bytes);
+    assert!(recording.next_entry().unwrap().is_none());
+    assert_eq!(recording.counts().into_iter().collect::<Vec<_>>(), [("/other", 2)]);
+}
+
 fn drain(source: &mut dyn Source, most: usize) -> Vec<Frame> {
     let mut frame = Frame::default();
     let mut seen = Vec::new();
@@ -296,7 +340,7 @@ fn made_of(messages: &[(usize, Vec<u8>)]) -> Vec<u8> {
     let topics = ["/dermis/frames", "/dermis/baselines", "/dermis/touches", "/dermis/events", "/other"];
     let map = |entries: &[(&str, &str)]| entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
     let layout = r#"{"kind":"channels","count":1}"#;
-    let recording = map(&[("version", "1"), ("source", "made"), ("layout", layout), ("labels", "[]")]);
+    let recording = map(&[("version", "2"), ("source", "made"), ("layout", layout), ("labels", "[]")]);
     let mut bytes = Vec::new();
     let mut writer = mcap::Writer::new(Cursor::new(&mut bytes)).unwrap();
     for (name, metadata) in [("dermis.recording", recording), ("dermis.skin", map(&[("toml", SKIN)]))] {

@@ -4,7 +4,12 @@ mod bench;
 mod calibrate;
 mod design;
 mod devices;
+mod export;
+mod info;
 mod reconstruct;
+mod record;
+mod recover;
+mod replay;
 mod reproduce;
 mod run;
 mod skins;
@@ -21,6 +26,16 @@ use crate::exit::Outcome;
 pub enum Command {
     /// Run a skin live: acquire, reconstruct, show a page in the browser.
     Run(run::Arguments),
+    /// Record a skin into a file.
+    Record(record::Arguments),
+    /// Run a recording through the pipeline again, as it was or with another prior.
+    Replay(replay::Arguments),
+    /// Say what a recording holds, and what it lacks.
+    Info(info::Arguments),
+    /// Make a whole recording of what is left of a broken one.
+    Recover(recover::Arguments),
+    /// Turn parts of a recording into tables for other programs.
+    Export(export::Arguments),
     /// Solve a forward problem or make a difference image from a case file.
     Solve(solve::Arguments),
     /// Make images and touches of recorded frames.
@@ -48,6 +63,11 @@ impl Command {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match self {
             Command::Run(arguments) => arguments.run(out),
+            Command::Record(arguments) => arguments.run(out),
+            Command::Replay(arguments) => arguments.run(out),
+            Command::Info(arguments) => arguments.run(out),
+            Command::Recover(arguments) => arguments.run(out),
+            Command::Export(arguments) => arguments.run(out),
             Command::Reconstruct(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),

@@ -2,7 +2,7 @@
 //! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
 
 mod page_feed;
-mod source;
+pub(super) mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -11,18 +11,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use crossbeam_channel::Receiver;
 use dermis::acquire::{Acquisition, Next};
-use dermis::calibrate::Calibration;
-use dermis::forces::load_forces;
 use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
-use dermis::record::{Recorder, RecorderHandle, RecordingHead};
+use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
 use dermis::sink::{JsonLines, LinesFor, Sink};
 use dermis::skin::Skin;
 use dermis::twin_source::TwinCommand;
-use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Request, Token};
+use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use dermis_device::{Frame, HostStamp};
 
 use crate::exit::{Outcome, UsageError};
@@ -40,8 +36,6 @@ as `page: http://...`. Pages on other addresses than this machine's own need the
 
 /// Frames that may wait between source and pipeline.
 const QUEUE: usize = 64;
-/// Frames that may wait for the disk.
-const RECORDER_QUEUE: usize = 1024;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
@@ -55,7 +49,7 @@ pub struct Arguments {
     /// just numbers.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
-    /// Pace of a file: 1 as recorded, 0 as fast as possible.
+    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
     /// A calibration made by `dermis calibrate`.
@@ -94,8 +88,9 @@ pub struct Arguments {
 struct Run {
     pipeline: Pipeline,
     twin: Option<source::TwinControl>,
-    recorder: Option<(PathBuf, RecorderHandle)>,
-    recorder_dropped: u64,
+    recorder: Option<LiveRecording>,
+    not_recorded: u64,
+    recording_failed: bool,
     head: RecordingHead,
     hub: Hub,
     feed: PageFeed,
@@ -105,16 +100,7 @@ impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let opened = source::open(&self.source, &self.skin, self.speed)?;
-        let skin_toml = opened.skin.to_toml();
-        let calibration = self.calibration.as_deref().map(Calibration::load).transpose()?;
-        let prepared = Prepared::new(opened.skin)?;
-        let labels = (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect();
-        let layout = opened.source.layout().clone();
-        let head = RecordingHead { labels, ..RecordingHead::new(skin_toml, layout.clone(), opened.source.name()) };
-        let mut pipeline = Pipeline::new(prepared, &layout, calibration)?;
-        if let Some(path) = &self.forces {
-            pipeline.set_forces(load_forces(path, &pipeline.prepared().skin.name)?)?;
-        }
+        let (pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {
@@ -130,35 +116,30 @@ impl Arguments {
             Some(server)
         };
         let feed = PageFeed::new(&pipeline);
-        let mut run = Run { pipeline, twin: opened.twin, recorder: None, recorder_dropped: 0, head, hub, feed };
+        let mut run = Run {
+            pipeline,
+            twin: opened.twin,
+            recorder: None,
+            not_recorded: 0,
+            recording_failed: false,
+            head,
+            hub,
+            feed,
+        };
         if let Some(path) = &self.record {
             run.start_recording(path)?;
         }
         // Last of all, so that no frame waits for anything above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let outcome = self.follow(&mut acquisition, &mut run, &requests, out);
-        run.stop_recording()?;
+        run.stop_recording();
         let counters = acquisition.counters();
         drop(acquisition);
         if let Some(server) = server {
             server.shutdown();
         }
         outcome?;
-        if counters.repeated > 0 {
-            tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
-        }
-        let lost = counters.total() + run.recorder_dropped;
-        if lost > 0 {
-            tracing::error!(
-                dropped = counters.dropped,
-                lost = counters.lost,
-                damaged = counters.bad,
-                not_recorded = run.recorder_dropped,
-                "frames were lost"
-            );
-            return Ok(Outcome::DataLost);
-        }
-        Ok(Outcome::Done)
+        Ok(Outcome::of_frames(counters, run.not_recorded, run.recording_failed))
     }
 
     fn address(&self) -> SocketAddr {
@@ -226,40 +207,48 @@ impl Run {
         lines: Option<&mut JsonLines<Vec<u8>>>,
     ) -> anyhow::Result<()> {
         // Raw is on its way to the disk before anything is made of it.
-        if let Some((_, recorder)) = &self.recorder {
-            recorder.offer(frame);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.frame(frame);
         }
         let before = self.pipeline.baseline_records().len();
         let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
-        if let Some((_, recorder)) = &self.recorder
-            && !(output.touches.is_empty() && output.events.is_empty())
-        {
-            recorder.offer_touches(output.wall_ns, output.sequence, output.time_ns, output.touches, output.events);
+        if let Some(recorder) = &mut self.recorder {
+            recorder.results(&output);
         }
         if let Some(lines) = lines {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
-        self.feed.count(
-            acquisition.counters(),
-            self.recorder.as_ref().map(|(path, handle)| (path.as_path(), handle.status())),
-        );
+        self.feed
+            .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
         self.feed.describe(&self.pipeline);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
+            if let Some(recorder) = &self.recorder {
+                recorder.event("notice", &text, &[]);
+            }
             self.hub.announce(Level::Warning, text);
         }
         if self.pipeline.baseline_records().len() > before {
             self.new_baseline(frame.host_wall_ns);
         }
+        self.notice_failure();
         Ok(())
     }
 
+    /// A recording that has stopped is said at once; the stream goes on.
+    fn notice_failure(&mut self) {
+        if let Some(error) = self.recorder.as_mut().and_then(LiveRecording::new_failure) {
+            tracing::error!("the recording has stopped: {error}");
+            self.hub.announce(Level::Error, format!("the recording has stopped: {error}"));
+        }
+    }
+
     fn new_baseline(&mut self, wall_ns: u64) {
-        let (baseline, noise) = self.pipeline.baseline();
+        let (_, noise) = self.pipeline.baseline();
         self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
-        if let (Some((_, recorder)), Some(record)) = (&self.recorder, self.pipeline.baseline_records().last()) {
-            recorder.offer_baseline(wall_ns, record, baseline);
+        if let Some(recorder) = &self.recorder {
+            recorder.baseline(&self.pipeline, wall_ns);
         }
         if let Some(reference) = self.pipeline.reference() {
             let correlation = reference.order.correlation;
@@ -278,10 +267,7 @@ impl Run {
     fn answer(&mut self, request: Request) {
         let reply = request.reply;
         match request.command {
-            Command::Tare { force } => match self.pipeline.tare(force, "asked for in the page") {
-                Ok(frames) => reply.accept(format!("taring over {frames} frames")),
-                Err(error) => reply.refuse(format!("tare refused: {error}")),
-            },
+            Command::Tare { force } => self.tare(force, reply),
             Command::RecordStart => {
                 let path = PathBuf::from(format!("{}.mcap", timestamp()));
                 match self.start_recording(&path) {
@@ -290,12 +276,21 @@ impl Run {
                 }
             }
             Command::RecordStop => match self.stop_recording() {
-                Ok(Some(text)) => reply.accept(text),
-                Ok(None) => reply.refuse("nothing is being recorded"),
-                Err(error) => reply.refuse(format!("the recording failed: {error}")),
+                Some(RecordingEnd { error: Some(error), lost, .. }) => {
+                    reply.refuse(format!("the recording failed, {lost} frames are not in it: {error}"));
+                }
+                Some(RecordingEnd { path, frames, lost, .. }) => {
+                    reply.accept(format!("{}: {frames} frames, {lost} dropped", path.display()));
+                }
+                None => reply.refuse("nothing is being recorded"),
             },
             Command::Hyperparameter(value) => match self.pipeline.set_hyperparameter(value) {
-                Ok(()) => reply.accept(format!("hyperparameter {value:.3e}")),
+                Ok(()) => {
+                    if let Some(recorder) = &self.recorder {
+                        recorder.hyperparameter(value);
+                    }
+                    reply.accept(format!("hyperparameter {value:.3e}"));
+                }
                 Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
             },
             Command::Press(press) | Command::Move(press) => self.command_twin(TwinCommand::Press {
@@ -311,6 +306,25 @@ impl Run {
         }
     }
 
+    fn tare(&mut self, force: bool, reply: Reply) {
+        const REASON: &str = "asked for in the page";
+        let asked = self.pipeline.tare(force, REASON);
+        match (asked, &self.recorder) {
+            (Ok(frames), recorder) => {
+                if let Some(recorder) = recorder {
+                    recorder.tare(force, REASON);
+                }
+                reply.accept(format!("taring over {frames} frames"));
+            }
+            (Err(error), recorder) => {
+                if let Some(recorder) = recorder {
+                    recorder.event("tare-refused", &error.to_string(), &[]);
+                }
+                reply.refuse(format!("tare refused: {error}"));
+            }
+        }
+    }
+
     fn command_twin(&self, command: TwinCommand) {
         if let Some(twin) = &self.twin
             && twin.commands.try_send(command).is_err()
@@ -320,23 +334,21 @@ impl Run {
     }
 
     fn start_recording(&mut self, path: &Path) -> anyhow::Result<()> {
-        if let Some((path, _)) = &self.recorder {
-            return Err(UsageError(format!("already recording to {}", path.display())).into());
+        if let Some(recorder) = &self.recorder {
+            return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
         }
-        let recorder = Recorder::create(path, &self.head)?;
-        let handle = RecorderHandle::spawn(recorder, RECORDER_QUEUE)?;
-        if let Some(record) = self.pipeline.baseline_records().last() {
-            handle.offer_baseline(HostStamp::now().wall_ns, record, self.pipeline.baseline().0);
-        }
-        self.recorder = Some((path.to_path_buf(), handle));
+        self.recorder = Some(LiveRecording::start(path, &self.head, &self.pipeline, SkinView::IMAGES_PER_S)?);
         Ok(())
     }
 
-    fn stop_recording(&mut self) -> anyhow::Result<Option<String>> {
-        let Some((path, handle)) = self.recorder.take() else { return Ok(None) };
-        let summary = handle.finish().with_context(|| format!("finishing {}", path.display()))?;
-        self.recorder_dropped += summary.dropped;
-        Ok(Some(format!("{}: {} frames, {} dropped", path.display(), summary.frames, summary.dropped)))
+    fn stop_recording(&mut self) -> Option<RecordingEnd> {
+        let end = self.recorder.take().map(LiveRecording::finish)?;
+        self.not_recorded += end.lost;
+        if let Some(error) = &end.error {
+            self.recording_failed = true;
+            tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
+        }
+        Some(end)
     }
 }
 

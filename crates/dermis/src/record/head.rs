@@ -11,10 +11,11 @@ use crate::Error;
 /// Names of the metadata records.
 pub(super) const RECORDING: &str = "dermis.recording";
 pub(super) const SKIN: &str = "dermis.skin";
+pub(super) const CALIBRATION: &str = "dermis.calibration";
 pub(super) const FINISHED: &str = "dermis.finished";
 
 /// Version of the format that [`super`] describes.
-const VERSION: &str = "1";
+const VERSION: &str = "2";
 
 /// What the frames of a recording are.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -27,12 +28,17 @@ pub struct RecordingHead {
     pub labels: Vec<String>,
     /// Where the frames came from: a port, an address, a twin.
     pub source: String,
+    /// The text of the calibration that images were made with, if there was one.
+    pub calibration: Option<String>,
+    /// The text of the force calibration, if there was one.
+    pub forces: Option<String>,
 }
 
 impl RecordingHead {
     /// A head without channel labels.
     pub fn new(skin_toml: impl Into<String>, layout: Layout, source: impl Into<String>) -> Self {
-        Self { skin_toml: skin_toml.into(), layout, labels: Vec::new(), source: source.into() }
+        let (skin_toml, source) = (skin_toml.into(), source.into());
+        Self { skin_toml, layout, labels: Vec::new(), source, calibration: None, forces: None }
     }
 
     /// # Errors
@@ -49,7 +55,7 @@ impl RecordingHead {
         })
     }
 
-    pub(super) fn metadata(&self) -> [Metadata; 2] {
+    pub(super) fn metadata(&self) -> Vec<Metadata> {
         let layout = LayoutText::from(&self.layout);
         let json = |value: serde_json::Result<String>| value.unwrap_or_default();
         let recording = record(
@@ -62,7 +68,24 @@ impl RecordingHead {
                 ("labels", json(serde_json::to_string(&self.labels))),
             ],
         );
-        [recording, record(SKIN, [("toml", self.skin_toml.clone())])]
+        let mut all = vec![recording, record(SKIN, [("toml", self.skin_toml.clone())])];
+        let calibrations = [("image", &self.calibration), ("forces", &self.forces)];
+        let given = calibrations.into_iter().filter_map(|(key, text)| Some((key.to_owned(), text.clone()?)));
+        let metadata: BTreeMap<String, String> = given.collect();
+        if !metadata.is_empty() {
+            all.push(Metadata { name: CALIBRATION.to_owned(), metadata });
+        }
+        all
+    }
+
+    /// The files that a recording carries for people: name, media type, text.
+    pub(super) fn attachments(&self) -> Vec<(&'static str, &'static str, &str)> {
+        let mut all = vec![("skin.toml", "application/toml", self.skin_toml.as_str())];
+        let calibrations = [("calibration.json", &self.calibration), ("forces.json", &self.forces)];
+        all.extend(
+            calibrations.into_iter().filter_map(|(name, text)| Some((name, "application/json", text.as_deref()?))),
+        );
+        all
     }
 
     /// Reads both records back; the error is what is wrong with which key.
@@ -81,7 +104,9 @@ impl RecordingHead {
         let labels: Vec<String> =
             serde_json::from_str(entry(RECORDING, "labels")?).map_err(|error| wrong("labels", error.to_string()))?;
         let (skin_toml, source) = (entry(SKIN, "toml")?.to_owned(), entry(RECORDING, "source")?.to_owned());
-        let head = Self { skin_toml, layout: layout.into(), labels, source };
+        let calibration = |key: &str| found.get(CALIBRATION).and_then(|record| record.get(key)).cloned();
+        let (calibration, forces) = (calibration("image"), calibration("forces"));
+        let head = Self { skin_toml, layout: layout.into(), labels, source, calibration, forces };
         head.validate().map_err(|error| wrong("labels", error.to_string()))?;
         Ok(head)
     }
@@ -136,6 +161,7 @@ mod tests {
         ];
         for layout in layouts {
             let mut head = RecordingHead::new("name = \"a\"\n", layout, "twin:a");
+            head.forces = (head.labels.is_empty() && head.layout.channels() == 1).then(|| "{}".to_owned());
             head.labels = (0..head.layout.channels()).map(|channel| format!("\"{channel}\"")).collect();
             let found = head.metadata().into_iter().map(|record| (record.name, record.metadata)).collect();
             assert_eq!(RecordingHead::from_metadata(&found), Ok(head));

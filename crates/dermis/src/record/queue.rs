@@ -7,21 +7,27 @@ use std::thread::{self, JoinHandle};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
 use dermis_device::Frame;
-use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
+use dermis_touch::{ReferenceRecord, TouchEvent};
 
+use super::messages;
+use super::view::SkinView;
 use super::writer::{FLUSH_INTERVAL, Recorder, RecordingSummary};
 use crate::Error;
-use crate::sink::json_lines::push_touches;
+use crate::sink::Output;
 
 /// Room for baselines and events beside frames and touches; they are rare.
 const RARE: usize = 64;
 
+/// Images that may wait; they are made from what is recorded anyway, and one left out is no loss.
+const IMAGES: usize = 16;
+
 /// How a recording in progress is doing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RecorderStatus {
-    /// Frames encoded. The last half second of them may still be in memory, and is lost if the recording stops.
+    /// Frames encoded. The last half second of them may still be in memory.
     pub written: u64,
-    /// Frames that were offered and never encoded: the queue was full, or the recording had stopped.
+    /// Frames that were offered and are not recorded: the queue was full, or the recording has stopped. Then those that
+    /// were still in memory are among them.
     pub dropped: u64,
     /// Why the recording has stopped, if it has.
     pub error: Option<String>,
@@ -30,9 +36,11 @@ pub struct RecorderStatus {
 /// What waits in the queue.
 enum Item {
     Frame(Frame),
-    Touches { wall_ns: u64, json: String },
-    Baseline { wall_ns: u64, record: ReferenceRecord, values: Vec<f64> },
-    Event { wall_ns: u64, event: String, detail: String },
+    Touches { wall_ns: u64, message: Vec<u8> },
+    TouchPoints { wall_ns: u64, message: Vec<u8> },
+    Image { wall_ns: u64, image: Vec<f32> },
+    Baseline { wall_ns: u64, record: ReferenceRecord, values: Vec<f64>, noise_std: Vec<f64> },
+    Event { wall_ns: u64, event: String, detail: String, values: Vec<f64> },
 }
 
 /// Counts shared with the writing thread.
@@ -41,6 +49,7 @@ struct Shared {
     offered: AtomicU64,
     refused: AtomicU64,
     written: AtomicU64,
+    safe: AtomicU64,
     error: OnceLock<String>,
 }
 
@@ -51,7 +60,11 @@ struct Shared {
 pub struct RecorderHandle {
     items: Option<Sender<Item>>,
     free_frames: Receiver<Frame>,
-    free_texts: Receiver<String>,
+    free_messages: Receiver<Vec<u8>>,
+    free_images: Receiver<Vec<f32>>,
+    view: Option<SkinView>,
+    /// When the next image is due, on the frames' clock.
+    image_due_ns: u64,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<Result<RecordingSummary, Error>>>,
 }
@@ -69,20 +82,28 @@ impl RecorderHandle {
     /// [`Error::Io`] if the system gives no thread.
     pub fn spawn(recorder: Recorder, capacity: usize) -> Result<Self, Error> {
         let capacity = capacity.max(1);
-        let (items, queue) = bounded(2 * capacity + RARE);
+        let (items, queue) = bounded(3 * capacity + IMAGES + RARE);
         let (return_frame, free_frames) = bounded(capacity);
-        let (return_text, free_texts) = bounded(capacity);
+        let (return_message, free_messages) = bounded(2 * capacity);
+        let (return_image, free_images) = bounded(IMAGES);
         for _ in 0..capacity {
             // The channels were made with room for exactly these.
             let _ = return_frame.try_send(Frame::default());
-            let _ = return_text.try_send(String::new());
+            let _ = return_message.try_send(Vec::new());
+            let _ = return_message.try_send(Vec::new());
         }
+        for _ in 0..IMAGES {
+            let _ = return_image.try_send(Vec::new());
+        }
+        let view = recorder.view().cloned();
         let shared = Arc::new(Shared::default());
         let path = recorder.path().to_owned();
-        let writer = WriterThread { recorder, queue, return_frame, return_text, shared: shared.clone() };
+        let writer =
+            WriterThread { recorder, queue, return_frame, return_message, return_image, shared: shared.clone() };
         let thread = thread::Builder::new().name("dermis-recorder".to_owned()).spawn(move || writer.run());
         let thread = Some(thread.map_err(Error::io(path))?);
-        Ok(Self { items: Some(items), free_frames, free_texts, shared, thread })
+        let image_due_ns = 0;
+        Ok(Self { items: Some(items), free_frames, free_messages, free_images, view, image_due_ns, shared, thread })
     }
 
     /// Queues a raw frame; false if it is dropped because the queue is full or the recording has stopped.
@@ -98,30 +119,48 @@ impl RecorderHandle {
         queued
     }
 
-    /// Queues the touches of frame `sequence`; those that ended in it stand in `events`. False if they are dropped.
-    pub fn offer_touches(
-        &self,
-        wall_ns: u64,
-        sequence: u64,
-        time_ns: u64,
-        touches: &[Touch],
-        events: &[TouchEvent],
-    ) -> bool {
-        self.free_texts.try_recv().is_ok_and(|mut json| {
-            json.clear();
-            push_touches(&mut json, sequence, time_ns, touches, events);
-            self.send(Item::Touches { wall_ns, json })
-        })
+    /// Queues what was made of a frame: its touches, if there are any or one ended, and its image, if one is due at
+    /// `time_ns` on the frames' clock. What does not fit is left out: it can be made again from the frame.
+    pub fn offer_results(&mut self, output: &Output<'_>, time_ns: u64) {
+        let wall_ns = output.wall_ns;
+        let ended = output.events.iter().any(|event| matches!(event, TouchEvent::End(_)));
+        if ended || !output.touches.is_empty() {
+            if let Ok(mut message) = self.free_messages.try_recv() {
+                messages::write_touches(&mut message, output.sequence, output.time_ns, output.touches, output.events);
+                self.send(Item::Touches { wall_ns, message });
+            }
+            if let Some(view) = &self.view
+                && let Ok(mut message) = self.free_messages.try_recv()
+            {
+                view.write_touch_points(&mut message, wall_ns, output.touches);
+                self.send(Item::TouchPoints { wall_ns, message });
+            }
+        }
+        let Some(view) = &self.view else { return };
+        // A clock that was set back does not end the images.
+        let due = time_ns >= self.image_due_ns || time_ns.saturating_add(view.period_ns()) < self.image_due_ns;
+        if due
+            && output.image.iter().any(|value| value.is_finite())
+            && let Ok(mut image) = self.free_images.try_recv()
+        {
+            self.image_due_ns = time_ns.saturating_add(view.period_ns());
+            image.clear();
+            image.extend_from_slice(output.image);
+            self.send(Item::Image { wall_ns, image });
+        }
     }
 
-    /// Queues a baseline that came into use at `wall_ns`; false if it is dropped.
-    pub fn offer_baseline(&self, wall_ns: u64, record: &ReferenceRecord, values: &[f64]) -> bool {
-        self.send(Item::Baseline { wall_ns, record: record.clone(), values: values.to_vec() })
+    /// Queues a baseline that came into use at `wall_ns`, with the noise of its channels; false if it is dropped.
+    pub fn offer_baseline(&self, wall_ns: u64, record: &ReferenceRecord, values: &[f64], noise_std: &[f64]) -> bool {
+        let (values, noise_std) = (values.to_vec(), noise_std.to_vec());
+        self.send(Item::Baseline { wall_ns, record: record.clone(), values, noise_std })
     }
 
-    /// Queues that something happened; false if it is dropped.
-    pub fn offer_event(&self, wall_ns: u64, event: &str, detail: &str) -> bool {
-        self.send(Item::Event { wall_ns, event: event.to_owned(), detail: detail.to_owned() })
+    /// Queues that something happened before the next frame: in a word, for people, and the numbers that belong to it;
+    /// false if it is dropped.
+    pub fn offer_event(&self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> bool {
+        let (event, detail, values) = (event.to_owned(), detail.to_owned(), values.to_vec());
+        self.send(Item::Event { wall_ns, event, detail, values })
     }
 
     /// What has been written and lost.
@@ -133,6 +172,12 @@ impl RecorderHandle {
             dropped: self.shared.dropped(error.is_some()),
             error,
         }
+    }
+
+    /// Frames saved and lost of a recording that has failed, to be asked after [`RecorderHandle::finish`].
+    pub(super) fn watch(&self) -> impl FnOnce() -> (u64, u64) + use<> {
+        let shared = self.shared.clone();
+        move || (shared.safe.load(Ordering::Relaxed), shared.dropped(true))
     }
 
     /// Writes what is queued, ends the recording and gives it its final name.
@@ -175,8 +220,8 @@ impl Shared {
     /// Frames lost; once the recording has stopped, those in the queue are.
     fn dropped(&self, stopped: bool) -> u64 {
         if stopped {
-            let written = self.written.load(Ordering::Relaxed);
-            return self.offered.load(Ordering::Relaxed).saturating_sub(written);
+            let safe = self.safe.load(Ordering::Relaxed);
+            return self.offered.load(Ordering::Relaxed).saturating_sub(safe);
         }
         self.refused.load(Ordering::Relaxed)
     }
@@ -187,14 +232,17 @@ struct WriterThread {
     recorder: Recorder,
     queue: Receiver<Item>,
     return_frame: Sender<Frame>,
-    return_text: Sender<String>,
+    return_message: Sender<Vec<u8>>,
+    return_image: Sender<Vec<f32>>,
     shared: Arc<Shared>,
 }
 
 impl WriterThread {
     fn run(mut self) -> Result<RecordingSummary, Error> {
         let shared = self.shared.clone();
-        let result = self.drain().and_then(|()| self.recorder.finish(shared.dropped(false)));
+        let drained = self.drain();
+        shared.safe.store(self.recorder.safe_frames(), Ordering::Relaxed);
+        let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
         // Whoever sees the error is refused from then on.
         drop(self.queue);
         if let Err(error) = &result {
@@ -221,12 +269,24 @@ impl WriterThread {
                 self.shared.written.fetch_add(1, Ordering::Relaxed);
                 let _ = self.return_frame.try_send(frame);
             }
-            Item::Touches { wall_ns, json } => {
-                self.recorder.write_touches_json(wall_ns, &json)?;
-                let _ = self.return_text.try_send(json);
+            Item::Touches { wall_ns, message } => {
+                self.recorder.write_touches_message(wall_ns, &message)?;
+                let _ = self.return_message.try_send(message);
             }
-            Item::Baseline { wall_ns, record, values } => self.recorder.write_baseline(wall_ns, &record, &values)?,
-            Item::Event { wall_ns, event, detail } => self.recorder.write_event(wall_ns, &event, &detail)?,
+            Item::TouchPoints { wall_ns, message } => {
+                self.recorder.write_touch_points_message(wall_ns, &message)?;
+                let _ = self.return_message.try_send(message);
+            }
+            Item::Image { wall_ns, image } => {
+                self.recorder.write_image(wall_ns, &image)?;
+                let _ = self.return_image.try_send(image);
+            }
+            Item::Baseline { wall_ns, record, values, noise_std } => {
+                self.recorder.write_baseline(wall_ns, &record, &values, &noise_std)?;
+            }
+            Item::Event { wall_ns, event, detail, values } => {
+                self.recorder.write_event(wall_ns, &event, &detail, &values)?;
+            }
         }
         Ok(())
     }
@@ -240,7 +300,7 @@ mod tests {
 
     use dermis_device::Layout;
 
-    use super::super::writer::Destination;
+    use super::super::file::Destination;
     use super::super::{Recorder, Recording, RecordingHead};
     use super::*;
 

@@ -12,7 +12,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::head::{FINISHED, RecordingHead};
 use super::scan::{ChunkPlace, MOST_BYTES, Outline, PREFIX, announced_size};
-use super::{BaselineEntry, schema, wire};
+use super::{BaselineEntry, EventEntry, TouchesEntry, messages, schema};
 use crate::Error;
 
 /// A message's header: channel (u16), sequence (u32), log and publish time (u64 each).
@@ -34,15 +34,15 @@ pub enum Entry<'a> {
     Touches {
         /// Wall clock, nanoseconds since 1970-01-01 UTC.
         wall_ns: u64,
-        /// The object that [`crate::sink::JsonLines`] writes.
-        json: &'a str,
+        /// The frame's number and its touches.
+        entry: &'a TouchesEntry,
     },
     /// Something happened.
     Event {
         /// Wall clock, nanoseconds since 1970-01-01 UTC.
         wall_ns: u64,
-        /// An object with `event` and `detail`.
-        json: &'a str,
+        /// What.
+        entry: &'a EventEntry,
     },
 }
 
@@ -95,10 +95,19 @@ pub struct Recording<R = BufReader<File>> {
     chunk: Option<LinearReader>,
     /// Size of the open chunk once decompressed, as it announces it.
     announced_bytes: u64,
+    memory: Memory,
+    tally: Tally,
+    /// Messages read since the last rewind, by channel.
+    counts: BTreeMap<u16, u64>,
+}
+
+/// The entry read last, by kind.
+#[derive(Debug, Default)]
+struct Memory {
     frame: Frame,
     baseline: BaselineEntry,
-    text: String,
-    tally: Tally,
+    touches: TouchesEntry,
+    event: EventEntry,
 }
 
 /// What has been read and what could not be since the last rewind.
@@ -170,9 +179,8 @@ impl<R: Read + Seek> Recording<R> {
             next_chunk: 0,
             chunk: None,
             announced_bytes: 0,
-            frame: Frame::default(),
-            baseline: wire::empty_baseline(),
-            text: String::new(),
+            memory: Memory::default(),
+            counts: BTreeMap::new(),
             tally: Tally::default(),
         })
     }
@@ -229,6 +237,16 @@ impl<R: Read + Seek> Recording<R> {
         self.next_chunk = 0;
         self.chunk = None;
         self.tally = Tally::default();
+        self.counts.clear();
+    }
+
+    /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left out.
+    pub fn counts(&self) -> BTreeMap<&str, u64> {
+        let named =
+            self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
+        let mut counts = BTreeMap::new();
+        named.for_each(|(topic, count)| *counts.entry(topic).or_default() += count);
+        counts
     }
 
     /// The next entry, or none after the last one that can be read.
@@ -238,10 +256,10 @@ impl<R: Read + Seek> Recording<R> {
     pub fn next_entry(&mut self) -> Result<Option<Entry<'_>>, Error> {
         let kind = self.advance().map_err(|error| Error::io(&self.path)(error))?;
         Ok(kind.map(|(kind, wall_ns)| match kind {
-            Kind::Baseline => Entry::Baseline { wall_ns, entry: &self.baseline },
-            Kind::Touches => Entry::Touches { wall_ns, json: &self.text },
-            Kind::Event | Kind::Other => Entry::Event { wall_ns, json: &self.text },
-            Kind::Frame => Entry::Frame(&self.frame),
+            Kind::Baseline => Entry::Baseline { wall_ns, entry: &self.memory.baseline },
+            Kind::Touches => Entry::Touches { wall_ns, entry: &self.memory.touches },
+            Kind::Event | Kind::Other => Entry::Event { wall_ns, entry: &self.memory.event },
+            Kind::Frame => Entry::Frame(&self.memory.frame),
         }))
     }
 
@@ -256,11 +274,21 @@ impl<R: Read + Seek> Recording<R> {
     pub(super) fn try_next_frame(&mut self, frame: &mut Frame) -> io::Result<bool> {
         while let Some((kind, _)) = self.advance()? {
             if matches!(kind, Kind::Frame) {
-                std::mem::swap(frame, &mut self.frame);
+                std::mem::swap(frame, &mut self.memory.frame);
                 return Ok(true);
             }
         }
         Ok(false)
+    }
+
+    /// The next frame in the recording's own memory, passing over other entries.
+    pub(super) fn next_frame_peek(&mut self) -> Result<Option<&Frame>, Error> {
+        while let Some((kind, _)) = self.advance().map_err(|error| Error::io(&self.path)(error))? {
+            if matches!(kind, Kind::Frame) {
+                return Ok(Some(&self.memory.frame));
+            }
+        }
+        Ok(None)
     }
 
     /// The frames from here on.
@@ -294,21 +322,11 @@ impl<R: Read + Seek> Recording<R> {
     fn open_chunk(&mut self) -> io::Result<bool> {
         while let Some(&place) = self.outline.chunks.get(self.next_chunk) {
             self.next_chunk += 1;
-            let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
+            let Some((reader, announced_bytes)) = read_chunk(&mut self.input, place)? else {
                 self.count_damaged(place, 0);
                 continue;
             };
-            let options = LinearReaderOptions::default()
-                .with_skip_start_magic(true)
-                .with_skip_end_magic(true)
-                .with_prevalidate_chunk_crcs(true)
-                .with_record_length_limit(MOST_BYTES);
-            let mut reader = LinearReader::new_with_options(options);
-            self.input.seek(SeekFrom::Start(place.offset))?;
-            let buffer = reader.insert(length);
-            self.input.read_exact(&mut buffer[..length])?;
-            self.announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
-            reader.notify_read(length);
+            self.announced_bytes = announced_bytes;
             self.chunk = Some(reader);
             return Ok(true);
         }
@@ -340,8 +358,10 @@ impl<R: Read + Seek> Recording<R> {
                 _ => self.tally.messages += 1,
             },
             op::MESSAGE => {
-                let memory = (&mut self.frame, &mut self.baseline, &mut self.text);
-                match decode(data, &self.topics, self.head.layout.channels(), memory) {
+                if let Some(channel) = data.first_chunk::<2>() {
+                    *self.counts.entry(u16::from_le_bytes(*channel)).or_default() += 1;
+                }
+                match decode(data, &self.topics, self.head.layout.channels(), &mut self.memory) {
                     Some((Kind::Other, _)) => {}
                     Some((kind, wall_ns)) => {
                         if matches!(kind, Kind::Frame) {
@@ -359,30 +379,49 @@ impl<R: Read + Seek> Recording<R> {
     }
 }
 
+/// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is too
+/// large to be one of ours.
+pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> io::Result<Option<(LinearReader, u64)>> {
+    let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
+        return Ok(None);
+    };
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(MOST_BYTES);
+    let mut reader = LinearReader::new_with_options(options);
+    input.seek(SeekFrom::Start(place.offset))?;
+    let buffer = reader.insert(length);
+    input.read_exact(&mut buffer[..length])?;
+    let announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
+    reader.notify_read(length);
+    Ok(Some((reader, announced_bytes)))
+}
+
 /// Decodes a message into the memory for its kind; none if it is malformed or nothing describes its channel.
-fn decode(
-    data: &[u8],
-    topics: &BTreeMap<u16, String>,
-    channels: usize,
-    (frame, baseline, text): (&mut Frame, &mut BaselineEntry, &mut String),
-) -> Option<(Kind, u64)> {
+fn decode(data: &[u8], topics: &BTreeMap<u16, String>, channels: usize, memory: &mut Memory) -> Option<(Kind, u64)> {
     let (header, body) = data.split_at_checked(MESSAGE_HEADER)?;
     let channel = u16::from_le_bytes([header[0], header[1]]);
     let wall_ns = u64::from_le_bytes(header[6..14].try_into().ok()?);
     let kind = match topics.get(&channel)?.as_str() {
         schema::FRAMES => {
-            wire::read_frame(body, frame)?;
+            let frame = &mut memory.frame;
+            messages::read_frame(body, frame)?;
             let complex = frame.imaginary.is_empty() || frame.imaginary.len() == channels;
             (frame.values.len() == channels && complex).then_some(Kind::Frame)?
         }
         schema::BASELINES => {
-            *baseline = wire::read_baseline(body)?;
+            memory.baseline = messages::read_baseline(body)?;
             Kind::Baseline
         }
-        topic @ (schema::TOUCHES | schema::EVENTS) => {
-            text.clear();
-            text.push_str(std::str::from_utf8(body).ok()?);
-            if topic == schema::TOUCHES { Kind::Touches } else { Kind::Event }
+        schema::TOUCHES => {
+            memory.touches = messages::read_touches(body)?;
+            Kind::Touches
+        }
+        schema::EVENTS => {
+            memory.event = messages::read_event(body)?;
+            Kind::Event
         }
         _ => Kind::Other,
     };

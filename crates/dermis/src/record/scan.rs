@@ -30,6 +30,8 @@ pub(super) struct Outline {
     /// Topics of channels that stand outside chunks: the summary's.
     pub topics: BTreeMap<u16, String>,
     pub statistics: Option<Statistics>,
+    /// Kind and content of the records that describe schemas and channels outside chunks.
+    pub descriptions: Vec<(u8, Vec<u8>)>,
     /// The closing record was reached.
     pub whole: bool,
     /// Records outside chunks that could not be understood.
@@ -86,7 +88,7 @@ impl Outline {
         match kind {
             op::CHUNK => self.chunks.push(ChunkPlace { offset: at, length: PREFIX + length }),
             op::FOOTER => self.whole = true,
-            op::METADATA | op::CHANNEL | op::STATISTICS => self.content(input, kind, length)?,
+            op::METADATA | op::SCHEMA | op::CHANNEL | op::STATISTICS => self.content(input, kind, length)?,
             _ => {}
         }
         Ok(Some(PREFIX + length))
@@ -101,7 +103,11 @@ impl Outline {
         input.read_exact(&mut bytes)?;
         match mcap::parse_record(kind, &bytes) {
             Ok(Record::Metadata(record)) => drop(self.metadata.insert(record.name, record.metadata)),
-            Ok(Record::Channel(channel)) => drop(self.topics.insert(channel.id, channel.topic)),
+            Ok(Record::Channel(channel)) => {
+                self.topics.insert(channel.id, channel.topic);
+                self.descriptions.push((kind, bytes.clone()));
+            }
+            Ok(Record::Schema { .. }) => self.descriptions.push((kind, bytes.clone())),
             Ok(Record::Statistics(statistics)) => self.statistics = Some(statistics),
             _ => self.bad_records += 1,
         }

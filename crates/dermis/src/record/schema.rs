@@ -1,137 +1,146 @@
-//! The schemas that make a recording describe itself: a Protocol Buffers `FileDescriptorSet` for frames and baselines and
-//! JSON schemas for touches and events.
-
-use super::wire::{push_bytes, push_number};
+//! Topics of a recording and the ROS 2 definitions (`ros2msg`) of what stands at them. With these in the file, readers that
+//! have never heard of dermis decode every message.
 
 /// Topics.
 pub(super) const FRAMES: &str = "/dermis/frames";
 pub(super) const BASELINES: &str = "/dermis/baselines";
 pub(super) const TOUCHES: &str = "/dermis/touches";
 pub(super) const EVENTS: &str = "/dermis/events";
+pub(super) const IMAGE: &str = "/dermis/image";
+pub(super) const POINTS: &str = "/dermis/points";
+pub(super) const TOUCH_POINTS: &str = "/dermis/touch_points";
 
-/// Schema of touches.
-pub(super) const TOUCHES_JSON: &str = r#"{
-  "type": "object",
-  "title": "dermis.Touches",
-  "properties": {
-    "sequence": {"type": "integer", "description": "frame number"},
-    "time_s": {"type": "number", "description": "host monotonic clock"},
-    "touches": {
-      "type": "array",
-      "items": {
-        "type": "object",
-        "properties": {
-          "id": {"type": "integer"},
-          "phase": {"type": "string", "enum": ["begin", "move", "end"]},
-          "x_mm": {"type": "number"},
-          "y_mm": {"type": "number"},
-          "amplitude": {"type": "number"},
-          "area_mm2": {"type": "number"},
-          "sigma_x_mm": {"type": "number"},
-          "sigma_y_mm": {"type": "number"}
-        }
-      }
-    }
-  }
-}"#;
-
-/// Schema of events.
-pub(super) const EVENT_JSON: &str = r#"{
-  "type": "object",
-  "title": "dermis.Event",
-  "properties": {
-    "event": {"type": "string"},
-    "detail": {"type": "string"}
-  }
-}"#;
-
-/// A field of a message, in the words of `descriptor.proto`.
-enum Field {
-    Fixed64,
-    Text,
-    PackedDoubles,
+/// A type of messages.
+pub(super) struct Schema {
+    pub(super) topic: &'static str,
+    pub(super) name: &'static str,
+    /// The definition, then those of the types it is made of.
+    pub(super) parts: &'static [&'static str],
 }
 
-impl Field {
-    /// `FieldDescriptorProto.Type`.
-    fn type_number(&self) -> u64 {
-        match self {
-            Self::PackedDoubles => 1,
-            Self::Fixed64 => 6,
-            Self::Text => 9,
-        }
-    }
+/// What every recording has.
+pub(super) const OWN: [Schema; 4] = [
+    Schema { topic: FRAMES, name: "dermis_msgs/msg/Frame", parts: &[FRAME] },
+    Schema { topic: BASELINES, name: "dermis_msgs/msg/Baseline", parts: &[BASELINE] },
+    Schema { topic: TOUCHES, name: "dermis_msgs/msg/Touches", parts: &[TOUCHES_OF_A_FRAME, TOUCH] },
+    Schema { topic: EVENTS, name: "dermis_msgs/msg/Event", parts: &[EVENT] },
+];
 
-    /// `FieldDescriptorProto.Label`: optional or repeated.
-    fn label(&self) -> u64 {
-        match self {
-            Self::PackedDoubles => 3,
-            Self::Fixed64 | Self::Text => 1,
-        }
+/// What viewers draw.
+pub(super) const STANDARD: [Schema; 3] = [
+    Schema { topic: IMAGE, name: "sensor_msgs/msg/Image", parts: &[IMAGE_OF_ROS, HEADER, TIME] },
+    Schema { topic: POINTS, name: "sensor_msgs/msg/PointCloud2", parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME] },
+    Schema {
+        topic: TOUCH_POINTS,
+        name: "sensor_msgs/msg/PointCloud2",
+        parts: &[POINT_CLOUD, POINT_FIELD, HEADER, TIME],
+    },
+];
+
+impl Schema {
+    /// The text of the schema: the definition, and each further one under a heading `MSG: package/Type` that follows a
+    /// line of 80 equals signs.
+    pub(super) fn text(&self) -> String {
+        self.parts.join(&format!("{}\n", "=".repeat(80)))
     }
 }
 
-/// The `FileDescriptorSet` of `dermis.Frame` and `dermis.Baseline` (proto2, where absent fields can be told from zero).
-pub(super) fn descriptor_set() -> Vec<u8> {
-    let frame = message(
-        "Frame",
-        &[
-            ("sequence", Field::Fixed64),
-            ("device_time_ns", Field::Fixed64),
-            ("host_monotonic_ns", Field::Fixed64),
-            ("host_wall_ns", Field::Fixed64),
-            ("values", Field::PackedDoubles),
-            ("imaginary", Field::PackedDoubles),
-        ],
-    );
-    let baseline = message(
-        "Baseline",
-        &[
-            ("time_ns", Field::Fixed64),
-            ("frames", Field::Fixed64),
-            ("origin", Field::Text),
-            ("reason", Field::Text),
-            ("values", Field::PackedDoubles),
-        ],
-    );
-    let mut file = Vec::new();
-    push_bytes(&mut file, 1, b"dermis.proto");
-    push_bytes(&mut file, 2, b"dermis");
-    push_bytes(&mut file, 4, &frame);
-    push_bytes(&mut file, 4, &baseline);
-    let mut set = Vec::new();
-    push_bytes(&mut set, 1, &file);
-    set
-}
+const FRAME: &str = "\
+# One frame as the instrument sent it, before any processing.
+uint64 sequence  # the device's number of the frame; gaps are lost frames
+bool has_device_time
+uint64 device_time_ns  # the device's clock, 0 without one
+uint64 host_monotonic_ns  # first byte, the host's monotonic clock
+uint64 host_wall_ns  # first byte, since 1970-01-01 UTC
+float64[] values  # readings in the order and unit of the instrument, NaN where missing
+float64[] imaginary  # imaginary parts, empty for instruments without
+";
 
-/// A `DescriptorProto` whose fields are numbered from 1 in the order given.
-fn message(name: &str, fields: &[(&str, Field)]) -> Vec<u8> {
-    let mut out = Vec::new();
-    push_bytes(&mut out, 1, name.as_bytes());
-    for (number, (name, field)) in (1..).zip(fields) {
-        let mut descriptor = Vec::new();
-        push_bytes(&mut descriptor, 1, name.as_bytes());
-        push_number(&mut descriptor, 3, number);
-        push_number(&mut descriptor, 4, field.label());
-        push_number(&mut descriptor, 5, field.type_number());
-        if matches!(field, Field::PackedDoubles) {
-            // FieldOptions.packed = true.
-            push_bytes(&mut descriptor, 8, &[2 << 3, 1]);
-        }
-        push_bytes(&mut out, 2, &descriptor);
-    }
-    out
-}
+const BASELINE: &str = "\
+# What frames are compared with from here on.
+uint64 time_ns  # of the frame that completed it, the device's clock where it has one
+uint64 frames  # averaged; 0 when given
+string origin  # startup, tare, forced-tare, given
+string reason
+float64[] values  # one a channel of the protocol
+float64[] noise_std  # standard deviation of each channel at rest
+";
 
-#[cfg(test)]
-mod tests {
-    use super::*;
+const TOUCHES_OF_A_FRAME: &str = "\
+# The touches of a frame, those that ended in it included.
+uint64 sequence  # the frame
+uint64 host_monotonic_ns  # of the frame
+dermis_msgs/Touch[] touches
+";
 
-    #[test]
-    fn json_schemas_are_json() {
-        for text in [TOUCHES_JSON, EVENT_JSON] {
-            let schema: serde_json::Value = serde_json::from_str(text).unwrap();
-            assert_eq!(schema["type"], "object");
-        }
-    }
-}
+const TOUCH: &str = "\
+MSG: dermis_msgs/Touch
+uint64 id
+string phase  # begin, move, end
+float64 x_m
+float64 y_m
+float64 amplitude  # of the image
+float64 area_m2
+float64 sigma_x_m
+float64 sigma_y_m
+float64 force_n  # NaN without calibration
+string force_range  # within, below, above, saturated, none; empty without calibration
+float64 radius_m  # NaN where none was fitted
+";
+
+const EVENT: &str = "\
+# Something that happened before the next frame.
+string event
+string detail
+float64[] values
+";
+
+const IMAGE_OF_ROS: &str = "\
+std_msgs/Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+";
+
+const POINT_CLOUD: &str = "\
+std_msgs/Header header
+uint32 height
+uint32 width
+sensor_msgs/PointField[] fields
+bool is_bigendian
+uint32 point_step
+uint32 row_step
+uint8[] data
+bool is_dense
+";
+
+const POINT_FIELD: &str = "\
+MSG: sensor_msgs/PointField
+uint8 INT8=1
+uint8 UINT8=2
+uint8 INT16=3
+uint8 UINT16=4
+uint8 INT32=5
+uint8 UINT32=6
+uint8 FLOAT32=7
+uint8 FLOAT64=8
+string name
+uint32 offset
+uint8 datatype
+uint32 count
+";
+
+const HEADER: &str = "\
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+";
+
+const TIME: &str = "\
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+";

@@ -2,9 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -14,16 +12,17 @@ use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
+use super::file::{Destination, destination};
 use super::head::{FINISHED, RecordingHead, record};
-use super::{schema, wire};
+use super::view::SkinView;
+use super::{messages, schema};
 use crate::Error;
-use crate::sink::json_lines::push_touches;
 
 /// Everything is handed to the operating system this often.
 pub(super) const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// A chunk is closed at this size even before its time; large enough to compress well.
-const CHUNK_BYTES: u64 = 1 << 20;
+/// The same once so much has come together; large enough to compress well.
+const CHUNK_BYTES: usize = 1 << 20;
 
 /// What a finished recording holds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -34,11 +33,8 @@ pub struct RecordingSummary {
     pub dropped: u64,
 }
 
-/// Where the bytes go.
-pub(super) trait Destination: Write + Send {
-    /// Makes everything durable and gives it its final name.
-    fn complete(self: Box<Self>) -> io::Result<()>;
-}
+/// The format's writer to wherever the bytes go.
+pub(super) type FileWriter = Writer<NoSeek<Box<dyn Destination>>>;
 
 /// Numbers of the channels in the file.
 #[derive(Clone, Copy)]
@@ -49,21 +45,32 @@ struct Channels {
     events: u16,
 }
 
+/// What viewers draw, and the numbers of its channels.
+struct Drawn {
+    view: SkinView,
+    image: u16,
+    points: u16,
+    touch_points: u16,
+}
+
 /// A recording being written.
 ///
 /// A recorder dropped before [`Recorder::finish`] leaves a readable file under its partial name.
 pub struct Recorder {
     name: PathBuf,
     /// None after a failure.
-    writer: Option<Writer<NoSeek<Box<dyn Destination>>>>,
+    writer: Option<FileWriter>,
     channels: Channels,
     readings: usize,
+    drawn: Option<Drawn>,
     bytes: Vec<u8>,
-    text: String,
     message: u32,
     frames: u64,
+    /// Of them, those that the operating system has.
+    safe_frames: u64,
     flushed: Instant,
-    pending: bool,
+    /// Bytes of messages that it does not have yet.
+    pending: usize,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -74,41 +81,57 @@ impl std::fmt::Debug for Recorder {
 
 impl Recorder {
     /// Starts a recording that will stand at `path` once finished, and until then beside it with `.partial` before the
-    /// extension.
+    /// extension. A device that stands at `path` (a pipe, a terminal) is written to directly.
     ///
     /// # Errors
     /// [`Error::Io`] if either file exists (recordings are never overwritten) or none can be made there,
     /// [`Error::Frames`] for a wrong number of labels.
     pub fn create(path: &Path, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
-        Self::new(Box::new(PartialFile::create(path)?), path.to_owned(), head)
+        Self::new(destination(path)?, path.to_owned(), head)
     }
 
     pub(super) fn new(out: Box<dyn Destination>, name: PathBuf, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
         let failed = |error| mcap_error(&name, error);
-        // Chunks are built in memory and written whole, so that a killed writer leaves no half chunk but the last.
-        let options = WriteOptions::new()
-            .library(concat!("dermis ", env!("CARGO_PKG_VERSION")))
-            .disable_seeking(true)
-            .chunk_size(Some(CHUNK_BYTES))
-            .compression(Some(Compression::Zstd))
-            .compression_level(1)
-            .compression_threads(0);
-        let mut writer = options.create(NoSeek::new(out)).map_err(failed)?;
+        let mut writer = new_writer(out).map_err(failed)?;
         let channels = write_head(&mut writer, head).map_err(failed)?;
         Ok(Self {
             name,
             writer: Some(writer),
             channels,
             readings: head.layout.channels(),
+            drawn: None,
             bytes: Vec::new(),
-            text: String::new(),
             message: 0,
             frames: 0,
+            safe_frames: 0,
             flushed: Instant::now(),
-            pending: false,
+            pending: 0,
         })
+    }
+
+    /// Also takes images, point clouds and touches as viewers draw them.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn with_view(mut self, view: SkinView) -> Result<Self, Error> {
+        let mut channels = [0; 3];
+        self.attempt(|writer| {
+            for (schema, id) in schema::STANDARD.iter().zip(&mut channels) {
+                *id = add_channel(writer, schema)?;
+            }
+            writer.flush()
+        })?;
+        let [image, points, touch_points] = channels;
+        self.drawn = Some(Drawn { view, image, points, touch_points });
+        Ok(self)
+    }
+
+    /// The view that images are drawn in, if any.
+    #[must_use]
+    pub fn view(&self) -> Option<&SkinView> {
+        self.drawn.as_ref().map(|drawn| &drawn.view)
     }
 
     /// The final name.
@@ -121,6 +144,12 @@ impl Recorder {
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.frames
+    }
+
+    /// Frames that the operating system has: those survive the end of this process.
+    #[must_use]
+    pub fn safe_frames(&self) -> u64 {
+        self.safe_frames
     }
 
     /// Writes a raw frame.
@@ -137,20 +166,24 @@ impl Recorder {
                 got: format!("{real} real and {imaginary} imaginary parts"),
             });
         }
-        self.bytes.clear();
-        wire::push_frame(&mut self.bytes, frame);
-        self.write(self.channels.frames, frame.host_wall_ns)?;
+        messages::write_frame(&mut self.bytes, frame);
+        // Counted first, for writing may hand it out at once.
         self.frames += 1;
-        Ok(())
+        self.write(self.channels.frames, frame.host_wall_ns)
     }
 
     /// Writes a baseline that came into use at `wall_ns`, with its reason.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn write_baseline(&mut self, wall_ns: u64, record: &ReferenceRecord, values: &[f64]) -> Result<(), Error> {
-        self.bytes.clear();
-        wire::push_baseline(&mut self.bytes, record, values);
+    pub fn write_baseline(
+        &mut self,
+        wall_ns: u64,
+        record: &ReferenceRecord,
+        values: &[f64],
+        noise_std: &[f64],
+    ) -> Result<(), Error> {
+        messages::write_baseline(&mut self.bytes, record, values, noise_std);
         self.write(self.channels.baselines, wall_ns)
     }
 
@@ -166,28 +199,58 @@ impl Recorder {
         touches: &[Touch],
         events: &[TouchEvent],
     ) -> Result<(), Error> {
-        let mut text = std::mem::take(&mut self.text);
-        text.clear();
-        push_touches(&mut text, sequence, time_ns, touches, events);
-        let result = self.write_touches_json(wall_ns, &text);
-        self.text = text;
-        result
-    }
-
-    pub(super) fn write_touches_json(&mut self, wall_ns: u64, json: &str) -> Result<(), Error> {
-        self.bytes.clear();
-        self.bytes.extend_from_slice(json.as_bytes());
+        messages::write_touches(&mut self.bytes, sequence, time_ns, touches, events);
         self.write(self.channels.touches, wall_ns)
     }
 
-    /// Writes that something happened.
+    /// Writes touches that were made into a message elsewhere.
+    pub(super) fn write_touches_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
+        self.write_message(self.channels.touches, wall_ns, message)
+    }
+
+    /// Writes a frame's image, row-major with `NaN` outside the skin, as an image and as a point cloud. Without a view
+    /// this does nothing.
+    ///
+    /// # Errors
+    /// [`Error::Frames`] for another number of pixels than the view's, [`Error::Io`].
+    pub fn write_image(&mut self, wall_ns: u64, image: &[f32]) -> Result<(), Error> {
+        let Some(drawn) = &self.drawn else { return Ok(()) };
+        if image.len() != drawn.view.pixels() {
+            return Err(Error::Frames {
+                what: "image to record".to_owned(),
+                expected: format!("{} pixels", drawn.view.pixels()),
+                got: image.len().to_string(),
+            });
+        }
+        drawn.view.write_image(&mut self.bytes, wall_ns, image);
+        self.write(drawn.image, wall_ns)?;
+        let Some(drawn) = &self.drawn else { return Ok(()) };
+        drawn.view.write_points(&mut self.bytes, wall_ns, image);
+        self.write(drawn.points, wall_ns)
+    }
+
+    /// Writes touches as points in space. Without a view this does nothing.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn write_event(&mut self, wall_ns: u64, event: &str, detail: &str) -> Result<(), Error> {
-        let text = serde_json::json!({ "event": event, "detail": detail }).to_string();
-        self.bytes.clear();
-        self.bytes.extend_from_slice(text.as_bytes());
+    pub fn write_touch_points(&mut self, wall_ns: u64, touches: &[Touch]) -> Result<(), Error> {
+        let Some(drawn) = &self.drawn else { return Ok(()) };
+        drawn.view.write_touch_points(&mut self.bytes, wall_ns, touches);
+        self.write(drawn.touch_points, wall_ns)
+    }
+
+    /// As [`Recorder::write_touch_points`], from a message made elsewhere.
+    pub(super) fn write_touch_points_message(&mut self, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
+        let Some(drawn) = &self.drawn else { return Ok(()) };
+        self.write_message(drawn.touch_points, wall_ns, message)
+    }
+
+    /// Writes that something happened before the next frame: in a word, for people, and the numbers that belong to it.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write_event(&mut self, wall_ns: u64, event: &str, detail: &str, values: &[f64]) -> Result<(), Error> {
+        messages::write_event(&mut self.bytes, event, detail, values);
         self.write(self.channels.events, wall_ns)
     }
 
@@ -197,7 +260,8 @@ impl Recorder {
     /// # Errors
     /// [`Error::Io`].
     pub fn flush_if_due(&mut self) -> Result<(), Error> {
-        if self.pending && self.flushed.elapsed() >= FLUSH_INTERVAL {
+        let due = self.pending >= CHUNK_BYTES || self.flushed.elapsed() >= FLUSH_INTERVAL;
+        if self.pending > 0 && due {
             self.flush()?;
         }
         Ok(())
@@ -206,7 +270,8 @@ impl Recorder {
     fn flush(&mut self) -> Result<(), Error> {
         self.attempt(|writer| writer.flush())?;
         self.flushed = Instant::now();
-        self.pending = false;
+        self.pending = 0;
+        self.safe_frames = self.frames;
         Ok(())
     }
 
@@ -228,21 +293,22 @@ impl Recorder {
 
     /// Writes `self.bytes` as a message.
     fn write(&mut self, channel_id: u16, wall_ns: u64) -> Result<(), Error> {
+        let bytes = std::mem::take(&mut self.bytes);
+        let result = self.write_message(channel_id, wall_ns, &bytes);
+        self.bytes = bytes;
+        result
+    }
+
+    fn write_message(&mut self, channel_id: u16, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
         let header = MessageHeader { channel_id, sequence: self.message, log_time: wall_ns, publish_time: wall_ns };
         self.message = self.message.wrapping_add(1);
-        let bytes = std::mem::take(&mut self.bytes);
-        let result = self.attempt(|writer| writer.write_to_known_channel(&header, &bytes));
-        self.bytes = bytes;
-        result?;
-        self.pending = true;
+        self.attempt(|writer| writer.write_to_known_channel(&header, message))?;
+        self.pending += message.len();
         self.flush_if_due()
     }
 
     /// Runs a step; after a failure the writer is put out of use without writing anything more.
-    fn attempt(
-        &mut self,
-        step: impl FnOnce(&mut Writer<NoSeek<Box<dyn Destination>>>) -> Result<(), McapError>,
-    ) -> Result<(), Error> {
+    fn attempt(&mut self, step: impl FnOnce(&mut FileWriter) -> Result<(), McapError>) -> Result<(), Error> {
         let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
         let writer = self.writer.as_mut().ok_or_else(stopped)?;
         step(writer).map_err(|error| {
@@ -252,87 +318,61 @@ impl Recorder {
     }
 }
 
+/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk but the
+/// last. They are ended by whoever writes and not by size, so that it is known which messages are out of this process's
+/// hands.
+pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapError> {
+    let options = WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("dermis ", env!("CARGO_PKG_VERSION")))
+        .disable_seeking(true)
+        .chunk_size(None)
+        .compression(Some(Compression::Zstd))
+        .compression_level(1)
+        .compression_threads(0);
+    options.create(NoSeek::new(out))
+}
+
 /// Writes metadata, the skin and the channels, and hands them out at once: they are what a reader needs most.
-fn write_head<W: Write + io::Seek>(writer: &mut Writer<W>, head: &RecordingHead) -> Result<Channels, McapError> {
+fn write_head(writer: &mut FileWriter, head: &RecordingHead) -> Result<Channels, McapError> {
     for record in head.metadata() {
         writer.write_metadata(&record)?;
     }
-    let now_ns = HostStamp::now().wall_ns;
-    writer.attach(&Attachment {
-        log_time: now_ns,
-        create_time: now_ns,
-        name: "skin.toml".to_owned(),
-        media_type: "application/toml".to_owned(),
-        data: Cow::Borrowed(head.skin_toml.as_bytes()),
-    })?;
-    let descriptor = schema::descriptor_set();
-    let mut add = |topic: &str, name: &str, encoding: &str, data: &[u8], message_encoding: &str| {
-        let id = writer.add_schema(name, encoding, data)?;
-        writer.add_channel(id, topic, message_encoding, &BTreeMap::new())
-    };
+    attach_all(writer, head)?;
+    let [frames, baselines, touches, events] = &schema::OWN;
     let channels = Channels {
-        frames: add(schema::FRAMES, "dermis.Frame", "protobuf", &descriptor, "protobuf")?,
-        baselines: add(schema::BASELINES, "dermis.Baseline", "protobuf", &descriptor, "protobuf")?,
-        touches: add(schema::TOUCHES, "dermis.Touches", "jsonschema", schema::TOUCHES_JSON.as_bytes(), "json")?,
-        events: add(schema::EVENTS, "dermis.Event", "jsonschema", schema::EVENT_JSON.as_bytes(), "json")?,
+        frames: add_channel(writer, frames)?,
+        baselines: add_channel(writer, baselines)?,
+        touches: add_channel(writer, touches)?,
+        events: add_channel(writer, events)?,
     };
     writer.flush()?;
     Ok(channels)
 }
 
-fn mcap_error(name: &Path, error: McapError) -> Error {
+/// Attaches the skin file and the calibrations.
+pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead) -> Result<(), McapError> {
+    let now_ns = HostStamp::now().wall_ns;
+    for (name, media_type, text) in head.attachments() {
+        writer.attach(&Attachment {
+            log_time: now_ns,
+            create_time: now_ns,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: Cow::Borrowed(text.as_bytes()),
+        })?;
+    }
+    Ok(())
+}
+
+fn add_channel(writer: &mut FileWriter, schema: &schema::Schema) -> Result<u16, McapError> {
+    let id = writer.add_schema(schema.name, "ros2msg", schema.text().as_bytes())?;
+    writer.add_channel(id, schema.topic, "cdr", &BTreeMap::new())
+}
+
+pub(super) fn mcap_error(name: &Path, error: McapError) -> Error {
     match error {
         McapError::Io(error) => Error::io(name)(error),
         other => Error::io(name)(io::Error::other(other)),
-    }
-}
-
-/// A file under its partial name.
-struct PartialFile {
-    out: BufWriter<File>,
-    partial: PathBuf,
-    target: PathBuf,
-}
-
-impl PartialFile {
-    fn create(path: &Path) -> Result<Self, Error> {
-        let partial = partial_name(path).ok_or_else(|| Error::io(path)(io::ErrorKind::IsADirectory.into()))?;
-        if path.exists() {
-            let reason = io::Error::new(io::ErrorKind::AlreadyExists, "exists, and recordings are never overwritten");
-            return Err(Error::io(path)(reason));
-        }
-        let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(Error::io(&partial))?;
-        Ok(Self { out: BufWriter::new(file), partial, target: path.to_owned() })
-    }
-}
-
-/// `a/press.mcap` becomes `a/press.partial.mcap`.
-pub(super) fn partial_name(path: &Path) -> Option<PathBuf> {
-    let mut name = OsString::from(path.file_stem()?);
-    name.push(".partial");
-    if let Some(extension) = path.extension() {
-        name.push(".");
-        name.push(extension);
-    }
-    Some(path.with_file_name(name))
-}
-
-impl Write for PartialFile {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.out.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
-    }
-}
-
-impl Destination for PartialFile {
-    fn complete(mut self: Box<Self>) -> io::Result<()> {
-        self.out.flush()?;
-        self.out.get_ref().sync_all()?;
-        fs::rename(&self.partial, &self.target)?;
-        crate::sink::sync_directory(&self.target);
-        Ok(())
     }
 }

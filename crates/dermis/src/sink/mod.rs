@@ -3,7 +3,7 @@
 
 mod image_stack;
 pub(crate) mod json_lines;
-mod staged;
+pub(crate) mod staged;
 mod touch_table;
 
 use dermis_touch::{Touch, TouchEvent};

@@ -38,7 +38,8 @@ impl StagedFile {
         self.settle().map_err(Error::io(self.target.clone()))
     }
 
-    fn settle(&mut self) -> io::Result<()> {
+    /// The same where the file is no longer to be had by value.
+    pub(crate) fn settle(&mut self) -> io::Result<()> {
         self.out.flush()?;
         let Some(temporary) = &self.temporary else { return Ok(()) };
         self.out.get_ref().sync_all()?;

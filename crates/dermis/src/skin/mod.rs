@@ -3,6 +3,7 @@
 
 mod build;
 mod builtin;
+mod choice;
 mod magnetic;
 mod parts;
 mod refinement;

@@ -4,7 +4,11 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use dermis::record::{Recording, Replay};
+use dermis::calibrate::Calibration;
+use dermis::forces::parse_forces;
+use dermis::pipeline::Pipeline;
+use dermis::prepare::Prepared;
+use dermis::record::{Recording, RecordingHead, Replay};
 use dermis::skin::Skin;
 use dermis::twin_source::{TwinCommand, TwinSource};
 use dermis::twins::PressRange;
@@ -21,8 +25,36 @@ pub struct Opened {
     pub source: Box<dyn Source>,
     /// To press on it, if it is a twin.
     pub twin: Option<TwinControl>,
-    /// A file may be held up; an instrument may not.
+    /// A file may be held up, and a twin without pace; an instrument may not.
     pub wait: bool,
+}
+
+impl Opened {
+    /// The pipeline for these frames, and what a recording of it says at its beginning; both calibrations are files.
+    pub fn pipeline(
+        &self,
+        calibration: Option<&Path>,
+        forces: Option<&Path>,
+    ) -> anyhow::Result<(Pipeline, RecordingHead)> {
+        let read = |path: &Path| dermis_device::instruments::read_bytes(path).map_err(dermis::Error::from);
+        let calibration_text = calibration.map(read).transpose()?;
+        let forces_text = forces.map(read).transpose()?;
+        let parsed = match (calibration, &calibration_text) {
+            (Some(path), Some(text)) => Some(Calibration::parse(text, path)?),
+            _ => None,
+        };
+        let prepared = Prepared::new(self.skin.clone())?;
+        let layout = self.source.layout().clone();
+        let mut head = RecordingHead::of(&prepared, layout.clone(), self.source.name());
+        let mut pipeline = Pipeline::new(prepared, &layout, parsed)?;
+        if let (Some(path), Some(text)) = (forces, &forces_text) {
+            pipeline.set_forces(parse_forces(text, path, &self.skin.name)?)?;
+        }
+        // What was parsed as JSON is text.
+        let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+        (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
+        Ok((pipeline, head))
+    }
 }
 
 /// How a running twin is pressed.
@@ -46,7 +78,10 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
         let skin = super::skin(skin_name)?;
         let (source, commands) = TwinSource::new(&skin)?;
         let twin = Some(TwinControl { commands, press: source.press_range(), notices: source.notices() });
-        return Ok(Opened { skin, source: Box::new(source), twin, wait: false });
+        // Asked for as fast as possible, a twin waits for whoever takes its frames.
+        let wait = speed == 0.0;
+        let source = if wait { source.unpaced() } else { source };
+        return Ok(Opened { skin, source: Box::new(source), twin, wait });
     }
     let pacing = |rate: Option<f64>| match (speed, rate) {
         (0.0, _) => Pacing::Immediate,

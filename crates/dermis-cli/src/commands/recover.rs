@@ -1,0 +1,54 @@
+//! `dermis recover`: a whole recording from what a crash, a full disk or a bad sector left of one.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use dermis::record::{LostFrames, recover};
+
+use crate::exit::Outcome;
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis recover broken.partial.mcap --out recovered.mcap
+
+Every chunk whose checksum holds is copied, the rest is passed over and said. Exit code 0: everything in the file was readable
+(a recording that was killed lacks at most its last second, which never came into the file); 3: something was not.";
+
+/// Arguments of `dermis recover`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// What is left of a recording; it stays as it is.
+    #[arg(value_name = "FILE.mcap")]
+    file: PathBuf,
+    /// The new recording; an existing one is not overwritten.
+    #[arg(long, value_name = "FILE.mcap")]
+    out: PathBuf,
+}
+
+impl Arguments {
+    /// Recovers and says how much.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let recovered = recover(&self.file, &self.out)?;
+        let damage = recovered.damage;
+        writeln!(out, "{}: {} frames, {} messages", self.out.display(), recovered.frames, recovered.messages)?;
+        if damage.cut_off {
+            writeln!(out, "the end was missing: a recording that was killed lacks at most its last second")?;
+        }
+        if damage.bytes == 0 && damage.chunks == 0 && damage.messages == 0 {
+            return Ok(Outcome::Done);
+        }
+        let frames = match damage.frames {
+            LostFrames::Exactly(count) => count.to_string(),
+            LostFrames::Unknown { in_damaged_chunks } => format!("at most {in_damaged_chunks}"),
+        };
+        tracing::error!(
+            frames,
+            bytes = damage.bytes,
+            chunks = damage.chunks,
+            messages = damage.messages,
+            "could not be read"
+        );
+        Ok(Outcome::DataLost)
+    }
+}

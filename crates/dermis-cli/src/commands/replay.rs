@@ -1,0 +1,126 @@
+//! `dermis replay`: a recording through the live pipeline again, with the times, commands and calibrations that it was made
+//! with, or imaged otherwise.
+
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
+use dermis::sink::{ImageStack, JsonLines, LinesFor, Output, Sink, TouchTable};
+use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
+
+use crate::exit::{Outcome, UsageError};
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis replay press.mcap --only-touches
+  dermis replay press.mcap --prior laplace --hyperparameter 1e-3 --images laplace.npy --touches laplace.csv
+
+Prints what `dermis run --headless` printed while recording, one JSON line a frame, to the digit; with --images or --touches
+it writes files instead. `dermis run --source press.mcap` shows a recording in the page. Exit code 3: the recording lacks
+frames, and how many was said.";
+
+/// Arguments of `dermis replay`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// The recording, whole or not.
+    #[arg(value_name = "FILE.mcap")]
+    file: PathBuf,
+    /// 0 as fast as possible, 1 as recorded, 2 twice as fast.
+    #[arg(long, default_value_t = 0.0)]
+    speed: f64,
+    /// Another skin, or another file of the same, in place of the recorded one.
+    #[arg(long, value_name = "NAME|FILE")]
+    skin: Option<String>,
+    /// Another prior: identity, laplace, noser=EXPONENT, gaussian-mm=LENGTH, or a value as in a skin file.
+    #[arg(long, value_name = "PRIOR")]
+    prior: Option<PriorChoice>,
+    /// lambda, or relative=FACTOR, noise-figure=TARGET, in place of the recorded skin's rule.
+    #[arg(long, value_name = "LAMBDA")]
+    hyperparameter: Option<HyperparameterChoice>,
+    /// Lines only for frames with touches or events.
+    #[arg(long)]
+    only_touches: bool,
+    /// Where a table of touches goes.
+    #[arg(long, value_name = "FILE.csv")]
+    touches: Option<PathBuf>,
+    /// Where the images go.
+    #[arg(long, value_name = "FILE.npy")]
+    images: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// Replays until the recording ends or the user interrupts.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if !(self.speed.is_finite() && self.speed >= 0.0) {
+            let text = format!("--speed {}: expected 0 (as fast as possible) or a positive number", self.speed);
+            return Err(UsageError(text).into());
+        }
+        let mut recording = Recording::open(&self.file)?;
+        let head = recording.head().clone();
+        let mut skin = match &self.skin {
+            Some(name) => Skin::open(name)?,
+            None => Skin::parse(&head.skin_toml, &self.file.display().to_string())?,
+        };
+        if let Some(prior) = &self.prior {
+            skin.imaging.prior = prior.clone();
+        }
+        if let Some(rule) = &self.hyperparameter {
+            skin.imaging.hyperparameter = rule.clone();
+        }
+        let mut pipeline = head.pipeline(skin, &self.file)?;
+        let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+        if let Some(path) = &self.touches {
+            sinks.push(Box::new(TouchTable::create(path, head.forces.is_some())?));
+        }
+        if let Some(path) = &self.images {
+            let grid = pipeline.prepared().map.grid();
+            sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
+        }
+        let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
+        let mut lines = sinks.is_empty().then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
+        let options = RerunOptions { speed: self.speed, follow_hyperparameter: self.hyperparameter.is_none() };
+        let stop = Arc::new(AtomicBool::new(false));
+        let raised = stop.clone();
+        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        // What the shell's reader does is no error of the replay.
+        let mut failed: Option<std::io::Error> = None;
+        let report = rerun(&mut recording, &mut pipeline, options, &stop, |output: &Output<'_>| {
+            sinks.iter_mut().try_for_each(|sink| sink.accept(output))?;
+            if let Some(lines) = &mut lines {
+                lines.accept(output)?;
+                if let Err(error) = out.write_all(lines.get_mut()).and_then(|()| out.flush()) {
+                    failed = Some(error);
+                    return Ok(ControlFlow::Break(()));
+                }
+                lines.get_mut().clear();
+            }
+            Ok(ControlFlow::Continue(()))
+        })?;
+        failed.map_or(Ok(()), Err)?;
+        for sink in &mut sinks {
+            sink.finish()?;
+        }
+        Ok(outcome(&report))
+    }
+}
+
+/// Says what is missing.
+fn outcome(report: &RerunReport) -> Outcome {
+    if report.refused > 0 {
+        tracing::warn!(refused = report.refused, "recorded commands were refused this time");
+    }
+    if !report.has_losses() {
+        return Outcome::Done;
+    }
+    let damage = &report.damage;
+    let unreadable = match damage.frames {
+        LostFrames::Exactly(count) => count.to_string(),
+        LostFrames::Unknown { in_damaged_chunks } => format!("at most {in_damaged_chunks}"),
+    };
+    tracing::error!(lost = report.missing, unreadable, cut_off = damage.cut_off, "frames were lost");
+    Outcome::DataLost
+}

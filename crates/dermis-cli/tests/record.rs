@@ -1,0 +1,214 @@
+//! Recordings as a script sees them: replayed to the digit, killed and recovered, on a disk that is full, exported.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use dermis_device::instruments::npy;
+use serde_json::Value;
+
+fn dermis(directory: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dermis"));
+    command.args(arguments).current_dir(directory).env_remove("DERMIS_LOG").output().expect("the command starts")
+}
+
+fn message(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+fn text(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+fn done(directory: &Path, arguments: &[&str]) -> String {
+    let output = dermis(directory, arguments);
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", message(&output));
+    text(&output)
+}
+
+/// What `info --json` says.
+fn info(directory: &Path, file: &str) -> Value {
+    serde_json::from_str(&done(directory, &["info", file, "--json"])).expect("JSON")
+}
+
+/// The twin's demonstration as fast as it goes.
+const QUICK: [&str; 4] = ["--speed", "0", "--frames", "120"];
+
+#[test]
+fn a_replay_prints_what_the_run_printed() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let live = done(desk.path(), &[&["run", "--headless", "--record", "a.mcap"], &QUICK[..]].concat());
+    assert!(live.lines().count() == 120 && live.contains("\"id\":1"), "{live}");
+    assert_eq!(done(desk.path(), &["replay", "a.mcap"]), live);
+    let quiet = done(desk.path(), &["replay", "a.mcap", "--only-touches"]);
+    assert!(quiet.lines().count() < 120 && quiet.lines().all(|line| live.contains(line)));
+    let found = info(desk.path(), "a.mcap");
+    assert_eq!((&found["frames"], &found["whole"], &found["dropped"]), (&120.into(), &true.into(), &0.into()));
+    assert_eq!(found["skin"], "healing-square");
+    // At 25 frames/s and at most 10 images/s every third frame of the 88 after the baseline has one. A machine that is too
+    // busy leaves some out.
+    let images = found["messages"]["/dermis/image"].as_u64().expect("a count");
+    assert!((1..=30).contains(&images), "{images} images");
+
+    let imaged = ["replay", "a.mcap", "--prior", "laplace", "--hyperparameter", "1e-3", "--images", "i.npy"];
+    assert_eq!(done(desk.path(), &imaged), "");
+    assert_eq!(npy::read(&desk.path().join("i.npy")).expect("an array").shape[0], 120);
+    let refused = dermis(desk.path(), &["replay", "a.mcap", "--prior", "smooth"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
+}
+
+#[test]
+fn tables_hold_the_readings_exactly() {
+    let desk = tempfile::tempdir().expect("a directory");
+    done(desk.path(), &[&["record", "--out", "a.mcap"], &QUICK[..]].concat());
+    done(desk.path(), &["export", "a.mcap", "--format", "npy", "--out", "f.npy"]);
+    let said = done(desk.path(), &["export", "a.mcap", "--out", "f.csv"]);
+    assert_eq!(said, "f.csv: 120 rows of 212 columns\n");
+    let array = npy::read(&desk.path().join("f.npy")).expect("an array");
+    assert_eq!(array.shape, [120, 208]);
+    let csv = std::fs::read_to_string(desk.path().join("f.csv")).expect("a table");
+    let cells = |line: &str| line.rsplit(',').take(208).map(str::to_owned).collect::<Vec<_>>();
+    for (row, line) in array.values.chunks(208).zip(csv.lines().skip(1)) {
+        let found: Vec<f64> = cells(line).iter().rev().map(|cell| cell.parse().expect("a number")).collect();
+        assert!(found.iter().zip(row).all(|(a, b)| a.to_bits() == b.to_bits()));
+    }
+    let events = done(desk.path(), &["export", "a.mcap", "--table", "baselines", "--out", "b.csv"]);
+    assert_eq!(events, "b.csv: 1 rows of 7 columns\n");
+    let refused = dermis(desk.path(), &["export", "a.mcap", "--table", "touches", "--format", "npy", "--out", "t.npy"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", message(&refused));
+}
+
+/// A process that is killed in the end.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Runs and records the twin at its own pace, kills it once it has printed `lines` lines, and returns the last one's number.
+fn killed(directory: &Path, lines: usize) -> u64 {
+    let child = Command::new(env!("CARGO_BIN_EXE_dermis"))
+        .args(["run", "--headless", "--record", "k.mcap"])
+        .current_dir(directory)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let mut running = Running(child.expect("the command starts"));
+    let output = BufReader::new(running.0.stdout.take().expect("a pipe"));
+    let last = output.lines().take(lines).last().expect("a line").expect("text");
+    running.0.kill().expect("it runs");
+    running.0.wait().expect("it ends");
+    let line: Value = serde_json::from_str(&last).expect("JSON");
+    line["sequence"].as_u64().expect("a number")
+}
+
+#[test]
+fn a_run_that_is_killed_loses_at_most_its_last_second() {
+    // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame.
+    for lines in [26, 35, 44, 60] {
+        let desk = tempfile::tempdir().expect("a directory");
+        let printed = killed(desk.path(), lines);
+        let partial = info(desk.path(), "k.partial.mcap");
+        assert_eq!((&partial["whole"], &partial["cut_off"]), (&false.into(), &true.into()));
+        let said = done(desk.path(), &["recover", "k.partial.mcap", "--out", "k.mcap"]);
+        assert!(said.contains("at most its last second"), "{said}");
+        let recovered = info(desk.path(), "k.mcap");
+        assert_eq!((&recovered["whole"], &recovered["frames"]), (&true.into(), &partial["frames"]));
+        // The twin numbers its frames by the clock, 25 a second, whether or not this machine keeps up.
+        let saved = recovered["last"].as_u64().expect("frames survive");
+        println!("killed after {lines} lines: the last {} ms are missing", 40 * printed.saturating_sub(saved));
+        assert!(printed.saturating_sub(saved) < 25, "frame {printed} was printed, {saved} is the last saved");
+    }
+}
+
+/// Runs the command with files limited to `kib` KiB, as on a disk that fills up.
+fn on_a_small_disk(directory: &Path, kib: u32, arguments: &[&str]) -> Output {
+    // The shell counts in blocks of 512 bytes. Told to ignore the signal, the system refuses the write instead.
+    let limit = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kib);
+    Command::new("sh")
+        .args(["-c", &limit, env!("CARGO_BIN_EXE_dermis")])
+        .args(arguments)
+        .current_dir(directory)
+        .env_remove("DERMIS_LOG")
+        .output()
+        .expect("a shell")
+}
+
+/// A recording of the resting skin with the noise of an instrument, `frames` frames that do not compress.
+fn resting(path: &Path, frames: u64) {
+    let skin = dermis::skin::Skin::open("healing-square").expect("a built-in skin");
+    let prepared = dermis::prepare::Prepared::new(skin).expect("a skin that meshes");
+    let layout = dermis_device::Layout::Channels { count: prepared.channels() };
+    let head = dermis::record::RecordingHead::of(&prepared, layout, "test");
+    let mut recorder = dermis::record::Recorder::create(path, &head).expect("a recording");
+    let mut state = 1_u64;
+    let mut noise = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        1e-5 * ((state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5)
+    };
+    for sequence in 0..frames {
+        let values = prepared.voltages.iter().map(|volts| volts * (1.0 + noise())).collect();
+        let device_time_ns = Some(sequence * 1_000_000);
+        let frame = dermis_device::Frame { sequence, device_time_ns, values, ..Default::default() };
+        recorder.write_frame(&frame).expect("a frame");
+    }
+    recorder.finish(0).expect("a file");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_stops_the_recording_and_not_the_stream() {
+    let desk = tempfile::tempdir().expect("a directory");
+    resting(&desk.path().join("rest.mcap"), 3000);
+    let source = ["--source", "rest.mcap", "--speed", "0"];
+    // Five megabytes of readings, in chunks of one.
+    let output =
+        on_a_small_disk(desk.path(), 2500, &[&["run", "--headless", "--record", "a.mcap"], &source[..]].concat());
+    let said = message(&output);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert_eq!(text(&output).lines().count(), 3000, "every frame has its line");
+    assert!(said.contains("the recording has stopped: a.mcap: "), "{said}");
+    let saved = info(desk.path(), "a.partial.mcap")["frames"].as_u64().expect("a count");
+    assert!(saved > 100, "what fitted is there: {saved}");
+    assert!(said.contains(&format!("not_recorded={}", 3000 - saved)), "{saved} saved: {said}");
+    assert!(!desk.path().join("a.mcap").exists());
+
+    // There is nothing left to do for a command that only records.
+    let output = on_a_small_disk(desk.path(), 2500, &[&["record", "--out", "b.mcap"], &source[..]].concat());
+    assert_eq!(output.status.code(), Some(3), "{}", message(&output));
+    assert!(message(&output).contains("frames were lost") && text(&output).contains("lost"), "{}", message(&output));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_is_full_from_the_start_is_refused() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let output = dermis(desk.path(), &["record", "--frames", "1", "--out", "/dev/full"]);
+    assert_eq!(output.status.code(), Some(1), "{}", message(&output));
+    assert!(message(&output).contains("/dev/full: "), "{}", message(&output));
+}
+
+#[test]
+fn what_the_source_lost_is_counted_again_by_the_replay() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let skin = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../skins/healing-square.toml");
+    let skin = std::fs::read_to_string(skin).expect("a skin file");
+    std::fs::write(desk.path().join("lossy.toml"), lossy(&skin)).expect("a file");
+    let recorded = dermis(desk.path(), &[&["record", "lossy.toml", "--out", "a.mcap"], &QUICK[..]].concat());
+    assert_eq!(recorded.status.code(), Some(3), "{}", message(&recorded));
+    let found = info(desk.path(), "a.mcap");
+    let missing = found["missing"].as_u64().expect("a count");
+    assert!(missing > 0 && found["events"].to_string().contains("gap"), "{found}");
+    let replay = dermis(desk.path(), &["replay", "a.mcap"]);
+    assert_eq!(replay.status.code(), Some(3), "{}", message(&replay));
+    assert!(message(&replay).contains(&format!("lost={missing}")), "{}", message(&replay));
+}
+
+/// The skin with a twin that loses frames.
+fn lossy(skin: &str) -> String {
+    format!("{skin}\n[twin]\nfaults = [{{ dropped_share = 0.1 }}]\n")
+}

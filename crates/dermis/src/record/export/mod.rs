@@ -1,0 +1,271 @@
+//! Parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for the frames'
+//! readings alone. Tables are streamed; a long recording needs no memory.
+
+mod parquet;
+mod rows;
+
+use std::io::{Read, Seek, Write};
+use std::path::Path;
+use std::str::FromStr;
+
+use dermis_device::Frame;
+use dermis_device::instruments::npy::{self, Number};
+
+use super::messages::{origin_name, phase_name};
+use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, TouchesEntry};
+use crate::Error;
+use crate::sink::staged::StagedFile;
+use parquet::ParquetWriter;
+use rows::{Cell, Column, CsvWriter, Kind, RowWriter};
+
+/// What of a recording is exported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Table {
+    /// A row for each frame: number, times, readings.
+    Frames,
+    /// A row for each touch in each frame.
+    Touches,
+    /// A row for each baseline.
+    Baselines,
+    /// A row for each event.
+    Events,
+}
+
+/// As what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TableFormat {
+    /// Comma-separated text with a header line.
+    Csv,
+    /// The readings of frames alone: frames x channels of 8-byte floats, or frames x 2 x channels, real parts before
+    /// imaginary ones, for complex instruments.
+    Npy,
+    /// Apache Parquet, columns typed, uncompressed.
+    Parquet,
+}
+
+impl FromStr for Table {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "frames" => Ok(Self::Frames),
+            "touches" => Ok(Self::Touches),
+            "baselines" => Ok(Self::Baselines),
+            "events" => Ok(Self::Events),
+            _ => Err("expected frames, touches, baselines or events".to_owned()),
+        }
+    }
+}
+
+impl FromStr for TableFormat {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "csv" => Ok(Self::Csv),
+            "npy" => Ok(Self::Npy),
+            "parquet" => Ok(Self::Parquet),
+            _ => Err("expected csv, npy or parquet".to_owned()),
+        }
+    }
+}
+
+/// What was exported.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Exported {
+    /// Rows.
+    pub rows: u64,
+    /// Columns; of an array, those of a row.
+    pub columns: usize,
+    /// What of the recording could not be read.
+    pub damage: Damage,
+}
+
+/// Writes a table of `recording`, from its beginning, to `path`; nothing stands there unless it is whole.
+///
+/// # Errors
+/// [`Error::Frames`] for anything but frames as NPY and for frames some of which are complex and some not, [`Error::Io`].
+pub fn export<R: Read + Seek>(
+    recording: &mut Recording<R>,
+    table: Table,
+    format: TableFormat,
+    path: &Path,
+) -> Result<Exported, Error> {
+    recording.rewind();
+    let complex = matches!(recording.next_frame_peek()?, Some(frame) if !frame.imaginary.is_empty());
+    recording.rewind();
+    if format == TableFormat::Npy {
+        return export_array(recording, table, complex, path);
+    }
+    let columns = columns(recording, table, complex);
+    let mut file = StagedFile::create(path)?;
+    let mut writer: Box<dyn RowWriter + '_> = match format {
+        TableFormat::Parquet => Box::new(ParquetWriter::new(&mut file, &columns).map_err(Error::io(path))?),
+        TableFormat::Csv | TableFormat::Npy => Box::new(CsvWriter::new(&mut file, &columns).map_err(Error::io(path))?),
+    };
+    let mut rows = 0;
+    let mut cells = Vec::new();
+    while let Some(entry) = recording.next_entry()? {
+        match (table, entry) {
+            (Table::Frames, Entry::Frame(frame)) => {
+                check_parts(frame, complex)?;
+                frame_cells(frame, &mut cells);
+            }
+            (Table::Touches, Entry::Touches { entry, .. }) => {
+                for cells in touch_rows(entry) {
+                    writer.row(&cells).map_err(Error::io(path))?;
+                    rows += 1;
+                }
+                continue;
+            }
+            (Table::Baselines, Entry::Baseline { wall_ns, entry }) => baseline_cells(wall_ns, entry, &mut cells),
+            (Table::Events, Entry::Event { wall_ns, entry }) => event_cells(wall_ns, entry, &mut cells),
+            _ => continue,
+        }
+        writer.row(&cells).map_err(Error::io(path))?;
+        cells.clear();
+        rows += 1;
+    }
+    writer.finish().map_err(Error::io(path))?;
+    drop(writer);
+    file.finish()?;
+    Ok(Exported { rows, columns: columns.len(), damage: recording.damage() })
+}
+
+/// The frames' readings as an array. Its header says how many there are, so that they are read twice.
+fn export_array<R: Read + Seek>(
+    recording: &mut Recording<R>,
+    table: Table,
+    complex: bool,
+    path: &Path,
+) -> Result<Exported, Error> {
+    if table != Table::Frames {
+        return Err(Error::Frames {
+            what: "table to export as npy".to_owned(),
+            expected: "frames".to_owned(),
+            got: format!("{table:?}").to_lowercase(),
+        });
+    }
+    let channels = recording.head().layout.channels();
+    let mut frame = Frame::default();
+    let mut rows = 0;
+    while recording.next_frame(&mut frame)? {
+        check_parts(&frame, complex)?;
+        rows += 1;
+    }
+    recording.rewind();
+    let shape = if complex { vec![rows, 2, channels] } else { vec![rows, channels] };
+    let mut file = StagedFile::create(path)?;
+    npy::write_header::<f64>(&mut file, &shape).map_err(Error::io(path))?;
+    while recording.next_frame(&mut frame)? {
+        let values = frame.values.iter().chain(&frame.imaginary);
+        values.copied().try_for_each(|value| value.write_to(&mut file)).map_err(Error::io(path))?;
+    }
+    file.flush().map_err(Error::io(path))?;
+    file.finish()?;
+    let columns = if complex { 2 * channels } else { channels };
+    Ok(Exported { rows: rows as u64, columns, damage: recording.damage() })
+}
+
+fn check_parts(frame: &Frame, complex: bool) -> Result<(), Error> {
+    if frame.imaginary.is_empty() != complex {
+        return Ok(());
+    }
+    let (real, both) = ("real readings, as in the first frame", "complex readings, as in the first frame");
+    let (expected, got) = if complex { (both, "real ones") } else { (real, "complex ones") };
+    let what = format!("frame {} to export", frame.sequence);
+    Err(Error::Frames { what, expected: expected.to_owned(), got: got.to_owned() })
+}
+
+fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool) -> Vec<Column> {
+    let fixed: &[(&str, Kind)] = match table {
+        Table::Frames => &[
+            ("sequence", Kind::Count),
+            ("device_time_ns", Kind::Time),
+            ("host_monotonic_ns", Kind::Count),
+            ("host_wall_ns", Kind::Count),
+        ],
+        Table::Touches => &[
+            ("sequence", Kind::Count),
+            ("host_monotonic_ns", Kind::Count),
+            ("id", Kind::Count),
+            ("phase", Kind::Text),
+            ("x_mm", Kind::Number),
+            ("y_mm", Kind::Number),
+            ("amplitude", Kind::Number),
+            ("area_mm2", Kind::Number),
+            ("sigma_x_mm", Kind::Number),
+            ("sigma_y_mm", Kind::Number),
+            ("force_n", Kind::Number),
+            ("force_range", Kind::Text),
+            ("radius_mm", Kind::Number),
+        ],
+        Table::Baselines => &[
+            ("wall_ns", Kind::Count),
+            ("time_ns", Kind::Count),
+            ("frames", Kind::Count),
+            ("origin", Kind::Text),
+            ("reason", Kind::Text),
+            ("values", Kind::Text),
+            ("noise_std", Kind::Text),
+        ],
+        Table::Events => {
+            &[("wall_ns", Kind::Count), ("event", Kind::Text), ("detail", Kind::Text), ("values", Kind::Text)]
+        }
+    };
+    let mut columns: Vec<Column> =
+        fixed.iter().map(|(name, kind)| Column { name: (*name).to_owned(), kind: *kind }).collect();
+    if table == Table::Frames {
+        let head = recording.head();
+        let label =
+            |channel: usize| head.labels.get(channel).cloned().unwrap_or_else(|| format!("channel {}", channel + 1));
+        let parts: &[&str] = if complex { &["re ", "im "] } else { &[""] };
+        let all = parts.iter().flat_map(|part| (0..head.layout.channels()).map(move |channel| (*part, channel)));
+        columns.extend(
+            all.map(|(part, channel)| Column { name: format!("{part}{}", label(channel)), kind: Kind::Number }),
+        );
+    }
+    columns
+}
+
+fn frame_cells(frame: &Frame, cells: &mut Vec<Cell>) {
+    cells.push(Cell::Count(frame.sequence));
+    cells.push(Cell::Time(frame.device_time_ns));
+    cells.extend([Cell::Count(frame.host_monotonic_ns), Cell::Count(frame.host_wall_ns)]);
+    cells.extend(frame.values.iter().chain(&frame.imaginary).map(|value| Cell::Number(*value)));
+}
+
+fn touch_rows(entry: &TouchesEntry) -> impl Iterator<Item = Vec<Cell>> + '_ {
+    entry.touches.iter().map(|touch| {
+        vec![
+            Cell::Count(entry.sequence),
+            Cell::Count(entry.time_ns),
+            Cell::Count(touch.id),
+            Cell::Text(phase_name(touch.phase).to_owned()),
+            Cell::Number(1e3 * touch.position_m[0]),
+            Cell::Number(1e3 * touch.position_m[1]),
+            Cell::Number(touch.amplitude),
+            Cell::Number(1e6 * touch.area_m2),
+            Cell::Number(1e3 * touch.sigma_m[0]),
+            Cell::Number(1e3 * touch.sigma_m[1]),
+            Cell::Number(touch.force_n),
+            Cell::Text(touch.force_range.clone()),
+            Cell::Number(1e3 * touch.radius_m),
+        ]
+    })
+}
+
+fn baseline_cells(wall_ns: u64, BaselineEntry { record, values, noise_std }: &BaselineEntry, cells: &mut Vec<Cell>) {
+    cells.extend([Cell::Count(wall_ns), Cell::Count(record.time_ns), Cell::Count(record.frames as u64)]);
+    cells.extend([Cell::Text(origin_name(record.origin).to_owned()), Cell::Text(record.reason.clone())]);
+    cells.extend([listed(values), listed(noise_std)]);
+}
+
+fn event_cells(wall_ns: u64, EventEntry { event, detail, values }: &EventEntry, cells: &mut Vec<Cell>) {
+    cells.extend([Cell::Count(wall_ns), Cell::Text(event.clone()), Cell::Text(detail.clone()), listed(values)]);
+}
+
+/// Numbers in one cell, separated by spaces.
+fn listed(values: &[f64]) -> Cell {
+    Cell::Text(values.iter().map(f64::to_string).collect::<Vec<_>>().join(" "))
+}

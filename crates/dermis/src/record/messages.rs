@@ -1,0 +1,273 @@
+//! The messages of a recording's own types: frames, baselines, touches and events, to CDR and back ([`super::schema`] has
+//! their definitions).
+
+use dermis_device::Frame;
+use dermis_touch::{ReferenceOrigin, ReferenceRecord, Touch, TouchEvent, TouchPhase};
+
+use super::cdr::{CdrReader, CdrWriter};
+
+/// A baseline as recorded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BaselineEntry {
+    /// When and why it was set; the time is that of the frame that completed it.
+    pub record: ReferenceRecord,
+    /// The baseline, one value a channel of the protocol.
+    pub values: Vec<f64>,
+    /// Standard deviation of each channel at rest, in the same unit; may be empty.
+    pub noise_std: Vec<f64>,
+}
+
+impl Default for BaselineEntry {
+    fn default() -> Self {
+        let record = ReferenceRecord { time_ns: 0, frames: 0, origin: ReferenceOrigin::Given, reason: String::new() };
+        Self { record, values: Vec::new(), noise_std: Vec::new() }
+    }
+}
+
+/// The touches of a frame as recorded.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TouchesEntry {
+    /// The frame's number.
+    pub sequence: u64,
+    /// The frame's time on the host's monotonic clock, nanoseconds.
+    pub time_ns: u64,
+    /// Its touches, those that ended in it included.
+    pub touches: Vec<TouchEntry>,
+}
+
+/// A touch as recorded; in the skin's frame, x to the right and y up.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TouchEntry {
+    /// Identity.
+    pub id: u64,
+    /// Begin, move or end.
+    pub phase: TouchPhase,
+    /// Position, metres.
+    pub position_m: [f64; 2],
+    /// Amplitude in the image's unit.
+    pub amplitude: f64,
+    /// Area above half of the peak, m^2.
+    pub area_m2: f64,
+    /// Standard deviations of the position, metres.
+    pub sigma_m: [f64; 2],
+    /// Normal force, newtons; NaN without calibration.
+    pub force_n: f64,
+    /// Where the force lies in its calibration; empty without.
+    pub force_range: String,
+    /// Fitted radius, metres; NaN where none was fitted.
+    pub radius_m: f64,
+}
+
+/// Something that happened, as recorded.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EventEntry {
+    /// What happened, in one word.
+    pub event: String,
+    /// The same for people.
+    pub detail: String,
+    /// Numbers that belong to it.
+    pub values: Vec<f64>,
+}
+
+pub(super) fn write_frame(out: &mut Vec<u8>, frame: &Frame) {
+    let mut cdr = CdrWriter::new(out);
+    cdr.u64(frame.sequence);
+    cdr.bool(frame.device_time_ns.is_some());
+    cdr.u64(frame.device_time_ns.unwrap_or(0));
+    cdr.u64(frame.host_monotonic_ns);
+    cdr.u64(frame.host_wall_ns);
+    cdr.doubles(&frame.values);
+    cdr.doubles(&frame.imaginary);
+}
+
+/// Reads a frame into `frame`, or returns none if the bytes are no such message; `frame` then holds part of it.
+pub(super) fn read_frame(bytes: &[u8], frame: &mut Frame) -> Option<()> {
+    let mut cdr = CdrReader::new(bytes)?;
+    frame.clear();
+    frame.sequence = cdr.u64()?;
+    let has_device_time = cdr.bool()?;
+    frame.device_time_ns = Some(cdr.u64()?).filter(|_| has_device_time);
+    frame.host_monotonic_ns = cdr.u64()?;
+    frame.host_wall_ns = cdr.u64()?;
+    cdr.doubles(&mut frame.values)?;
+    cdr.doubles(&mut frame.imaginary)
+}
+
+pub(super) fn write_baseline(out: &mut Vec<u8>, record: &ReferenceRecord, values: &[f64], noise_std: &[f64]) {
+    let mut cdr = CdrWriter::new(out);
+    cdr.u64(record.time_ns);
+    cdr.u64(record.frames as u64);
+    cdr.string(origin_name(record.origin));
+    cdr.string(&record.reason);
+    cdr.doubles(values);
+    cdr.doubles(noise_std);
+}
+
+pub(super) fn read_baseline(bytes: &[u8]) -> Option<BaselineEntry> {
+    let mut cdr = CdrReader::new(bytes)?;
+    let (time_ns, frames) = (cdr.u64()?, usize::try_from(cdr.u64()?).ok()?);
+    let name = cdr.string()?;
+    let origin = *ORIGINS.iter().find(|origin| origin_name(**origin) == name)?;
+    let record = ReferenceRecord { time_ns, frames, origin, reason: cdr.string()?.to_owned() };
+    let mut entry = BaselineEntry { record, ..BaselineEntry::default() };
+    cdr.doubles(&mut entry.values)?;
+    cdr.doubles(&mut entry.noise_std)?;
+    Some(entry)
+}
+
+/// Writes the touches of frame `sequence`; those that ended in it stand in `events`.
+pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+    let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
+    let mut cdr = CdrWriter::new(out);
+    cdr.u64(sequence);
+    cdr.u64(time_ns);
+    cdr.length(touches.len() + ended().count());
+    for touch in touches.iter().chain(ended()) {
+        cdr.u64(touch.id);
+        cdr.string(phase_name(touch.phase));
+        cdr.f64(touch.position_m[0]);
+        cdr.f64(touch.position_m[1]);
+        cdr.f64(touch.amplitude);
+        cdr.f64(touch.area_m2);
+        cdr.f64(touch.covariance_m2[0][0].sqrt());
+        cdr.f64(touch.covariance_m2[1][1].sqrt());
+        cdr.f64(touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN));
+        cdr.string(touch.force.map_or("", |force| force.range()));
+        cdr.f64(touch.radius_m.unwrap_or(f64::NAN));
+    }
+}
+
+pub(super) fn read_touches(bytes: &[u8]) -> Option<TouchesEntry> {
+    let mut cdr = CdrReader::new(bytes)?;
+    let (sequence, time_ns) = (cdr.u64()?, cdr.u64()?);
+    let touches = (0..cdr.length(1)?).map(|_| read_touch(&mut cdr)).collect::<Option<_>>()?;
+    Some(TouchesEntry { sequence, time_ns, touches })
+}
+
+fn read_touch(cdr: &mut CdrReader<'_>) -> Option<TouchEntry> {
+    let id = cdr.u64()?;
+    let name = cdr.string()?;
+    let phase = *PHASES.iter().find(|phase| phase_name(**phase) == name)?;
+    Some(TouchEntry {
+        id,
+        phase,
+        position_m: [cdr.f64()?, cdr.f64()?],
+        amplitude: cdr.f64()?,
+        area_m2: cdr.f64()?,
+        sigma_m: [cdr.f64()?, cdr.f64()?],
+        force_n: cdr.f64()?,
+        force_range: cdr.string()?.to_owned(),
+        radius_m: cdr.f64()?,
+    })
+}
+
+pub(super) fn write_event(out: &mut Vec<u8>, event: &str, detail: &str, values: &[f64]) {
+    let mut cdr = CdrWriter::new(out);
+    cdr.string(event);
+    cdr.string(detail);
+    cdr.doubles(values);
+}
+
+pub(super) fn read_event(bytes: &[u8]) -> Option<EventEntry> {
+    let mut cdr = CdrReader::new(bytes)?;
+    let mut entry =
+        EventEntry { event: cdr.string()?.to_owned(), detail: cdr.string()?.to_owned(), values: Vec::new() };
+    cdr.doubles(&mut entry.values)?;
+    Some(entry)
+}
+
+const ORIGINS: [ReferenceOrigin; 4] =
+    [ReferenceOrigin::Startup, ReferenceOrigin::Tare, ReferenceOrigin::ForcedTare, ReferenceOrigin::Given];
+
+/// A baseline's origin in a word.
+pub(super) fn origin_name(origin: ReferenceOrigin) -> &'static str {
+    match origin {
+        ReferenceOrigin::Startup => "startup",
+        ReferenceOrigin::Tare => "tare",
+        ReferenceOrigin::ForcedTare => "forced-tare",
+        ReferenceOrigin::Given => "given",
+    }
+}
+
+const PHASES: [TouchPhase; 3] = [TouchPhase::Begin, TouchPhase::Move, TouchPhase::End];
+
+pub(super) fn phase_name(phase: TouchPhase) -> &'static str {
+    match phase {
+        TouchPhase::Begin => "begin",
+        TouchPhase::Move => "move",
+        TouchPhase::End => "end",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sink::testing::touch;
+    use proptest::prelude::*;
+
+    fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
+        let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
+        let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary } = frame;
+        (*sequence, *device_time_ns, *host_monotonic_ns, *host_wall_ns, bits(values), bits(imaginary))
+    }
+
+    proptest! {
+        #[test]
+        fn frames_come_back_bit_for_bit(
+            sequence: u64, device_time_ns: Option<u64>, host_monotonic_ns: u64, host_wall_ns: u64,
+            values: Vec<u64>, imaginary: Vec<u64>,
+        ) {
+            let values = values.into_iter().map(f64::from_bits).collect();
+            let imaginary = imaginary.into_iter().map(f64::from_bits).collect();
+            let frame = Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary };
+            let mut bytes = vec![1];
+            write_frame(&mut bytes, &frame);
+            let mut found = Frame { imaginary: vec![5.0], device_time_ns: Some(1), ..Frame::default() };
+            prop_assert!(read_frame(&bytes, &mut found).is_some());
+            prop_assert_eq!(bits(&found), bits(&frame));
+        }
+
+        #[test]
+        fn arbitrary_bytes_never_panic(bytes: Vec<u8>) {
+            let bytes = [&[0, 1, 0, 0][..], &bytes].concat();
+            let _ = read_frame(&bytes, &mut Frame::default());
+            let _ = (read_baseline(&bytes), read_touches(&bytes), read_event(&bytes));
+        }
+    }
+
+    #[test]
+    fn baselines_come_back_with_origin_and_reason() {
+        for origin in ORIGINS {
+            let record = ReferenceRecord { time_ns: 7, frames: 32, origin, reason: "drift \u{2192} 0".to_owned() };
+            let mut bytes = Vec::new();
+            write_baseline(&mut bytes, &record, &[0.1, -0.0], &[1e-6]);
+            let entry = BaselineEntry { record, values: vec![0.1, -0.0], noise_std: vec![1e-6] };
+            assert_eq!(read_baseline(&bytes), Some(entry));
+        }
+    }
+
+    #[test]
+    fn touches_come_back_with_those_that_ended() {
+        let touches = [touch(1, TouchPhase::Begin, 3.0, -4.0)];
+        let events = [TouchEvent::End(touch(2, TouchPhase::End, 5.0, 6.0)), TouchEvent::Begin(touches[0])];
+        let mut bytes = Vec::new();
+        write_touches(&mut bytes, 7, 9, &touches, &events);
+        let found = read_touches(&bytes).unwrap();
+        assert_eq!((found.sequence, found.time_ns, found.touches.len()), (7, 9, 2));
+        let [first, second] = &found.touches[..] else { panic!("{found:?}") };
+        assert_eq!((first.id, first.phase, first.position_m), (1, TouchPhase::Begin, [3e-3, -4e-3]));
+        assert_eq!((first.sigma_m, first.area_m2, first.force_range.as_str()), ([0.5e-3, 0.25e-3], 1e-4, ""));
+        assert!(first.force_n.is_nan() && first.radius_m.is_nan());
+        assert_eq!((second.id, second.phase, second.position_m), (2, TouchPhase::End, [5e-3, 6e-3]));
+    }
+
+    #[test]
+    fn cut_messages_are_refused() {
+        let frame = Frame { sequence: 3, values: vec![1.0, 2.0], ..Frame::default() };
+        let mut bytes = Vec::new();
+        write_frame(&mut bytes, &frame);
+        for end in 0..bytes.len() {
+            assert!(read_frame(&bytes[..end], &mut Frame::default()).is_none(), "{end}");
+        }
+    }
+}

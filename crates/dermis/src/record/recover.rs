@@ -1,0 +1,130 @@
+//! A whole recording from what is left of a broken one: every chunk whose checksum holds is copied message by message, also
+//! of topics that dermis does not know, and index and summary are made anew.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use mcap::McapError;
+use mcap::records::{MessageHeader, Metadata, Record, op};
+use mcap::sans_io::linear_reader::LinearReadEvent;
+
+use super::file::whole_file;
+use super::head::{FINISHED, record};
+use super::scan::Outline;
+use super::writer::{FileWriter, attach_all, mcap_error, new_writer};
+use super::{Damage, Recording, reader};
+use crate::Error;
+
+/// Name of the metadata record that says where a recording was recovered from.
+const RECOVERED: &str = "dermis.recovered";
+
+/// What became of a broken recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Recovered {
+    /// Frames in the new one.
+    pub frames: u64,
+    /// Messages in the new one, frames among them.
+    pub messages: u64,
+    /// What of the old one could not be read.
+    pub damage: Damage,
+}
+
+/// Makes a whole recording at `to` from what can be read of `from`, which stays as it is.
+///
+/// # Errors
+/// As [`Recording::open`], and [`Error::Io`] if `to` exists or cannot be written.
+pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
+    let mut recording = Recording::open(from)?;
+    let mut frames = 0;
+    while let Some(entry) = recording.next_entry()? {
+        frames += u64::from(matches!(entry, super::Entry::Frame(_)));
+    }
+    let damage = recording.damage();
+    let mut input = BufReader::new(File::open(from).map_err(Error::io(from))?);
+    let outline = Outline::read(&mut input).map_err(Error::io(from))?.unwrap_or_default();
+    let failed = |error| mcap_error(to, error);
+    let writer = new_writer(whole_file(to)?).map_err(failed)?;
+    let mut copy = Copy { writer, outline: &outline, schemas: BTreeMap::new(), channels: BTreeMap::new(), messages: 0 };
+    copy.head(&recording).map_err(failed)?;
+    for place in &outline.chunks {
+        let chunk = reader::read_chunk(&mut input, *place).map_err(Error::io(from))?;
+        if let Some((chunk, _)) = chunk {
+            copy.chunk(chunk).map_err(failed)?;
+        }
+    }
+    let messages = copy.messages;
+    let mut end = record(FINISHED, [("frames", frames.to_string())]);
+    let dropped = recording.frames_dropped();
+    end.metadata.extend(dropped.map(|count| ("dropped".to_owned(), count.to_string())));
+    let source = from.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let entries = [("from", source), ("bytes", damage.bytes.to_string()), ("chunks", damage.chunks.to_string())];
+    copy.writer.write_metadata(&record(RECOVERED, entries)).map_err(failed)?;
+    copy.writer.write_metadata(&end).map_err(failed)?;
+    copy.writer.finish().map_err(failed)?;
+    copy.writer.into_inner().into_inner().complete().map_err(Error::io(to))?;
+    Ok(Recovered { frames, messages, damage })
+}
+
+/// A copy in progress. Numbers of schemas and channels are given anew.
+struct Copy<'a> {
+    writer: FileWriter,
+    outline: &'a Outline,
+    schemas: BTreeMap<u16, u16>,
+    channels: BTreeMap<u16, u16>,
+    messages: u64,
+}
+
+impl Copy<'_> {
+    /// Metadata, attachments, and what the summary knows of schemas and channels.
+    fn head(&mut self, recording: &Recording) -> Result<(), McapError> {
+        for (name, metadata) in self.outline.metadata.iter().filter(|(name, _)| name.as_str() != FINISHED) {
+            self.writer.write_metadata(&Metadata { name: name.clone(), metadata: metadata.clone() })?;
+        }
+        attach_all(&mut self.writer, recording.head())?;
+        let outline = self.outline;
+        for (kind, bytes) in &outline.descriptions {
+            self.describe(*kind, bytes)?;
+        }
+        self.writer.flush()
+    }
+
+    /// Copies one chunk. Its checksum is compared before any of it is believed; a chunk that fails is passed over.
+    fn chunk(&mut self, mut chunk: mcap::sans_io::linear_reader::LinearReader) -> Result<(), McapError> {
+        loop {
+            match chunk.next_event() {
+                None | Some(Err(_)) => break,
+                Some(Ok(LinearReadEvent::ReadRequest(_))) => chunk.notify_read(0),
+                Some(Ok(LinearReadEvent::Record { opcode: op::MESSAGE, data })) => self.message(data)?,
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => self.describe(opcode, data)?,
+            }
+        }
+        self.writer.flush()
+    }
+
+    /// Takes over a schema or a channel.
+    fn describe(&mut self, kind: u8, data: &[u8]) -> Result<(), McapError> {
+        match mcap::parse_record(kind, data) {
+            Ok(Record::Schema { header, data }) => {
+                self.schemas.insert(header.id, self.writer.add_schema(&header.name, &header.encoding, &data)?);
+            }
+            Ok(Record::Channel(channel)) => {
+                let schema = self.schemas.get(&channel.schema_id).copied().unwrap_or(0);
+                let (topic, encoding) = (&channel.topic, &channel.message_encoding);
+                let id = self.writer.add_channel(schema, topic, encoding, &channel.metadata)?;
+                self.channels.insert(channel.id, id);
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn message(&mut self, data: &[u8]) -> Result<(), McapError> {
+        let Ok(Record::Message { header, data }) = mcap::parse_record(op::MESSAGE, data) else { return Ok(()) };
+        // A message that nothing describes was counted as damage.
+        let Some(&channel_id) = self.channels.get(&header.channel_id) else { return Ok(()) };
+        self.messages += 1;
+        self.writer.write_to_known_channel(&MessageHeader { channel_id, ..header }, &data)
+    }
+}
