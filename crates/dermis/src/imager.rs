@@ -25,6 +25,8 @@ pub struct Imager {
     inside: Vec<u32>,
     grid_len: usize,
     missing: Option<MissingChannels>,
+    /// Channels that are left out of every frame.
+    left_out: Option<MissingChannels>,
     scratch: Scratch,
 }
 
@@ -85,6 +87,7 @@ impl Prepared {
             inside: self.map.inside_pixels().to_vec(),
             grid_len: self.map.grid().len(),
             missing: None,
+            left_out: None,
             scratch: Scratch::default(),
             problem,
             operator,
@@ -169,6 +172,11 @@ impl Prepared {
 }
 
 impl Imager {
+    /// The operator with all channels.
+    pub fn operator(&self) -> &Operator {
+        &self.operator
+    }
+
     /// lambda.
     pub fn hyperparameter(&self) -> f64 {
         self.operator.hyperparameter
@@ -181,14 +189,30 @@ impl Imager {
     pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
         self.operator = self.problem.operator(lambda)?;
         self.live = LiveOperator::new(&self.operator, self.polarity);
-        self.pixel_noise = pixel_noise(&self.operator, noise);
         self.missing = None;
-        Ok(())
+        let left_out = self.left_out.take().map(|missing| missing.channels().to_vec()).unwrap_or_default();
+        self.leave_out(&left_out, noise)
     }
 
     /// Replaces the channel noise that the image noise is worked out from.
     pub fn set_noise(&mut self, noise: &[f64]) {
-        self.pixel_noise = pixel_noise(&self.operator, noise);
+        self.pixel_noise = match &self.left_out {
+            Some(missing) => {
+                missing.noise_deviation(&self.operator, noise).into_iter().map(|sigma| sigma as f32).collect()
+            }
+            None => pixel_noise(&self.operator, noise),
+        };
+    }
+
+    /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise that
+    /// goes with it. Frames are to have `NaN` there. An empty list takes all channels back.
+    ///
+    /// # Errors
+    /// A channel that does not exist, or all of them.
+    pub fn leave_out(&mut self, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
+        self.left_out = if channels.is_empty() { None } else { Some(MissingChannels::new(&self.operator, channels)?) };
+        self.set_noise(noise);
+        Ok(())
     }
 
     /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the
@@ -229,35 +253,38 @@ impl Imager {
                 got: format!("{} and {}", difference.len(), image.len()),
             });
         }
-        let mut scratch = std::mem::take(&mut self.scratch);
-        let outcome = self.image_with(difference, image, &mut scratch);
-        self.scratch = scratch;
-        outcome
+        self.fill_in(difference)?;
+        let Scratch { filled, single, image: inside, .. } = &mut self.scratch;
+        single.clear();
+        single.extend(filled.iter().map(|v| *v as f32));
+        inside.resize(self.live.unknowns(), 0.0);
+        self.live.apply(single, inside);
+        image.fill(f32::NAN);
+        self.scatter(&self.scratch.image, image);
+        Ok(())
     }
 
-    fn image_with(&mut self, difference: &[f64], image: &mut [f32], scratch: &mut Scratch) -> Result<(), Error> {
-        scratch.absent.clear();
-        scratch
-            .absent
-            .extend(difference.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32));
-        scratch.filled.clear();
-        scratch.filled.extend_from_slice(difference);
-        if !scratch.absent.is_empty() {
-            let known = self.missing.as_ref().is_some_and(|missing| missing.channels() == scratch.absent);
-            if !known {
-                self.missing = Some(MissingChannels::new(&self.operator, &scratch.absent)?);
+    /// Fills in the missing channels of difference data (model volts, `NaN` where missing) with what the others let expect.
+    /// Allocates only when the set of missing channels changes.
+    ///
+    /// # Errors
+    /// All channels missing.
+    pub fn fill_in(&mut self, difference: &[f64]) -> Result<&[f64], Error> {
+        let Scratch { filled, absent, .. } = &mut self.scratch;
+        absent.clear();
+        absent.extend((0..).zip(difference).filter(|(_, v)| !v.is_finite()).map(|(channel, _): (u32, _)| channel));
+        filled.clear();
+        filled.extend_from_slice(difference);
+        if !absent.is_empty() {
+            let left_out = self.left_out.as_ref().filter(|missing| missing.channels() == absent.as_slice());
+            if left_out.is_none() && self.missing.as_ref().is_none_or(|missing| missing.channels() != absent) {
+                self.missing = Some(MissingChannels::new(&self.operator, absent)?);
             }
-            if let Some(missing) = &self.missing {
-                missing.fill_in(&mut scratch.filled);
+            if let Some(missing) = left_out.or(self.missing.as_ref()) {
+                missing.fill_in(filled);
             }
         }
-        scratch.single.clear();
-        scratch.single.extend(scratch.filled.iter().map(|v| *v as f32));
-        scratch.image.resize(self.live.unknowns(), 0.0);
-        self.live.apply(&scratch.single, &mut scratch.image);
-        image.fill(f32::NAN);
-        self.scatter(&scratch.image, image);
-        Ok(())
+        Ok(filled)
     }
 
     fn scatter(&self, inside: &[f32], image: &mut [f32]) {

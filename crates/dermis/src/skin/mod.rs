@@ -3,6 +3,7 @@
 
 mod build;
 mod builtin;
+mod health;
 mod magnetic;
 mod parts;
 mod refinement;
@@ -10,6 +11,7 @@ mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use health::HealthSettings;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
 pub use twin::{StuckChannel, TwinFaults, TwinSettings};
@@ -44,6 +46,9 @@ pub struct Skin {
     /// From images to touches.
     #[serde(default)]
     pub touch: TouchSettings,
+    /// How its channels are watched.
+    #[serde(default, skip_serializing_if = "HealthSettings::is_default")]
+    pub health: HealthSettings,
     /// Its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
@@ -691,6 +696,7 @@ impl Skin {
         let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
         let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
         self.twin.check(electrodes, channels, file)?;
+        self.health.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
         }
