@@ -7,7 +7,7 @@ import { AmplitudeStrip, ChannelStrip, MOST_TRACES, brief, parseChannels } from 
 import type { MapName, RangeMode } from "./colour";
 import { Connection, type Link } from "./connection";
 import { NoiseBars } from "./noise";
-import { showBadges, showCounters, showLatency, showMessage, showPipeline, showTouches } from "./panels";
+import { showBadges, showCounters, showHealth, showLatency, showMessage, showPipeline, showTouches } from "./panels";
 import { Presser } from "./press";
 import type { Channels, Image, Scene, State } from "./protocol";
 import { View } from "./view";
@@ -128,6 +128,7 @@ function drawPanels(): void {
   showPipeline(state.state);
   setText("fps", state.fps.toFixed(1));
   showCounters(state.counters);
+  if (scene) showHealth(state.health, scene);
   followHyperparameter(state.state.hyperparameter);
   if (isPaused) return;
   showTouches(state.touches);

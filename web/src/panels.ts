@@ -2,7 +2,7 @@
 // can neither be read nor selected.
 
 import { brief } from "./charts";
-import type { Notice, Pipeline, Scene, State, Touch } from "./protocol";
+import type { Fault, Health, Notice, Pipeline, Scene, State, Touch } from "./protocol";
 import { touchColour } from "./view";
 
 const MOST_MESSAGES = 50;
@@ -69,6 +69,36 @@ export function showCounters(counters: State["counters"]): void {
     row.dataset.counter = counters[index].name;
     row.classList.toggle("bad", counters[index].is_loss && counters[index].value > 0);
   });
+}
+
+const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s` : `${(seconds / 60).toFixed(0)} min`);
+
+/** What is broken, in words, and since when; says so where nothing is. */
+export function showHealth({ left_out, electrodes, channels }: Health, scene: Scene): void {
+  const name = scene.modality === "mit" ? "coil" : "electrode";
+  const how = ({ kind, with: other }: Fault) => (kind === "shorted" ? `shorted with ${other}` : kind);
+  const texts = electrodes.map((fault): [string, string] => [`e${fault.number}`, `${name} ${fault.number} ${how(fault)} for ${duration(fault.for_s)}`]);
+  for (const fault of channels) {
+    const label = scene.channel_labels[fault.number - 1];
+    texts.push([`c${fault.number}`, `channel ${fault.number}${label ? ` (${label})` : ""} ${fault.kind} for ${duration(fault.for_s)}`]);
+  }
+  if (left_out > 0) texts.push(["left", `${left_out} of ${scene.channel_labels.length} channels left out`]);
+  if (texts.length === 0) texts.push(["sound", "all channels sound"]);
+  const list = find("health");
+  const present = new Map([...list.children].map((item) => [(item as HTMLElement).dataset.key, item as HTMLElement]));
+  texts.forEach(([key, text], index) => {
+    const item = present.get(key) ?? document.createElement("li");
+    present.delete(key);
+    item.dataset.key = key;
+    item.className = key === "sound" ? "" : "bad";
+    write(item, text);
+    if (list.children[index] !== item) list.insertBefore(item, list.children[index] ?? null);
+  });
+  for (const item of present.values()) item.remove();
+  const lost = new Set(electrodes.map((fault) => String(fault.number)));
+  for (const mark of document.querySelectorAll<SVGGElement>(".electrodes [data-electrode]")) {
+    mark.classList.toggle("lost", lost.has(mark.dataset.electrode ?? ""));
+  }
 }
 
 export function showBadges(scene: Scene): void {

@@ -64,6 +64,20 @@ export interface Pipeline {
   hyperparameter: number;
 }
 
+export interface Fault {
+  /** From 1. */
+  number: number;
+  kind: "lost" | "shorted" | "inconsistent" | "noisy" | "dead" | "stuck" | "saturated" | "missing";
+  with: number | null;
+  for_s: number;
+}
+
+export interface Health {
+  left_out: number;
+  electrodes: Fault[];
+  channels: Fault[];
+}
+
 export interface State {
   sequence: number;
   frame: number;
@@ -73,6 +87,7 @@ export interface State {
   latency: { stage: string; p50_us: number; p99_us: number }[];
   counters: { name: string; value: number; is_loss: boolean }[];
   state: Pipeline;
+  health: Health;
 }
 
 export interface Image {

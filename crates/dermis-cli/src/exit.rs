@@ -17,6 +17,8 @@ const DATA_LOST: u8 = 3;
 pub enum Outcome {
     /// Everything asked for is there.
     Done,
+    /// It looked for problems and found some; which has been said.
+    ProblemsFound,
     /// It ran to its end, but frames were lost or damaged on the way; how many has been said.
     DataLost,
 }
@@ -40,6 +42,7 @@ impl Outcome {
     pub fn code(self) -> ExitCode {
         match self {
             Outcome::Done => ExitCode::SUCCESS,
+            Outcome::ProblemsFound => ExitCode::from(FAILED),
             Outcome::DataLost => ExitCode::from(DATA_LOST),
         }
     }

@@ -562,3 +562,21 @@ fn documented_commands(desk: &Desk) -> Vec<Vec<String>> {
     }
     all
 }
+
+#[test]
+fn the_doctor_s_code_tells_whether_something_is_wrong() {
+    let sound = dermis::skin::builtin_text("healing-square").expect("a built-in skin");
+    let faults = "[twin]\nfaults = [{ stuck_channels = [{ channel = 30, value_mv = 4.0 }] }]\n";
+    let desk = Desk::with(&[("broken.toml", &format!("{sound}\n{faults}"))]);
+    let output = desk.run(&["doctor", "--skin", "broken.toml", "--frames", "64", "--json"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let checks: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let bad: Vec<&Value> = checks.as_array().expect("a list").iter().filter(|check| check["answer"] == "bad").collect();
+    assert_eq!(bad.len(), 1, "{bad:?}");
+    assert!(bad[0]["found"].as_str().is_some_and(|found| found.starts_with("channel 30 ")), "{bad:?}");
+    // Nobody listens at port 1 of this machine.
+    let output = desk.run(&["doctor", "--source", "tcp:127.0.0.1:1", "--wait-s", "0.5"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stdout).contains("BAD  connection"), "{}", text(&output.stdout));
+    assert_eq!(desk.run(&["doctor", "--frames", "3"]).status.code(), Some(2));
+}

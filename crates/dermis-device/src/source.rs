@@ -32,6 +32,11 @@ pub trait Source: Send {
 
     /// What has come and what was lost since the source was opened.
     fn counters(&self) -> Counters;
+
+    /// Why no frames come, in words, where that is known: a device that does not answer, a connection that was lost.
+    fn problem(&self) -> Option<String> {
+        None
+    }
 }
 
 /// What [`Source::next_frame`] came back with.

@@ -330,6 +330,14 @@ impl Baseline {
         Ok(())
     }
 
+    /// Moves the baseline of one channel, which was left out for a while, to a value at which it agrees with the others;
+    /// no record is made, and a value that is not finite changes nothing.
+    pub fn move_channel(&mut self, channel: usize, value: f64) {
+        if let Some(baseline) = self.baseline.get_mut(channel).filter(|_| value.is_finite()) {
+            *baseline = value;
+        }
+    }
+
     fn record(&mut self, time_ns: u64, frames: usize, origin: ReferenceOrigin, reason: String) {
         self.records.push(ReferenceRecord { time_ns, frames, origin, reason });
     }

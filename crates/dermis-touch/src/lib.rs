@@ -17,6 +17,7 @@ mod contact;
 mod error;
 pub mod force;
 mod geometry;
+pub mod health;
 mod kalman;
 pub mod locator;
 pub mod measure;

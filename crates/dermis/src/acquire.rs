@@ -2,8 +2,8 @@
 //! counted, never queued without bound; copies of a frame, which have its number, are left out and counted; a source that
 //! fails ends the queue with its error.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -20,6 +20,15 @@ struct Shared {
     lost: AtomicU64,
     bad: AtomicU64,
     repeated: AtomicU64,
+    /// Why no frames come.
+    problem: Mutex<Option<String>>,
+}
+
+impl Shared {
+    /// A text that no panic leaves half written.
+    fn problem(&self) -> MutexGuard<'_, Option<String>> {
+        self.problem.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 /// A source being read by a thread of its own.
@@ -130,6 +139,11 @@ impl Acquisition {
         }
     }
 
+    /// Why no frames come now, in words, where the source knows.
+    pub fn problem(&self) -> Option<String> {
+        self.shared.problem().clone()
+    }
+
     fn join(&mut self) -> Result<(), DeviceError> {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,
@@ -157,6 +171,7 @@ fn read(
 ) -> Result<(), DeviceError> {
     let mut spare: Option<Frame> = None;
     let mut last: Option<u64> = None;
+    let mut troubled = false;
     while !shared.stop.load(Ordering::Relaxed) {
         let mut frame = match spare.take() {
             Some(frame) => frame,
@@ -170,7 +185,11 @@ fn read(
         shared.lost.store(counters.lost, Ordering::Relaxed);
         shared.bad.store(counters.bad, Ordering::Relaxed);
         match event {
-            SourceEvent::Idle => spare = Some(frame),
+            SourceEvent::Idle => {
+                spare = Some(frame);
+                troubled = true;
+                *shared.problem() = source.problem();
+            }
             SourceEvent::End => return Ok(()),
             SourceEvent::Frame if last == Some(frame.sequence) => {
                 shared.repeated.fetch_add(1, Ordering::Relaxed);
@@ -178,6 +197,9 @@ fn read(
             }
             SourceEvent::Frame => {
                 last = Some(frame.sequence);
+                if std::mem::take(&mut troubled) {
+                    *shared.problem() = None;
+                }
                 let mut pending = frame;
                 loop {
                     match filled.try_send(pending) {

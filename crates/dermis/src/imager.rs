@@ -30,6 +30,8 @@ pub struct Imager {
     missing: Option<MissingChannels>,
     /// Solves for elements in place of the operator, where the skin file says so.
     elements: Option<ElementImager>,
+    /// Channels that are left out of every frame.
+    left_out: Option<MissingChannels>,
     scratch: Scratch,
 }
 
@@ -96,6 +98,7 @@ impl Prepared {
             grid_len: self.map.grid().len(),
             missing: None,
             elements: None,
+            left_out: None,
             scratch: Scratch::default(),
             problem,
             operator,
@@ -180,6 +183,11 @@ impl Prepared {
 }
 
 impl Imager {
+    /// The operator with all channels.
+    pub fn operator(&self) -> &Operator {
+        &self.operator
+    }
+
     /// lambda.
     pub fn hyperparameter(&self) -> f64 {
         self.operator.hyperparameter
@@ -193,7 +201,8 @@ impl Imager {
         self.operator = self.problem.operator(lambda)?;
         self.live = LiveOperator::new(&self.operator, self.polarity);
         self.missing = None;
-        self.set_noise(noise)
+        let left_out = self.left_out.take().map(|missing| missing.channels().to_vec()).unwrap_or_default();
+        self.leave_out(&left_out, noise)
     }
 
     /// Replaces the channel noise that the image noise is worked out from.
@@ -201,12 +210,15 @@ impl Imager {
     /// # Errors
     /// Noise that is not positive, where elements are solved for.
     pub fn set_noise(&mut self, noise: &[f64]) -> Result<(), Error> {
-        self.pixel_noise = match &mut self.elements {
-            Some(elements) => {
+        self.pixel_noise = match (&mut self.elements, &self.left_out) {
+            (Some(elements), _) => {
                 elements.set_noise(noise);
                 elements.noise_of_pixels()?
             }
-            None => pixel_noise(&self.operator, noise),
+            (None, Some(missing)) => {
+                missing.noise_deviation(&self.operator, noise).into_iter().map(|sigma| sigma as f32).collect()
+            }
+            (None, None) => pixel_noise(&self.operator, noise),
         };
         Ok(())
     }
@@ -214,6 +226,16 @@ impl Imager {
     /// Travel of the elements in the last frame, where these are solved for.
     pub fn heights(&self) -> Option<&HeightsFit> {
         self.elements.as_ref().and_then(ElementImager::fit)
+    }
+
+    /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise that
+    /// goes with it. Frames are to have `NaN` there. An empty list takes all channels back.
+    ///
+    /// # Errors
+    /// A channel that does not exist, or all of them.
+    pub fn leave_out(&mut self, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
+        self.left_out = if channels.is_empty() { None } else { Some(MissingChannels::new(&self.operator, channels)?) };
+        self.set_noise(noise)
     }
 
     /// Image noise of each pixel of the grid (row-major, `NaN` outside), for noise of these standard deviations on the
@@ -254,39 +276,42 @@ impl Imager {
                 got: format!("{} and {}", difference.len(), image.len()),
             });
         }
-        let mut scratch = std::mem::take(&mut self.scratch);
-        let outcome = self.image_with(difference, image, &mut scratch);
-        self.scratch = scratch;
-        outcome
-    }
-
-    fn image_with(&mut self, difference: &[f64], image: &mut [f32], scratch: &mut Scratch) -> Result<(), Error> {
-        scratch.absent.clear();
-        scratch
-            .absent
-            .extend(difference.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32));
-        scratch.filled.clear();
-        scratch.filled.extend_from_slice(difference);
-        if !scratch.absent.is_empty() {
-            let known = self.missing.as_ref().is_some_and(|missing| missing.channels() == scratch.absent);
-            if !known {
-                self.missing = Some(MissingChannels::new(&self.operator, &scratch.absent)?);
-            }
-            if let Some(missing) = &self.missing {
-                missing.fill_in(&mut scratch.filled);
-            }
-        }
-        scratch.image.resize(self.live.unknowns(), 0.0);
+        self.fill_in(difference)?;
+        let Scratch { filled, single, image: inside, absent } = &mut self.scratch;
+        inside.resize(self.live.unknowns(), 0.0);
         if let Some(elements) = &mut self.elements {
-            elements.image(&scratch.filled, &mut scratch.image)?;
+            elements.image(filled, absent, inside)?;
         } else {
-            scratch.single.clear();
-            scratch.single.extend(scratch.filled.iter().map(|v| *v as f32));
-            self.live.apply(&scratch.single, &mut scratch.image);
+            single.clear();
+            single.extend(filled.iter().map(|v| *v as f32));
+            self.live.apply(single, inside);
         }
         image.fill(f32::NAN);
-        self.scatter(&scratch.image, image);
+        self.scatter(&self.scratch.image, image);
         Ok(())
+    }
+
+    /// Fills in the missing channels of difference data (model volts, `NaN` where missing) with what the others let expect.
+    /// Allocates only when the set of missing channels changes.
+    ///
+    /// # Errors
+    /// All channels missing.
+    pub fn fill_in(&mut self, difference: &[f64]) -> Result<&[f64], Error> {
+        let Scratch { filled, absent, .. } = &mut self.scratch;
+        absent.clear();
+        absent.extend((0..).zip(difference).filter(|(_, v)| !v.is_finite()).map(|(channel, _): (u32, _)| channel));
+        filled.clear();
+        filled.extend_from_slice(difference);
+        if !absent.is_empty() {
+            let left_out = self.left_out.as_ref().filter(|missing| missing.channels() == absent.as_slice());
+            if left_out.is_none() && self.missing.as_ref().is_none_or(|missing| missing.channels() != absent) {
+                self.missing = Some(MissingChannels::new(&self.operator, absent)?);
+            }
+            if let Some(missing) = left_out.or(self.missing.as_ref()) {
+                missing.fill_in(filled);
+            }
+        }
+        Ok(filled)
     }
 
     fn scatter(&self, inside: &[f32], image: &mut [f32]) {

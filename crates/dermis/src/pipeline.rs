@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use dermis_device::{Frame, Layout};
 use dermis_tomo::inverse::SpotModel;
 use dermis_touch::force::ForceCalibration;
+use dermis_touch::health::Health;
 use dermis_touch::{
     Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceRecord, TareGuard,
 };
@@ -13,6 +14,8 @@ use dermis_touch::{
 use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
+use crate::clock::FrameClock;
+use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
 use crate::latency::LatencyHistogram;
 use crate::prepare::Prepared;
@@ -59,6 +62,8 @@ struct Ready {
     imager: Imager,
     touches: TouchStage,
     placement: Option<PlacementFinder>,
+    /// What touches are refined by, with all channels.
+    spots: Option<SpotModel>,
 }
 
 /// The stages of one skin with their memory.
@@ -68,6 +73,8 @@ pub struct Pipeline {
     calibration: Option<Calibration>,
     reader: ChannelReader,
     baseline: Baseline,
+    /// `None` where the skin file wants channels not to be watched.
+    health: Option<HealthStage>,
     ready: Option<Ready>,
     /// The operator, until there is a baseline to use it with.
     prebuilt: Option<Imager>,
@@ -82,9 +89,9 @@ pub struct Pipeline {
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
     frames: u64,
-    /// Time of the last frame: what happens on the skin is timed by the device where it has a clock, so that a replay at
-    /// another pace gives the same touches.
-    time_ns: u64,
+    /// What happens on the skin is timed by the device where it has a clock, so that a replay at another pace gives the same
+    /// touches.
+    clock: FrameClock,
 }
 
 impl Pipeline {
@@ -110,11 +117,13 @@ impl Pipeline {
         } else {
             None
         };
+        let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
         let refines = prepared.refines_touches(calibration.as_ref());
         let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
         Ok(Self {
             reader,
             baseline,
+            health,
             ready: None,
             prebuilt,
             spots,
@@ -126,7 +135,7 @@ impl Pipeline {
             latencies: StageLatencies::default(),
             timed_from_ns: 0,
             frames: 0,
-            time_ns: 0,
+            clock: FrameClock::default(),
             calibration,
             prepared,
         })
@@ -146,33 +155,17 @@ impl Pipeline {
         let start = Instant::now();
         self.frames += 1;
         self.reader.read(&frame.values, &frame.imaginary, &mut self.channels)?;
-        // A clock that was set back must not stop the skin: time then stands still until it has caught up.
-        self.time_ns = self.time_ns.max(frame.device_time_ns.unwrap_or(frame.host_monotonic_ns));
-        let time_ns = self.time_ns;
+        let marks = self.clock.advance(frame);
+        let time_ns = self.clock.time_ns();
         self.baseline.observe(time_ns, &self.channels)?;
-        let mut load = Load::Free;
-        if let Some(ready) = &mut self.ready {
-            self.difference.clear();
-            let scaled = self.baseline.compensated().iter().zip(&ready.reference.scale).map(|(d, s)| d * s);
-            self.difference.extend(scaled);
-            let conditioned = Instant::now();
-            self.latencies.condition.record(conditioned - start);
-            ready.imager.image(&self.difference, &mut self.image)?;
-            let imaged = Instant::now();
-            self.latencies.image.record(imaged - conditioned);
-            let placement = match &mut ready.placement {
-                Some(finder) => finder.place(&self.difference)?,
-                None => None,
-            };
-            ready.touches.process(time_ns, &self.image, ready.imager.filled(), placement)?;
-            self.latencies.touches.record(imaged.elapsed());
-            if ready.touches.is_loaded() {
-                load = Load::Touched;
-            }
+        if let Some(health) = &mut self.health {
+            health.read(self.baseline.raw())?;
         }
+        let at = (frame.host_monotonic_ns, frame.sequence);
+        let load = if self.ready.is_some() && self.follow(time_ns, at, start)? { Load::Touched } else { Load::Free };
         let change = self.baseline.learn(load);
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
-            self.renew()?;
+            self.renew(at)?;
             self.timed_from_ns = now_ns.saturating_add(u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX));
         }
         // Waiting is told by the host's clock alone; the device's may begin and run otherwise.
@@ -197,18 +190,102 @@ impl Pipeline {
             rows: grid.rows,
             touches,
             events,
+            health: self.health(),
+            marks,
         })
     }
 
+    /// From the frame just observed to touches, once there is a baseline; true while something touches.
+    fn follow(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<bool, Error> {
+        let Some(ready) = &mut self.ready else { return Ok(false) };
+        self.difference.clear();
+        let scaled = self.baseline.compensated().iter().zip(&ready.reference.scale).map(|(d, s)| d * s);
+        self.difference.extend(scaled);
+        let judgement = match &mut self.health {
+            Some(health) => {
+                let scale = &ready.reference.scale;
+                health.judge(at, self.baseline.raw(), scale, &mut self.difference, &mut ready.imager)?
+            }
+            None => Judgement { changed: false, blind: false, doubtful: false },
+        };
+        if judgement.changed {
+            self.leave_out()?;
+        }
+        let Some(ready) = &mut self.ready else { return Ok(false) };
+        let conditioned = Instant::now();
+        self.latencies.condition.record(conditioned - start);
+        if judgement.blind {
+            // Nothing that could be seen: no image, and what was touched is let go.
+            self.image.fill(f32::NAN);
+            ready.touches.forget(time_ns);
+            return Ok(false);
+        }
+        if judgement.doubtful {
+            // The last image and its contacts stay until it is known what is wrong, a few frames at most.
+            ready.touches.repeat(time_ns)?;
+            return Ok(true);
+        }
+        ready.imager.image(&self.difference, &mut self.image)?;
+        let imaged = Instant::now();
+        self.latencies.image.record(imaged - conditioned);
+        let placement = match &mut ready.placement {
+            Some(finder) => finder.place(&self.difference)?,
+            None => None,
+        };
+        ready.touches.process(time_ns, &self.image, ready.imager.filled(), placement)?;
+        self.latencies.touches.record(imaged.elapsed());
+        Ok(ready.touches.is_loaded())
+    }
+
+    /// Brings operator, image noise and refinement to the channels that are left.
+    fn leave_out(&mut self) -> Result<(), Error> {
+        let (Some(ready), Some(health)) = (&mut self.ready, &mut self.health) else { return Ok(()) };
+        health.adopt(&mut self.baseline);
+        let (left_out, noise) = (health.left_out(), &ready.reference.noise);
+        if left_out.len() == noise.len() {
+            // No operator at all: the frames are blind until some channel is back.
+            return Ok(());
+        }
+        ready.imager.leave_out(left_out, noise)?;
+        ready.touches.set_noise(ready.imager.noise_image());
+        if let Some(model) = &ready.spots {
+            ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
+        }
+        Ok(())
+    }
+
+    /// Channels that are left out, and electrodes that are blamed.
+    pub fn health(&self) -> Health<'_> {
+        self.health.as_ref().map_or_else(Health::default, HealthStage::health)
+    }
+
     /// A new baseline stands: match it to the model and, the first time, build the operator.
-    fn renew(&mut self) -> Result<(), Error> {
-        let reference = self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?;
+    fn renew(&mut self, at: (u64, u64)) -> Result<(), Error> {
+        if let (Some(health), None) = (&mut self.health, &self.ready) {
+            health.check_start(at, &self.prepared, &self.baseline)?;
+        }
+        let reference = match &self.health {
+            Some(health) => health.reference(&self.prepared, &mut self.baseline)?,
+            None => self.prepared.reference_from(self.baseline.baseline(), Some(self.baseline.noise_std()))?,
+        };
         if let Some(ready) = &mut self.ready {
             ready.imager.set_noise(&reference.noise)?;
             ready.touches.set_noise(ready.imager.noise_image());
             ready.reference = reference;
-            return Ok(());
+        } else {
+            self.ready = Some(self.begin(reference)?);
+            if self.health.as_ref().is_some_and(|health| !health.left_out().is_empty()) {
+                self.leave_out()?;
+            }
         }
+        if let (Some(health), Some(ready)) = (&mut self.health, &self.ready) {
+            health.begin(&ready.reference, &ready.imager)?;
+        }
+        Ok(())
+    }
+
+    /// What follows the first baseline.
+    fn begin(&mut self, reference: Reference) -> Result<Ready, Error> {
         let CalibratedImager { mut imager, reference, placement } = match self.prebuilt.take() {
             Some(mut imager) => {
                 imager.set_noise(&reference.noise)?;
@@ -221,11 +298,12 @@ impl Pipeline {
         }
         let mut touches = TouchStage::new(&self.prepared, imager.noise_image())?;
         touches.set_forces(self.forces.clone());
-        if let Some(model) = self.spots.take() {
-            touches.set_spots(Some(SpotStage::new(&self.prepared, model.reweighted(&reference.noise)?)));
+        let spots = self.spots.take();
+        if let Some(model) = &spots {
+            let model = spots_at(model, &[], &reference.noise)?;
+            touches.set_spots(Some(SpotStage::new(&self.prepared, model)));
         }
-        self.ready = Some(Ready { reference, imager, touches, placement });
-        Ok(())
+        Ok(Ready { reference, imager, touches, placement, spots })
     }
 
     /// Takes the mean of the next frames as the new baseline.
@@ -250,7 +328,7 @@ impl Pipeline {
         noise_std: &[f64],
     ) -> Result<(), Error> {
         self.baseline.restore(record, values, noise_std)?;
-        self.renew()
+        self.renew((0, self.frames))
     }
 
     /// Rebuilds the operator at another lambda.
@@ -261,6 +339,9 @@ impl Pipeline {
         if let Some(ready) = &mut self.ready {
             ready.imager.set_hyperparameter(lambda, &ready.reference.noise)?;
             ready.touches.set_noise(ready.imager.noise_image());
+            if let Some(health) = &mut self.health {
+                health.begin(&ready.reference, &ready.imager)?;
+            }
         }
         self.hyperparameter = Some(lambda);
         Ok(())
@@ -318,4 +399,9 @@ impl Pipeline {
     pub fn frames(&self) -> u64 {
         self.frames
     }
+}
+
+/// Responses to spots at this noise, without some channels.
+fn spots_at(model: &SpotModel, left_out: &[u32], noise: &[f64]) -> Result<SpotModel, Error> {
+    Ok(if left_out.is_empty() { model.reweighted(noise)? } else { model.without(left_out, noise)? })
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use dermis_device::{FileSpec, Format};
 use dermis_tomo::eit::OrderReport;
+use dermis_touch::health::Health;
 use dermis_touch::{Observation, Touch};
 
 use crate::Error;
@@ -162,6 +163,8 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             rows: grid.rows,
             touches: &touches,
             events: stage.events(),
+            health: Health::default(),
+            marks: crate::Marks::default(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
         if refinement.is_none() {

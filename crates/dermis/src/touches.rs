@@ -1,5 +1,6 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
+use dermis_tomo::inverse::SpotModel;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::{
     Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, ImageGeometry, PixelNoise,
@@ -96,6 +97,11 @@ impl TouchStage {
         Ok(())
     }
 
+    /// Refines contacts by responses made elsewhere, [`dermis_tomo::inverse::SpotModel::without`] some channels, say.
+    pub fn refine_by_model(&mut self, prepared: &Prepared, model: SpotModel) {
+        self.set_spots(Some(SpotStage::new(prepared, model)));
+    }
+
     pub(crate) fn set_spots(&mut self, spots: Option<SpotStage>) {
         self.spots = spots;
     }
@@ -137,6 +143,14 @@ impl TouchStage {
         }
         self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
         Ok(())
+    }
+
+    /// Follows the touches of a frame that says nothing: the contacts of the last image are taken to be there still.
+    ///
+    /// # Errors
+    /// A time before the last one.
+    pub fn repeat(&mut self, time_ns: u64) -> Result<(), Error> {
+        Ok(self.tracker.update(time_ns, &self.contacts, &mut self.events)?)
     }
 
     /// A contact where a calibration sees a touch that the image's own threshold passed over: one pixel, with the image's

@@ -4,6 +4,7 @@ mod bench;
 mod calibrate;
 mod design;
 mod devices;
+mod doctor;
 mod export;
 mod info;
 mod reconstruct;
@@ -52,6 +53,8 @@ pub enum Command {
     Reproduce(reproduce::Arguments),
     /// List serial ports and what answers at them.
     Devices(devices::Arguments),
+    /// Examine an instrument and its skin, and say what to do about what is wrong.
+    Doctor(doctor::Arguments),
     /// Let programs connect to a skin's twin as to an instrument.
     Twin(twin::Arguments),
     /// Time the numerical work on this machine.
@@ -73,6 +76,7 @@ impl Command {
             Command::Reproduce(arguments) => arguments.run(out),
             Command::Design(arguments) => arguments.run(out),
             Command::Devices(arguments) => arguments.run(out),
+            Command::Doctor(arguments) => arguments.run(out),
             Command::Twin(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),

@@ -171,7 +171,12 @@ impl Arguments {
                 run.answer(request);
             }
             match acquisition.next(Duration::from_millis(100)).map_err(dermis::Error::from)? {
-                Next::Idle => continue,
+                Next::Idle => {
+                    if run.feed.wait(acquisition.problem()) {
+                        run.hub.publish(run.feed.update())?;
+                    }
+                    continue;
+                }
                 Next::End => break,
                 Next::Frame(frame) => {
                     run.process(&frame, acquisition, lines.as_mut())?;
@@ -219,6 +224,13 @@ impl Run {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
+        if output.marks.clock_jump_ns != 0 || output.marks.renumbered {
+            let jump_s = output.marks.clock_jump_ns as f64 * 1e-9;
+            let reset = if output.marks.renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
+            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
+            tracing::warn!(frame = output.sequence, "{text}");
+            self.hub.announce(Level::Warning, text);
+        }
         self.feed
             .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
         self.feed.describe(&self.pipeline);
@@ -384,6 +396,6 @@ impl Rate {
 }
 
 /// The skin that a name or path stands for.
-fn skin(name: &str) -> anyhow::Result<Skin> {
+pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
     Ok(Skin::open(name)?)
 }

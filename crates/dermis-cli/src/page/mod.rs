@@ -41,5 +41,6 @@ pub use protocol::PROTOCOL_VERSION;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use server::{PageOptions, ServerHandle, serve};
 pub use update::{
-    ChannelValues, Counter, Image, PipelineState, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+    ChannelValues, Counter, FaultView, HealthView, Image, PipelineState, SourceState, StageLatency, TareState,
+    TouchPhase, TouchView, Update,
 };

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::command::Command;
 use super::hub::{HubStats, Level};
 use super::scene::Scene;
-use super::update::{Counter, PipelineState, StageLatency, TouchView, Update};
+use super::update::{Counter, HealthView, PipelineState, StageLatency, TouchView, Update};
 
 /// Version of the messages, in every one of them.
 pub const PROTOCOL_VERSION: u16 = 1;
@@ -74,6 +74,7 @@ struct State<'a> {
     latency: &'a [StageLatency],
     counters: &'a [Counter],
     state: &'a PipelineState,
+    health: &'a HealthView,
 }
 
 #[derive(Serialize)]
@@ -103,6 +104,7 @@ impl Encoded {
             latency: &update.latency,
             counters: &update.counters,
             state: &update.state,
+            health: &update.health,
         };
         Self { sequence, image: image(update), channels: channels(update), state: json("state", state) }
     }

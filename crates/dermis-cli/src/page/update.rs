@@ -28,6 +28,32 @@ pub struct Update {
     pub counters: Vec<Counter>,
     /// What the pipeline is doing.
     pub state: PipelineState,
+    /// What is broken.
+    pub health: HealthView,
+}
+
+/// Channels and electrodes that are left out; numbers count from 1.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct HealthView {
+    /// Channels left out, those that go with an electrode included.
+    pub left_out: u32,
+    /// Electrodes (or coils) blamed.
+    pub electrodes: Vec<FaultView>,
+    /// Channels with faults of their own.
+    pub channels: Vec<FaultView>,
+}
+
+/// One fault.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct FaultView {
+    /// Number of the electrode or channel.
+    pub number: u32,
+    /// What is wrong, in a word.
+    pub kind: &'static str,
+    /// The other electrode of a short.
+    pub with: Option<u32>,
+    /// Seconds since the first frame that showed it.
+    pub for_s: f64,
 }
 
 /// An image: row-major, row 0 at the top (+y), NaN outside the skin, positive where more pressed.
@@ -192,6 +218,9 @@ impl Update {
         self.latency.clone_from(&other.latency);
         self.counters.clone_from(&other.counters);
         self.state.copy_from(&other.state);
+        self.health.left_out = other.health.left_out;
+        self.health.electrodes.clone_from(&other.health.electrodes);
+        self.health.channels.clone_from(&other.health.channels);
     }
 
     /// Checks that the image fills its grid and that channel indices match values.

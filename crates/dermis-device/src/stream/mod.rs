@@ -134,11 +134,6 @@ impl StreamSource {
         self.shared.identity()
     }
 
-    /// Why there is no connection now, if there is none.
-    pub fn problem(&self) -> Option<String> {
-        self.shared.problem()
-    }
-
     /// Connections made so far, the first one included.
     pub fn connections(&self) -> u64 {
         self.shared.connections()
@@ -174,6 +169,10 @@ impl Source for StreamSource {
     fn counters(&self) -> Counters {
         let (lost, bad) = self.shared.losses();
         Counters { frames: self.delivered, lost, bad }
+    }
+
+    fn problem(&self) -> Option<String> {
+        self.shared.problem()
     }
 }
 

@@ -58,6 +58,22 @@ impl MissingChannels {
         &self.missing
     }
 
+    /// Standard deviation of each unknown that is left in the image without these channels, for noise of these standard
+    /// deviations on the channels: that of `X_r + X_M F`, with F what fills in.
+    pub fn noise_deviation(&self, operator: &Operator, noise: &[f64]) -> Vec<f64> {
+        let matrix = &operator.matrix;
+        let columns = |channels: &[u32]| {
+            Mat::from_fn(matrix.nrows(), channels.len(), |row, k| matrix[(row, channels[k] as usize)])
+        };
+        let effective = columns(&self.present) + columns(&self.missing) * &self.fill;
+        let mut variance = vec![0.0; matrix.nrows()];
+        for (column, &channel) in effective.col_iter().zip(&self.present) {
+            let sigma = noise[channel as usize];
+            variance.iter_mut().zip(column.iter()).for_each(|(sum, value)| *sum += (value * sigma).powi(2));
+        }
+        variance.into_iter().map(f64::sqrt).collect()
+    }
+
     /// Replaces the missing values of a difference frame; the others must be finite.
     pub fn fill_in(&self, frame: &mut [f64]) {
         for &channel in &self.missing {
@@ -116,6 +132,13 @@ mod tests {
             let expected = LinearProblem::new(rows.as_ref(), some, prior()).unwrap().operator(0.7).unwrap();
             for (a, b) in found.iter().zip(expected.apply(&data).unwrap()) {
                 assert!((a - b).abs() < 1e-10, "{count} missing: {a} {b}");
+            }
+            let noise: Vec<f64> = (0..20).map(|k| 0.1 + 0.01 * k as f64).collect();
+            let left = MissingChannels::new(&operator, &missing).unwrap().noise_deviation(&operator, &noise);
+            for (row, found) in left.iter().enumerate() {
+                let variance = |(k, c): (usize, &usize)| (expected.matrix[(row, k)] * noise[*c]).powi(2);
+                let expected: f64 = present.iter().enumerate().map(variance).sum::<f64>().sqrt();
+                assert!((found - expected).abs() < 1e-10, "{count} missing: {found} {expected}");
             }
         }
     }

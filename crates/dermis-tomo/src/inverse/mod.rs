@@ -16,6 +16,7 @@ mod prior;
 mod proportional;
 mod self_calibration;
 mod total_variation;
+mod unexplained;
 mod weighting;
 
 pub use greit::{Greit, GreitSpec};
@@ -31,6 +32,7 @@ pub use self_calibration::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,
 };
 pub use total_variation::{TotalVariation, TotalVariationResult};
+pub use unexplained::Unexplained;
 pub use weighting::Weighting;
 
 use thiserror::Error;

@@ -17,6 +17,8 @@ const REACH: f64 = 1.5;
 const MEAN: f64 = 0.25;
 /// Mean squared residual above which a fit is tried again from rest.
 const BAD_MISFIT: f64 = 2.0;
+/// How much noisier than it is a channel without a reading counts as.
+const ABSENT: f64 = 1e6;
 /// Travels that change by less are settled, metres.
 const TOLERANCE_M: f64 = 1e-5;
 /// How far beyond rest and full travel fields are tabulated, metres.
@@ -35,6 +37,8 @@ pub(crate) struct ElementImager {
     paint: Vec<(u32, f32)>,
     limit_m: f64,
     differences_h: Vec<f64>,
+    /// As `noise_h`, for the frame at hand.
+    deviations_h: Vec<f64>,
     /// No travel at all.
     rest_m: Vec<f64>,
     /// The last frame's.
@@ -67,6 +71,7 @@ impl Prepared {
             paint,
             limit_m,
             differences_h: Vec::with_capacity(h_per_volt.len()),
+            deviations_h: Vec::with_capacity(h_per_volt.len()),
             h_per_volt,
             fit: None,
         };
@@ -81,15 +86,20 @@ impl ElementImager {
         self.noise_h = noise.iter().zip(&self.h_per_volt).map(|(sigma, h)| (sigma * h).abs()).collect();
     }
 
-    /// Solves for a frame of difference data (model volts, complete) and paints the inside pixels: shares of the full travel.
-    pub(crate) fn image(&mut self, difference: &[f64], inside: &mut [f32]) -> Result<(), Error> {
+    /// Solves for a frame of difference data (model volts, something finite in absent channels, which do not count) and paints
+    /// the inside pixels: shares of the full travel.
+    pub(crate) fn image(&mut self, difference: &[f64], absent: &[u32], inside: &mut [f32]) -> Result<(), Error> {
+        self.deviations_h.clone_from(&self.noise_h);
+        for channel in absent {
+            self.deviations_h[*channel as usize] *= ABSENT;
+        }
         self.differences_h.clear();
         self.differences_h.extend(difference.iter().zip(&self.h_per_volt).map(|(d, h)| d * h));
         let start = self.fit.as_ref().map_or(&self.rest_m[..], |fit| &fit.travel_m);
-        let mut fit = self.heights.solve_from(start, &self.differences_h, &self.noise_h, &self.options)?;
+        let mut fit = self.heights.solve_from(start, &self.differences_h, &self.deviations_h, &self.options)?;
         // A fit that begins where other elements were pressed may end beside the best one.
         if fit.misfit > BAD_MISFIT && self.fit.is_some() {
-            let anew = self.heights.solve(&self.differences_h, &self.noise_h, &self.options)?;
+            let anew = self.heights.solve(&self.differences_h, &self.deviations_h, &self.options)?;
             if anew.misfit < fit.misfit {
                 fit = anew;
             }

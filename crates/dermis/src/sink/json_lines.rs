@@ -4,10 +4,11 @@ use std::fmt::{self, Write as _};
 use std::io::Write;
 use std::path::PathBuf;
 
+use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
 use super::{Output, Sink, Summary, TouchRow};
-use crate::Error;
+use crate::{Error, Marks};
 
 /// Which frames get a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +25,10 @@ pub enum LinesFor {
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
 /// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
 /// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward model placed
-/// it, the fitted `radius_mm`; what is not finite is `null`. Numbers have as many digits as it
+/// it, the fitted `radius_mm`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
+/// number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted` `with` another, `since_s`) and
+/// `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from 1; where a frame's number or time is
+/// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`Marks`]). Numbers have as many digits as it
 /// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
 /// that is kept: nothing is allocated once the longest line has been seen.
 #[derive(Debug)]
@@ -58,8 +62,10 @@ impl<W: Write + Send> Sink for JsonLines<W> {
             return Ok(());
         }
         self.line.clear();
-        push_touches(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
-        self.line.push('\n');
+        push_open(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
+        push_health(&mut self.line, output.health);
+        push_marks(&mut self.line, output.marks);
+        self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;
         self.summary.written += 1;
@@ -77,8 +83,8 @@ fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
     events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch)
 }
 
-/// Appends the object for one frame, without a line end: its touches, then those that ended in it.
-pub(crate) fn push_touches(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+/// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
+fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
     let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     // Writing to a String cannot fail.
     let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
@@ -88,7 +94,52 @@ pub(crate) fn push_touches(text: &mut String, sequence: u64, time_ns: u64, touch
         }
         push_touch(text, touch);
     }
+    text.push(']');
+}
+
+/// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in the
+/// count.
+fn push_health(text: &mut String, health: Health<'_>) {
+    if health.is_sound() {
+        return;
+    }
+    let _ = write!(text, ",\"health\":{{\"left_out\":{},\"electrodes\":[", health.channels.len());
+    for (index, fault) in health.electrodes.iter().enumerate() {
+        let comma = if index > 0 { "," } else { "" };
+        let _ = write!(text, "{comma}{{\"electrode\":{},", fault.electrode + 1);
+        match fault.kind {
+            ElectrodeFaultKind::Lost => text.push_str("\"kind\":\"lost\""),
+            ElectrodeFaultKind::Shorted { with } => {
+                let _ = write!(text, "\"kind\":\"shorted\",\"with\":{}", with + 1);
+            }
+        }
+        push_since(text, fault.since_ns);
+    }
+    text.push_str("],\"channels\":[");
+    let own = health.channels.iter().filter(|fault| fault.kind != ChannelFaultKind::Electrode);
+    for (index, fault) in own.enumerate() {
+        let comma = if index > 0 { "," } else { "" };
+        let _ = write!(text, "{comma}{{\"channel\":{},\"kind\":\"{}\"", fault.channel + 1, fault.kind.name());
+        push_since(text, fault.since_ns);
+    }
     text.push_str("]}");
+}
+
+/// What is odd about the frame's number or time, if anything is.
+fn push_marks(text: &mut String, marks: Marks) {
+    if marks.is_none() {
+        return;
+    }
+    let Marks { lost_before, renumbered, clock_jump_ns } = marks;
+    let jump_s = Number(clock_jump_ns as f64 * 1e-9);
+    let _ = write!(
+        text,
+        ",\"marks\":{{\"lost_before\":{lost_before},\"renumbered\":{renumbered},\"clock_jump_s\":{jump_s}}}"
+    );
+}
+
+fn push_since(text: &mut String, since_ns: u64) {
+    let _ = write!(text, ",\"since_s\":{}.{:09}}}", since_ns / 1_000_000_000, since_ns % 1_000_000_000);
 }
 
 fn push_touch(text: &mut String, touch: &Touch) {
@@ -184,6 +235,33 @@ mod tests {
         assert_eq!(of(Valid { force_n: 0.25 }), (json!(0.25), json!("within")));
         assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2), json!("saturated")));
         assert_eq!(of(NotFinite), (Value::Null, json!("none")));
+    }
+
+    #[test]
+    fn what_is_broken_is_said_from_one_on() {
+        use dermis_touch::health::{ChannelFault, ElectrodeFault};
+        let (since_ns, since_sequence) = (2_500_000_000, 7);
+        let channel = |channel, kind| ChannelFault { channel, kind, since_ns, since_sequence };
+        let channels = [channel(0, ChannelFaultKind::Electrode), channel(11, ChannelFaultKind::Stuck)];
+        let kind = ElectrodeFaultKind::Shorted { with: 5 };
+        let electrodes = [ElectrodeFault { electrode: 4, kind, since_ns, since_sequence }];
+        let mut bytes = Vec::new();
+        let health = Health { channels: &channels, electrodes: &electrodes };
+        let output = Output { health, ..output(1, &[0.0; 6], &[], &[]) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        let expected = json!({"left_out": 2,
+            "electrodes": [{"electrode": 5, "kind": "shorted", "with": 6, "since_s": 2.5}],
+            "channels": [{"channel": 12, "kind": "stuck", "since_s": 2.5}]});
+        assert_eq!(lines(&bytes)[0]["health"], expected);
+    }
+
+    #[test]
+    fn odd_numbers_and_times_are_marked() {
+        let mut bytes = Vec::new();
+        let marks = Marks { lost_before: 3, renumbered: false, clock_jump_ns: -1_500_000_000 };
+        let output = Output { marks, ..output(1, &[0.0; 6], &[], &[]) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        assert_eq!(lines(&bytes)[0]["marks"], json!({"lost_before": 3, "renumbered": false, "clock_jump_s": -1.5}));
     }
 
     #[test]

@@ -6,9 +6,10 @@ pub(crate) mod json_lines;
 pub(crate) mod staged;
 mod touch_table;
 
+use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
-use crate::Error;
+use crate::{Error, Marks};
 
 pub use image_stack::ImageStack;
 pub use json_lines::{JsonLines, LinesFor};
@@ -38,6 +39,10 @@ pub struct Output<'a> {
     pub touches: &'a [Touch],
     /// What happened to each touch.
     pub events: &'a [TouchEvent],
+    /// Channels left out, and electrodes blamed.
+    pub health: Health<'a>,
+    /// What is odd about the frame's number or time.
+    pub marks: Marks,
 }
 
 /// What a sink has taken.
@@ -126,6 +131,20 @@ pub(crate) mod testing {
     ) -> Output<'a> {
         let (time_ns, wall_ns) = (12_000_000_345 + sequence, 1_700_000_000_000_000_000 + sequence);
         let (raw, compensated) = (&[1.0, 2.0], &[0.0, 0.5]);
-        Output { sequence, time_ns, wall_ns, raw, compensated, image, columns: 3, rows: 2, touches, events }
+        let (health, marks) = (Health::default(), Marks::default());
+        Output {
+            sequence,
+            time_ns,
+            wall_ns,
+            raw,
+            compensated,
+            image,
+            columns: 3,
+            rows: 2,
+            touches,
+            events,
+            health,
+            marks,
+        }
     }
 }

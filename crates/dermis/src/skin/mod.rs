@@ -4,6 +4,7 @@
 mod build;
 mod builtin;
 mod choice;
+mod health;
 mod magnetic;
 mod parts;
 mod refinement;
@@ -11,6 +12,7 @@ mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use health::HealthSettings;
 pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
@@ -46,6 +48,9 @@ pub struct Skin {
     /// From images to touches.
     #[serde(default)]
     pub touch: TouchSettings,
+    /// How its channels are watched.
+    #[serde(default, skip_serializing_if = "HealthSettings::is_default")]
+    pub health: HealthSettings,
     /// Its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
@@ -707,6 +712,7 @@ impl Skin {
         let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
         let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
         self.twin.check(electrodes, channels, file)?;
+        self.health.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
         }

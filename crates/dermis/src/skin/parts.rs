@@ -10,7 +10,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{DeserializeOwned, Deserializer, MapAccess, Visitor};
 
 use super::builtin::builtin_part;
-use super::{Backend, Frontend, Imaging, Modality, Skin, TouchSettings, TwinSettings, refused};
+use super::{Backend, Frontend, HealthSettings, Imaging, Modality, Skin, TouchSettings, TwinSettings, refused};
 use crate::Error;
 
 /// A skin file as written: its parts may be elsewhere.
@@ -27,6 +27,8 @@ pub(super) struct Written {
     imaging: Imaging,
     #[serde(default)]
     touch: TouchSettings,
+    #[serde(default)]
+    health: HealthSettings,
     #[serde(default)]
     twin: TwinSettings,
 }
@@ -75,6 +77,7 @@ impl Written {
             backend: self.backend.read("backend", file, folder)?,
             imaging: self.imaging,
             touch: self.touch,
+            health: self.health,
             twin: self.twin,
         })
     }

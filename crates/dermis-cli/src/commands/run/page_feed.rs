@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use dermis::acquire::AcquisitionCounters;
 use dermis::pipeline::Pipeline;
@@ -11,10 +12,11 @@ use dermis::sink::Output;
 use dermis::skin::Bend;
 use dermis::twins::PressRange;
 use dermis_cli::page::{
-    Counter, ElectrodeView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView,
-    Update,
+    Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
+    TouchView, Update,
 };
 use dermis_tomo::mesh::{Contact, Outline};
+use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
 use super::Rate;
@@ -22,6 +24,10 @@ use super::Rate;
 const MM: f64 = 1e3;
 /// Quantiles are looked up this often, in frames: they cost more than a frame's touches.
 const LATENCY_EVERY: u64 = 25;
+/// Without frames for so long, a source is waited for.
+const SILENCE: Duration = Duration::from_secs(1);
+/// Channels listed at most.
+const MOST_CHANNEL_FAULTS: usize = 64;
 
 /// The update that is refilled for every frame.
 #[derive(Debug)]
@@ -31,6 +37,7 @@ pub struct PageFeed {
     skipped: f32,
     tared_at_ns: Option<u64>,
     records: usize,
+    waiting_since: Option<Instant>,
 }
 
 impl PageFeed {
@@ -53,7 +60,7 @@ impl PageFeed {
             })
             .to_vec();
         update.state.baseline_age_s = f64::NAN;
-        Self { update, rate: Rate::new(), skipped: 0.0, tared_at_ns: None, records: 0 }
+        Self { update, rate: Rate::new(), skipped: 0.0, tared_at_ns: None, records: 0, waiting_since: None }
     }
 
     /// What the page is to show.
@@ -74,6 +81,49 @@ impl PageFeed {
         let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_)));
         update.touches.extend(ended.map(|event| TouchView { phase: TouchPhase::End, ..view(event.touch()) }));
         update.fps = self.rate.count();
+        self.waiting_since = None;
+        if update.state.source != SourceState::Running {
+            update.state.source = SourceState::Running;
+        }
+        self.take_health(output);
+    }
+
+    fn take_health(&mut self, output: &Output<'_>) {
+        let health = &mut self.update.health;
+        let for_s = |since_ns: u64| output.time_ns.saturating_sub(since_ns) as f64 * 1e-9;
+        health.left_out = output.health.channels.len() as u32;
+        health.electrodes.clear();
+        health.electrodes.extend(output.health.electrodes.iter().map(|fault| {
+            let (kind, with) = match fault.kind {
+                ElectrodeFaultKind::Lost => ("lost", None),
+                ElectrodeFaultKind::Shorted { with } => ("shorted", Some(with + 1)),
+            };
+            FaultView { number: fault.electrode + 1, kind, with, for_s: for_s(fault.since_ns) }
+        }));
+        health.channels.clear();
+        let own = output.health.channels.iter().filter(|fault| fault.kind != ChannelFaultKind::Electrode);
+        health.channels.extend(own.take(MOST_CHANNEL_FAULTS).map(|fault| FaultView {
+            number: fault.channel + 1,
+            kind: fault.kind.name(),
+            with: None,
+            for_s: for_s(fault.since_ns),
+        }));
+    }
+
+    /// No frame came: true where there is something new to show of that. `problem` is the source's own word for it.
+    pub fn wait(&mut self, problem: Option<String>) -> bool {
+        let since = *self.waiting_since.get_or_insert_with(Instant::now);
+        let source = match problem {
+            Some(reason) => SourceState::Lost { reason },
+            None if since.elapsed() < SILENCE => return false,
+            None => SourceState::Waiting { reason: "connected, but no frames come".into() },
+        };
+        let changed = self.update.state.source != source;
+        if changed {
+            self.update.state.source = source;
+            self.update.fps = 0.0;
+        }
+        changed
     }
 
     /// Takes over the losses and the state of the recording.

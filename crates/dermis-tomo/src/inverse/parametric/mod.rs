@@ -48,6 +48,9 @@ pub struct SpotModel {
     channels: usize,
     /// Response to a uniform change of the whole skin.
     uniform: Vec<f32>,
+    /// Volts of every channel (rows) for a unit of every combination: from the table back to channels, 0 for channels left
+    /// out.
+    lift: Mat<f64>,
 }
 
 impl SpotModel {
@@ -84,7 +87,9 @@ impl SpotModel {
             (0..response.nrows() * count).map(|k| (root(k / count) * basis[(k / count, k % count)]) as f32).collect();
         let of_uniform = |k: usize| (0..uniform.len()).map(|c| basis[(c, k)] * root(c) * uniform[c]).sum::<f64>();
         let uniform = (0..count).map(|k| of_uniform(k) as f32).collect();
-        Ok(Self { options, table, projection, channels: response.nrows(), uniform })
+        let volts = |channel: usize| if root(channel) > 0.0 { deviations[channel] } else { 0.0 };
+        let lift = Mat::from_fn(response.nrows(), count, |c, k| volts(c) * basis[(c, k)]);
+        Ok(Self { options, table, projection, channels: response.nrows(), uniform, lift })
     }
 
     /// The same responses at another noise, at a hundredth of the cost: within the combinations that are kept, estimates are
@@ -116,7 +121,46 @@ impl SpotModel {
             projection: self.projection.chunks_exact(count).flat_map(row).collect(),
             channels,
             uniform: row(&self.uniform),
+            lift: &self.lift * factor.L(),
         })
+    }
+
+    /// The same responses at another noise and without some channels, whose values no longer matter. The table, brought back
+    /// to channels and whitened anew, is `W^1/2 L t`, and with `W^1/2 L = Q R` its projection on Q is `R t`: what the kept
+    /// combinations can tell apart, the remaining channels still do. Channels without a positive, finite deviation count as
+    /// the noisiest of the others.
+    ///
+    /// # Errors
+    /// Another number of channels, or none left with a usable deviation.
+    pub fn without(&self, missing: &[u32], deviations: &[f64]) -> Result<Self, InverseError> {
+        let (channels, count) = (self.channels, self.combinations());
+        if deviations.len() != channels {
+            let (expected, got) = (channels, deviations.len());
+            return Err(InverseError::Size { what: "deviations of channels", expected, got });
+        }
+        let usable = |d: &f64| *d > 0.0 && d.is_finite();
+        let noisiest = deviations.iter().copied().filter(usable).fold(0.0, f64::max);
+        let present: Vec<usize> = (0..channels).filter(|c| !missing.contains(&(*c as u32))).collect();
+        if present.is_empty() || noisiest == 0.0 {
+            return Err(InverseError::NoChannels { channels });
+        }
+        let deviation = |c: usize| if usable(&deviations[c]) { deviations[c] } else { noisiest };
+        let whitened = Mat::from_fn(present.len(), count, |k, n| self.lift[(present[k], n)] / deviation(present[k]));
+        let factor = whitened.qr();
+        let (basis, triangle) = (factor.compute_thin_Q(), factor.thin_R());
+        let kept = basis.ncols();
+        let single = Mat::from_fn(kept, count, |row, column| triangle[(row, column)] as f32);
+        let mut projection = vec![0.0; channels * kept];
+        let mut lift = Mat::zeros(channels, kept);
+        for (row, &channel) in present.iter().enumerate() {
+            for k in 0..kept {
+                projection[channel * kept + k] = (basis[(row, k)] / deviation(channel)) as f32;
+                lift[(channel, k)] = basis[(row, k)] * deviation(channel);
+            }
+        }
+        let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
+        let table = self.table.transformed(single.as_ref());
+        Ok(Self { options: self.options, table, projection, channels, uniform, lift })
     }
 
     /// Number of channels of a frame.

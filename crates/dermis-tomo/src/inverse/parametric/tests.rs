@@ -163,3 +163,32 @@ fn what_cannot_be_is_refused() {
     model.fit(&clean, &[[0.0; 2]], &mut scratch).unwrap();
     assert!(scratch.spots()[0].amplitude.abs() < 1e-9);
 }
+
+#[test]
+fn a_model_without_channels_is_the_one_made_without_them() {
+    let (model, jacobian, positions) = model(1e-6);
+    let missing: Vec<u32> = (0..60).step_by(4).collect();
+    let deviations: Vec<f64> = (0..60).map(|c| 1e-6 * (1.0 + 0.05 * f64::from(c))).collect();
+    let mut left_out = deviations.clone();
+    missing.iter().for_each(|&c| left_out[c as usize] = f64::NAN);
+    let uniform = uniform(&jacobian);
+    let made = SpotModel::new(jacobian.as_ref(), &uniform, &left_out, &positions, 0.005, *model.options()).unwrap();
+    let truth = [([0.012, -0.02], 0.011, 0.2), ([-0.017, 0.013], 0.016, 0.1)];
+    let starts = [[0.016, -0.016], [-0.021, 0.01]];
+    let mut data = frame(&jacobian, &positions, &truth);
+    // Garbage in the channels that are left out.
+    missing.iter().for_each(|&c| data[c as usize] = 0.3);
+    let noisy = model.reweighted(&vec![2e-6; 60]).unwrap();
+    for model in [&model, &noisy] {
+        let without = model.without(&missing, &deviations).unwrap();
+        let (mut one, mut other) = (without.scratch(), made.scratch());
+        without.fit(&data, &starts, &mut one).unwrap();
+        made.fit(&data, &starts, &mut other).unwrap();
+        for (a, b) in one.spots().iter().zip(other.spots()) {
+            // The combinations kept differ by weak ones, and sums are in single precision.
+            assert!((a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]) < 2e-5, "{a:?} {b:?}");
+            assert!((a.covariance[0][0] / b.covariance[0][0] - 1.0).abs() < 0.02, "{a:?} {b:?}");
+        }
+    }
+    assert!(model.without(&Vec::from_iter(0..60), &deviations).is_err());
+}

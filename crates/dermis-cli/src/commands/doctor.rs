@@ -1,0 +1,153 @@
+//! `dermis doctor`: what is wrong with an instrument or its skin, in plain words, and what to do.
+
+use std::io::Write;
+use std::time::Duration;
+
+use dermis::doctor::{Answer, Check, FEWEST_FRAMES, examine};
+use dermis::skin::Skin;
+use dermis::twin_source::TwinSource;
+use dermis_device::stream::StreamOptions;
+use dermis_device::{DeviceError, Pacing, Playback, Repeat, Source, SourceSelector, open_stream};
+
+use crate::exit::{Outcome, UsageError};
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis doctor
+  dermis doctor --skin healing-square --source twin --json
+
+Do not touch the skin while this runs. Exit code 1 when something is wrong.";
+
+/// Arguments of `dermis doctor`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Built-in skin or skin file.
+    #[arg(long, default_value = "healing-square", value_name = "SKIN")]
+    skin: String,
+    /// The instrument, as for `dermis run`: twin, tcp:HOST:PORT, serial:PORT and so on, or a file of frames.
+    #[arg(long, default_value = "twin", value_name = "SOURCE")]
+    source: String,
+    /// Frames to look at.
+    #[arg(long, default_value_t = 128, value_name = "N")]
+    frames: u64,
+    /// How long to wait for a frame.
+    #[arg(long, default_value_t = 5.0, value_name = "SECONDS")]
+    wait_s: f64,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Arguments {
+    /// Examines, and says what was found.
+    pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if self.frames < FEWEST_FRAMES {
+            let text = format!("--frames {}: expected at least {FEWEST_FRAMES}", self.frames);
+            return Err(UsageError(text).into());
+        }
+        let patience = Duration::try_from_secs_f64(self.wait_s)
+            .map_err(|_| UsageError(format!("--wait-s {}: expected a number of seconds", self.wait_s)))?;
+        let skin = super::run::skin(&self.skin)?;
+        let mut checks = Vec::new();
+        if let Some(mut source) = self.open(&skin, patience, &mut checks)? {
+            checks.extend(examine(skin, source.as_mut(), self.frames, patience)?);
+        }
+        self.print(&checks, out)?;
+        let bad = checks.iter().any(|check| check.answer == Answer::Bad);
+        Ok(if bad { Outcome::ProblemsFound } else { Outcome::Done })
+    }
+
+    /// The source, unless it is what is wrong.
+    fn open(
+        &self,
+        skin: &Skin,
+        patience: Duration,
+        checks: &mut Vec<Check>,
+    ) -> anyhow::Result<Option<Box<dyn Source>>> {
+        if self.source == "twin" {
+            let (source, _) = TwinSource::new(skin)?;
+            checks.push(Check::good("connection", source.name()));
+            return Ok(Some(Box::new(source.unpaced())));
+        }
+        match self.source.parse::<SourceSelector>().map_err(dermis::Error::from)? {
+            SourceSelector::Twin { .. } => {
+                Err(UsageError(format!("--source {}: name the twin by --skin", self.source)).into())
+            }
+            SourceSelector::File(spec) => {
+                let table = dermis_device::read(&spec, None).map_err(dermis::Error::from)?;
+                let playback = Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis::Error::from)?;
+                checks.push(Check::good("connection", playback.name()));
+                Ok(Some(Box::new(playback)))
+            }
+            live => {
+                let options = StreamOptions { patience, ..StreamOptions::default() };
+                match open_stream(&live, options) {
+                    Ok(source) => {
+                        let identity = source.identity().unwrap_or_else(|| "it does not say what it is".into());
+                        checks.push(Check::good("connection", self.source.as_str()));
+                        checks.push(Check::good("handshake", identity));
+                        Ok(Some(Box::new(source)))
+                    }
+                    Err(DeviceError::SourceFailed { reason, .. }) => {
+                        checks.push(Check::bad("connection", reason.as_str(), advice_on(&reason)));
+                        Ok(None)
+                    }
+                    Err(error) => Err(dermis::Error::from(error).into()),
+                }
+            }
+        }
+    }
+
+    fn print(&self, checks: &[Check], out: &mut dyn Write) -> anyhow::Result<()> {
+        if self.json {
+            serde_json::to_writer_pretty(&mut *out, checks).map_err(std::io::Error::from)?;
+            writeln!(out)?;
+            return Ok(());
+        }
+        for Check { name, answer, found, advice } in checks {
+            let mark = match answer {
+                Answer::Good => "good",
+                Answer::Bad => "BAD",
+                Answer::Skipped => "-",
+            };
+            writeln!(out, "{mark:<5}{name:<18}{found}")?;
+            if !advice.is_empty() {
+                writeln!(out, "{:23}-> {advice}", "")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What to do where no connection came about.
+fn advice_on(reason: &str) -> &'static str {
+    let reason = reason.to_lowercase();
+    if reason.contains("permission") {
+        "add yourself to the group that may use the port (sudo usermod -aG dialout $USER), and log in again"
+    } else if reason.contains("busy") {
+        "another program has the port: end it"
+    } else if reason.contains("no such") || reason.contains("not found") || reason.contains("no port") {
+        "look at cable and power; dermis devices lists what is there"
+    } else if reason.contains("refused") {
+        "nothing listens at that address and port: start the instrument's server, and check the number"
+    } else if reason.contains("no answer to the handshake") || reason.contains("sent no frame") {
+        "it is not an instrument of this protocol: append #lines or #floats:CHANNELS for one that sends just numbers, \
+         or @BAUD for another speed"
+    } else {
+        "look at power, cable and address; dermis devices lists what is there"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advice_fits_the_reason() {
+        assert!(advice_on("cannot connect: Permission denied (os error 13)").contains("dialout"));
+        assert!(advice_on("cannot connect: Connection refused").contains("nothing listens"));
+        assert!(advice_on("connected, but it has sent no frame and no answer").contains("#lines"));
+        assert!(advice_on("cannot connect: Device or resource busy").contains("another program"));
+    }
+}

@@ -1,0 +1,349 @@
+//! The monitor: one frame after the other, in memory that it keeps.
+
+use super::blame::Blame;
+use super::evidence::ChannelState;
+use super::wiring::Wiring;
+use super::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health, HealthParams};
+use crate::error::{TouchError, require_length};
+
+/// Resting values below so many standard deviations say nothing of whether a channel is dead.
+const LEAST_SIGNAL: f64 = 50.0;
+/// Fewest channels whose agreement counts.
+pub(super) const FEWEST_TOGETHER: usize = 3;
+/// Where one of two reciprocal channels is this many times farther from what the others let expect, it alone is blamed.
+const FARTHER: f64 = 3.0;
+/// A channel is not suspected beside one that is farther off by this: what is wrong with one is spread over all.
+const BESIDE: f64 = 0.3;
+/// Where there is nothing to compare with, a step of this share of the largest resting value is more than touches make.
+const GROSS_STEP: f64 = 0.5;
+
+/// Judges channels and electrodes frame by frame; allocates nothing once made. Which frames it sees, in which order, is all
+/// that decides: no clock and no chance.
+#[derive(Debug, Clone)]
+pub struct HealthMonitor {
+    pub(super) wiring: Wiring,
+    pub(super) params: HealthParams,
+    pub(super) channels: Vec<ChannelState>,
+    blame: Blame,
+    faults: Vec<ChannelFault>,
+    electrode_faults: Vec<ElectrodeFault>,
+    /// Declared: bad, or using a lost electrode.
+    declared: Vec<bool>,
+    /// Declared, or suspect in this frame.
+    excluded: Vec<bool>,
+    recovered: Vec<u32>,
+    dead: Vec<bool>,
+    spared: Vec<bool>,
+    previous: Vec<f64>,
+    sizes: Vec<f64>,
+    pub(super) largest_rest: f64,
+    has_expectation: bool,
+    pub(super) begun: bool,
+}
+
+impl HealthMonitor {
+    /// A monitor of channels so wired.
+    #[must_use]
+    pub fn new(wiring: Wiring, params: HealthParams) -> Self {
+        let count = wiring.channel_count();
+        Self {
+            blame: Blame::new(&wiring),
+            channels: vec![ChannelState::new(); count],
+            faults: Vec::with_capacity(count),
+            electrode_faults: Vec::with_capacity(2 * wiring.electrode_count()),
+            declared: vec![false; count],
+            excluded: vec![false; count],
+            recovered: Vec::with_capacity(count),
+            dead: vec![false; count],
+            spared: vec![false; count],
+            previous: vec![f64::NAN; count],
+            sizes: Vec::with_capacity(count),
+            largest_rest: 0.0,
+            has_expectation: false,
+            begun: false,
+            wiring,
+            params,
+        }
+    }
+
+    /// Number of channels.
+    #[must_use]
+    pub fn channel_count(&self) -> usize {
+        self.channels.len()
+    }
+
+    /// What is known to be broken.
+    #[must_use]
+    pub fn health(&self) -> Health<'_> {
+        Health { channels: &self.faults, electrodes: &self.electrode_faults }
+    }
+
+    /// Channels to leave out for good: those of [`HealthMonitor::health`].
+    #[must_use]
+    pub fn declared(&self) -> &[bool] {
+        &self.declared
+    }
+
+    /// Channels to leave out of the frame judged last: those declared, and those that it shows far off.
+    #[must_use]
+    pub fn excluded(&self) -> &[bool] {
+        &self.excluded
+    }
+
+    /// True where the frame judged last shows channels far off that are not declared yet: what is made of it is doubtful.
+    #[must_use]
+    pub fn is_doubtful(&self) -> bool {
+        self.excluded.iter().zip(&self.declared).any(|(excluded, declared)| *excluded && !*declared)
+    }
+
+    /// Channels that the last frame took back.
+    #[must_use]
+    pub fn recovered(&self) -> &[u32] {
+        &self.recovered
+    }
+
+    /// Takes in the readings of a frame as they came (NaN where missing); to be called for every frame, those before the
+    /// baseline included: they tell how often a channel repeats itself.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn read(&mut self, readings: &[f64]) -> Result<(), TouchError> {
+        require_length("readings", self.channels.len(), readings.len())?;
+        let pairs = || self.channels.iter().zip(readings);
+        let repeated = pairs().filter(|(state, reading)| state.equals_last(**reading)).count();
+        let whole_frame_repeats = 2 * repeated > readings.len() && repeated > FEWEST_TOGETHER;
+        let largest = readings.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max);
+        for (state, &reading) in self.channels.iter_mut().zip(readings) {
+            state.read(reading, whole_frame_repeats, largest, &self.params);
+        }
+        Ok(())
+    }
+
+    /// Judges the frame read last from its difference data (model volts, NaN where missing): true where what is known has
+    /// changed. `unexplained` is how far each channel is from what the good ones let expect (model volts), where that is
+    /// known. `at` is the frame's time in nanoseconds and its number.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn judge(
+        &mut self,
+        at: (u64, u64),
+        difference: &[f64],
+        unexplained: Option<&[f64]>,
+    ) -> Result<bool, TouchError> {
+        require_length("difference data", self.channels.len(), difference.len())?;
+        require_length(
+            "unexplained differences",
+            difference.len(),
+            unexplained.map_or(difference.len(), <[f64]>::len),
+        )?;
+        self.recovered.clear();
+        if !self.begun {
+            return Ok(false);
+        }
+        self.find_dead(difference);
+        self.gather(at, difference, unexplained);
+        self.previous.copy_from_slice(difference);
+        let changed = self.declare(at);
+        if changed {
+            self.conclude();
+        }
+        for ((excluded, declared), state) in self.excluded.iter_mut().zip(&self.declared).zip(&self.channels) {
+            *excluded = *declared || state.now >= self.params.most_per_frame;
+        }
+        Ok(changed)
+    }
+
+    /// Groups of channels (of a drive, of a measuring pair, of an electrode) whose signal has gone together.
+    fn find_dead(&mut self, difference: &[f64]) {
+        self.dead.fill(false);
+        for group in &self.wiring.groups {
+            let gone = |c: usize| is_gone(&self.channels[c], difference[c], &self.params);
+            let telling = group.iter().filter(|&&c| tells(&self.channels[c as usize])).count();
+            let silent = group.iter().filter(|&&c| tells(&self.channels[c as usize]) && gone(c as usize)).count();
+            if telling >= FEWEST_TOGETHER && silent as f64 >= self.params.dead_agreement * telling as f64 {
+                group.iter().filter(|&&c| gone(c as usize)).for_each(|&c| self.dead[c as usize] = true);
+            }
+        }
+    }
+
+    /// The evidence of one frame, channel by channel.
+    fn gather(&mut self, at: (u64, u64), difference: &[f64], unexplained: Option<&[f64]>) {
+        for (state, _) in self.channels.iter_mut().zip(&self.dead).filter(|(_, dead)| **dead) {
+            state.direct.get_or_insert(ChannelFaultKind::Dead);
+        }
+        let median = self.median_size(difference);
+        let farthest = unexplained.map_or(0.0, |all| all.iter().map(|v| v.abs()).fold(0.0, f64::max));
+        for channel in 0..difference.len() {
+            self.channels[channel].follow(difference[channel]);
+            if let Some(all) = unexplained {
+                self.channels[channel].expect_unexplained(all[channel].abs());
+            }
+            let excess = match (self.usable_partner(channel), unexplained) {
+                (Some((partner, ratio)), _) => self.against_partner(channel, partner, ratio, difference),
+                (None, Some(all)) if self.has_expectation => {
+                    if all[channel].abs() >= BESIDE * farthest || self.declared[channel] {
+                        self.against_expectation(channel, all[channel], median)
+                    } else {
+                        0.0
+                    }
+                }
+                _ => self.against_itself(channel, difference),
+            };
+            let state = &mut self.channels[channel];
+            let squared = if state.direct.is_some() { f64::INFINITY } else { excess * excess };
+            state.add((squared as f32).min(self.params.most_per_frame), at);
+        }
+    }
+
+    /// The reciprocal channel, unless that is known to be at fault itself while nothing is known of this one.
+    fn usable_partner(&self, channel: usize) -> Option<(usize, f64)> {
+        let (partner, ratio) = self.wiring.partners[channel]?;
+        let (this, other) = (&self.channels[channel], &self.channels[partner as usize]);
+        let of_its_own = |state: &ChannelState| {
+            state.direct.is_some() || state.bad.is_some_and(|(kind, ..)| kind > ChannelFaultKind::Inconsistent)
+        };
+        let lost = self.declared[partner as usize] && !self.declared[channel];
+        (!lost && (of_its_own(this) || !of_its_own(other))).then_some((partner as usize, ratio))
+    }
+
+    fn against_partner(&mut self, channel: usize, partner: usize, ratio: f64, difference: &[f64]) -> f64 {
+        let (own, others) = (difference[channel], ratio * difference[partner]);
+        let rest = self.channels[channel].rest.abs();
+        // The two are read at different moments of a frame; what both changed by since the last one may lie between.
+        let steps = [own - self.previous[channel], others - ratio * self.previous[partner]];
+        let moved = steps.map(f64::abs).into_iter().fold(f64::INFINITY, f64::min);
+        let tolerated = self.params.share_of_change * own.abs().max(others.abs())
+            + self.params.share_of_rest * rest
+            + if moved.is_finite() { self.params.share_of_motion * moved } else { 0.0 };
+        let deviation = self.channels[channel].sigma.hypot(ratio * self.channels[partner].sigma);
+        self.channels[channel].excess(own - others, tolerated, deviation)
+    }
+
+    fn against_expectation(&mut self, channel: usize, apart: f64, median: f64) -> f64 {
+        let state = &mut self.channels[channel];
+        let tolerated =
+            self.params.unpartnered_share_of_rest * state.rest.abs() + self.params.unpartnered_changes * median;
+        let deviation = state.unexplained_sigma;
+        state.excess(apart, tolerated, deviation)
+    }
+
+    fn against_itself(&mut self, channel: usize, difference: &[f64]) -> f64 {
+        let step = difference[channel] - self.previous[channel];
+        let state = &self.channels[channel];
+        if step.is_finite() { (step.abs() - GROSS_STEP * self.largest_rest).max(0.0) / state.sigma } else { 0.0 }
+    }
+
+    fn median_size(&mut self, difference: &[f64]) -> f64 {
+        self.sizes.clear();
+        self.sizes.extend(difference.iter().map(|v| v.abs()).filter(|v| v.is_finite()));
+        let middle = self.sizes.len() / 2;
+        if self.sizes.is_empty() {
+            return 0.0;
+        }
+        *self.sizes.select_nth_unstable_by(middle, f64::total_cmp).1
+    }
+
+    /// Declares and acquits channels; true where any was.
+    fn declare(&mut self, at: (u64, u64)) -> bool {
+        for channel in 0..self.channels.len() {
+            self.spared[channel] = self.is_convicted(channel) && self.partner_is_to_blame(channel);
+        }
+        let mut changed = false;
+        for channel in 0..self.channels.len() {
+            let convicted = self.is_convicted(channel) && !self.spared[channel];
+            let state = &mut self.channels[channel];
+            if self.spared[channel] {
+                state.acquit();
+            } else if let Some((known, since, sequence)) = state.bad {
+                let kind = known.max(state.kind());
+                if state.clean >= self.params.clean_frames {
+                    state.acquit();
+                    changed = true;
+                } else if kind != known {
+                    state.bad = Some((kind, since, sequence));
+                    changed = true;
+                }
+            } else if convicted {
+                let (since, sequence) = state.suspect_since.unwrap_or(at);
+                state.bad = Some((state.kind(), since, sequence));
+                changed = true;
+            }
+        }
+        changed
+    }
+
+    fn is_convicted(&self, channel: usize) -> bool {
+        let state = &self.channels[channel];
+        state.bad.is_none() && (state.frozen || state.sum >= self.params.bad_sum)
+    }
+
+    /// Of two reciprocal channels that contradict each other, is it the other one? A partner with a fault of its own was not
+    /// what this one was compared with.
+    fn partner_is_to_blame(&self, channel: usize) -> bool {
+        let Some((partner, _)) = self.usable_partner(channel) else { return false };
+        let (this, other) = (&self.channels[channel], &self.channels[partner]);
+        if this.direct.is_some() || !(other.bad.is_some() || self.is_convicted(partner)) {
+            return false;
+        }
+        (other.is_noisy() && !this.is_noisy())
+            || (self.has_expectation && other.unexplained > FARTHER * this.unexplained)
+    }
+
+    /// Electrodes, and both lists, from the channels.
+    pub(super) fn conclude(&mut self) {
+        let channels = &self.channels;
+        let bad = |channel: u32| channels[channel as usize].bad;
+        self.blame.judge(&self.wiring, &self.params, bad, &mut self.electrode_faults);
+        self.excluded.copy_from_slice(&self.declared);
+        for (declared, state) in self.declared.iter_mut().zip(&self.channels) {
+            *declared = state.bad.is_some();
+        }
+        for electrode in (0..self.blame.lost().len()).filter(|&e| self.blame.lost()[e]) {
+            self.wiring.channels_of(electrode as u32).iter().for_each(|&c| self.declared[c as usize] = true);
+        }
+        self.faults.clear();
+        for (channel, _) in self.declared.iter().enumerate().filter(|(_, declared)| **declared) {
+            let electrode = self.electrode_faults.iter().find(|fault| self.explains(fault, channel));
+            let of_electrode =
+                electrode.map(|fault| (ChannelFaultKind::Electrode, fault.since_ns, fault.since_sequence));
+            if let Some((kind, since_ns, since_sequence)) = of_electrode.or(self.channels[channel].bad) {
+                self.faults.push(ChannelFault { channel: channel as u32, kind, since_ns, since_sequence });
+            }
+        }
+        let before = self.excluded.iter().zip(&self.declared).enumerate();
+        self.recovered.extend(before.filter(|(_, (was, is))| **was && !**is).map(|(channel, _)| channel as u32));
+    }
+
+    /// Whether a channel is lost with an electrode: it uses a lost one, or is driven or read across a short.
+    fn explains(&self, fault: &ElectrodeFault, channel: usize) -> bool {
+        let [drive, pattern] = self.wiring.channels[channel];
+        let [driven, read] = [&self.wiring.drives[drive as usize], &self.wiring.patterns[pattern as usize]];
+        let across = |pair: &Vec<u32>| match fault.kind {
+            ElectrodeFaultKind::Lost => pair.contains(&fault.electrode),
+            ElectrodeFaultKind::Shorted { with } => pair.contains(&fault.electrode) && pair.contains(&with),
+        };
+        across(driven) || across(read)
+    }
+
+    /// Puts comparisons on the footing of a new baseline.
+    pub(super) fn restart(&mut self, rest: &[f64], sigma: &[f64], unexplained_sigma: Option<&[f64]>) {
+        self.has_expectation = unexplained_sigma.is_some();
+        self.largest_rest = rest.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max);
+        for (channel, state) in self.channels.iter_mut().enumerate() {
+            let unexplained = unexplained_sigma.map_or(f64::NAN, |all| all[channel]);
+            state.restart(rest[channel], sigma[channel], unexplained);
+        }
+        self.previous.fill(f64::NAN);
+        self.begun = true;
+    }
+}
+
+/// Whether a channel's resting value is large enough to be missed.
+fn tells(state: &ChannelState) -> bool {
+    state.rest.abs() > LEAST_SIGNAL * state.sigma
+}
+
+fn is_gone(state: &ChannelState, difference: f64, params: &HealthParams) -> bool {
+    (state.rest + difference).abs() <= params.dead_share * state.rest.abs() + 5.0 * state.sigma
+}
