@@ -36,7 +36,7 @@ fn frame(n: u64) -> Frame {
 /// Everything of a frame, readings as bits.
 fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
-    let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary } = frame;
+    let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, .. } = frame;
     (*sequence, *device_time_ns, *host_monotonic_ns, *host_wall_ns, bits(values), bits(imaginary))
 }
 

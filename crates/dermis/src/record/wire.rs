@@ -197,7 +197,7 @@ mod tests {
 
     fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
         let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
-        let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary } = frame;
+        let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, .. } = frame;
         (*sequence, *device_time_ns, *host_monotonic_ns, *host_wall_ns, bits(values), bits(imaginary))
     }
 
@@ -209,7 +209,9 @@ mod tests {
         ) {
             let values = values.into_iter().map(f64::from_bits).collect();
             let imaginary = imaginary.into_iter().map(f64::from_bits).collect();
-            let frame = Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary };
+            let plain = Frame::default();
+            let frame =
+                Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, ..plain };
             let mut bytes = Vec::new();
             push_frame(&mut bytes, &frame);
             let mut found = Frame { imaginary: vec![5.0], device_time_ns: Some(1), ..Frame::default() };
