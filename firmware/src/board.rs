@@ -15,7 +15,9 @@ pub struct Facts {
     pub adc_bits: u8,
     /// Readings are magnitudes without a sign.
     pub magnitude: bool,
-    /// Readings a second that converter and buses give, for the description.
+    /// They are coils: one sends, one receives, and there is no sink and no second one to read against.
+    pub coils: bool,
+    /// Readings a second that converter and buses give, until a frame has been timed.
     pub readings_per_s: f32,
     /// Whether the drive's frequency can be set; without, it is direct current.
     pub has_frequency: bool,

@@ -3,6 +3,7 @@
 
 use ads1x1x::{Ads1x1x, DataRate16Bit, FullScaleRange, TargetAddr, channel, ic, mode};
 use dermis_wire::Status;
+use embedded_hal::delay::DelayNs;
 use embedded_hal::i2c::I2c;
 
 use crate::board::{Failure, Reading};
@@ -11,6 +12,10 @@ use crate::board::{Failure, Reading};
 pub const RANGES_V: [f32; 6] = [6.144, 4.096, 2.048, 1.024, 0.512, 0.256];
 /// Conversions a second at its fastest.
 pub const CONVERSIONS_PER_S: f32 = 860.0;
+/// Readings a second that are left of them with a bus of 400 kHz: each takes a start, at least two looks and the result.
+pub const READINGS_PER_S: f32 = 600.0;
+/// Looks at the converter, 50 us apart, before it is given up.
+const MOST_LOOKS: u32 = 200;
 /// A full scale in counts.
 const COUNTS: f32 = 32_768.0;
 
@@ -27,6 +32,8 @@ pub enum Input {
 pub struct Converter<I> {
     chip: Ads1x1x<I, ic::Ads1115, ic::Resolution16Bit, mode::OneShot>,
     gain: u8,
+    /// The inputs of the conversion that goes on.
+    pending: Option<Input>,
 }
 
 impl<I: I2c> Converter<I> {
@@ -35,7 +42,7 @@ impl<I: I2c> Converter<I> {
     /// # Errors
     /// [`Failure::Bus`] where it does not answer.
     pub fn new(i2c: I) -> Result<Self, Failure> {
-        let mut converter = Self { chip: Ads1x1x::new_ads1115(i2c, TargetAddr::default()), gain: 0 };
+        let mut converter = Self { chip: Ads1x1x::new_ads1115(i2c, TargetAddr::default()), gain: 0, pending: None };
         converter.chip.set_data_rate(DataRate16Bit::Sps860).map_err(|_| Failure::Bus)?;
         converter.set_gain(1)?;
         Ok(converter)
@@ -79,13 +86,43 @@ impl<I: I2c> Converter<I> {
             Input::Single => self.chip.read(channel::SingleA0),
             Input::Differential => self.chip.read(channel::DifferentialA0A1),
         };
+        self.pending = None;
         match counts {
             Ok(counts) => {
                 let clipped = counts == i16::MAX || counts == i16::MIN;
                 Ok(Reading { counts, status: if clipped { Status::SATURATED } else { Status::default() } })
             }
-            Err(nb::Error::WouldBlock) => Err(nb::Error::WouldBlock),
+            Err(nb::Error::WouldBlock) => {
+                self.pending = Some(input);
+                Err(nb::Error::WouldBlock)
+            }
             Err(nb::Error::Other(_)) => Err(nb::Error::Other(Failure::Bus)),
+        }
+    }
+
+    /// Reads, and waits for it.
+    ///
+    /// # Errors
+    /// [`Failure::Bus`], also where the conversion does not end.
+    pub fn wait(&mut self, input: Input, delay: &mut impl DelayNs) -> Result<Reading, Failure> {
+        for _ in 0..MOST_LOOKS {
+            match self.read(input) {
+                Err(nb::Error::WouldBlock) => delay.delay_us(50),
+                Err(nb::Error::Other(failure)) => return Err(failure),
+                Ok(reading) => return Ok(reading),
+            }
+        }
+        Err(Failure::Bus)
+    }
+
+    /// Waits for a conversion that nobody wants any more: its result would be taken for the next one's.
+    ///
+    /// # Errors
+    /// As [`Converter::wait`].
+    pub fn discard(&mut self, delay: &mut impl DelayNs) -> Result<(), Failure> {
+        match self.pending {
+            Some(input) => self.wait(input, delay).map(|_| ()),
+            None => Ok(()),
         }
     }
 }

@@ -69,6 +69,8 @@ pub struct Engine<B, P, C, const LIST: usize> {
     failed: bool,
     /// Time between frames that the host wants; 0 as fast as it goes.
     period_ns: u64,
+    /// Time that the last frame of this protocol took; 0 before the first.
+    took_ns: u64,
     sent_ns: u64,
 }
 
@@ -78,7 +80,7 @@ impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<
         let facts = board.facts();
         let named = facts.protocols.first().copied().unwrap_or(Named::AdjacentSink);
         Self {
-            protocol: Protocol::new(facts.electrodes, named),
+            protocol: Protocol::new(facts.electrodes, facts.coils, named),
             board,
             port,
             clock,
@@ -93,6 +95,7 @@ impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<
             changed: true,
             failed: false,
             period_ns: 0,
+            took_ns: 0,
             sent_ns: 0,
         }
     }
@@ -196,6 +199,9 @@ impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<
                 self.board.quiet().map_err(refused)?;
             }
         }
+        if matches!(order, Order::List(_) | Order::Name(_)) {
+            self.took_ns = 0;
+        }
         // What was measured otherwise is no part of this frame.
         self.scan.restart();
         self.changed = true;
@@ -212,7 +218,11 @@ impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<
         Ok(set)
     }
 
+    /// By the last frame, or by what the board says before there was one.
     fn most_frames_per_s(&self) -> f32 {
+        if self.took_ns > 0 {
+            return 1e9 / self.took_ns as f32;
+        }
         self.board.facts().readings_per_s / f32::from(self.protocol.len().max(1))
     }
 
@@ -296,6 +306,9 @@ impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<
                 (self.gain_changed, self.changed) = (true, true);
             }
         }
+        // The first of a protocol is described.
+        self.changed |= self.took_ns == 0;
+        self.took_ns = self.clock.now_ns().saturating_sub(self.scan.frame_ns).max(1);
         self.scan.next_frame();
         if !self.running {
             self.shots = self.shots.saturating_sub(1);

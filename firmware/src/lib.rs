@@ -12,6 +12,7 @@ pub mod board;
 mod command;
 pub mod converter;
 mod engine;
+pub mod magnitude;
 
 pub mod mux64;
 pub mod protocol;

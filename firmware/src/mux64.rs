@@ -11,7 +11,7 @@ use embedded_hal::i2c::I2c;
 use embedded_hal::spi::SpiDevice;
 
 use crate::board::{Board, Facts, Failure, Reading};
-use crate::converter::{CONVERSIONS_PER_S, Converter, Input, RANGES_V};
+use crate::converter::{Converter, Input, RANGES_V, READINGS_PER_S};
 use crate::protocol::{MOST_ELECTRODES, Named};
 
 /// A step of the current source, amperes.
@@ -30,8 +30,6 @@ const SETTLING_NS: u32 = 10_000;
 const FINE: u8 = 5;
 /// Code of the range in which an open electrode shows.
 const WIDE: u8 = 1;
-/// Polls of the converter, 50 us apart, before it is given up.
-const MOST_POLLS: u32 = 200;
 /// Readings of the converter's own noise.
 const NOISE_READINGS: u16 = 16;
 
@@ -61,8 +59,8 @@ pub struct Mux64<S, I, D> {
     delay: D,
     electrodes: u8,
     steps: u8,
-    /// The measurement whose conversion goes on.
-    pending: Option<[u8; 4]>,
+    /// The measurement that goes on.
+    measuring: Option<[u8; 4]>,
 }
 
 impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
@@ -76,7 +74,7 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         if !(2..=MOST_ELECTRODES).contains(&electrodes) {
             return Err(Failure::BadArgument);
         }
-        Ok(Self { spi, converter: Converter::new(i2c)?, delay, electrodes, steps: MOST_STEPS, pending: None })
+        Ok(Self { spi, converter: Converter::new(i2c)?, delay, electrodes, steps: MOST_STEPS, measuring: None })
     }
 
     fn select(&mut self, steps: u8, lines: [u8; 4]) -> Result<(), Failure> {
@@ -85,29 +83,15 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         Ok(())
     }
 
-    /// Waits for the conversion of an abandoned measurement, whose result would be taken for the next one's.
     fn discard(&mut self) -> Result<(), Failure> {
-        match self.pending.take() {
-            Some(lines) => self.wait(input(lines)).map(|_| ()),
-            None => Ok(()),
-        }
-    }
-
-    fn wait(&mut self, input: Input) -> Result<Reading, Failure> {
-        for _ in 0..MOST_POLLS {
-            match self.converter.read(input) {
-                Err(nb::Error::WouldBlock) => self.delay.delay_us(50),
-                Err(nb::Error::Other(failure)) => return Err(failure),
-                Ok(reading) => return Ok(reading),
-            }
-        }
-        Err(Failure::Bus)
+        self.measuring = None;
+        self.converter.discard(&mut self.delay)
     }
 
     /// Volts between the outputs with so many steps of current.
     fn volts(&mut self, steps: u8, lines: [u8; 4]) -> Result<f32, Failure> {
         self.select(steps, lines)?;
-        let reading = self.wait(input(lines))?;
+        let reading = self.converter.wait(input(lines), &mut self.delay)?;
         Ok(f32::from(reading.counts) * self.converter.scale_v())
     }
 
@@ -170,7 +154,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
             electrodes: self.electrodes,
             adc_bits: 16,
             magnitude: false,
-            readings_per_s: CONVERSIONS_PER_S,
+            coils: false,
+            readings_per_s: READINGS_PER_S,
             has_frequency: false,
             // The check needs two electrodes to sink and one without current.
             has_impedance: self.electrodes >= 4,
@@ -208,14 +193,14 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
     }
 
     fn measure(&mut self, measurement: [u8; 4]) -> nb::Result<Reading, Failure> {
-        if self.pending != Some(measurement) {
+        if self.measuring != Some(measurement) {
             self.discard()?;
             self.select(self.steps, measurement)?;
-            self.pending = Some(measurement);
+            self.measuring = Some(measurement);
         }
         let result = self.converter.read(input(measurement));
         if !matches!(result, Err(nb::Error::WouldBlock)) {
-            self.pending = None;
+            self.measuring = None;
         }
         let mut reading = result?;
         if f32::from(reading.counts) * self.scale_v() >= COMPLIANCE_V {

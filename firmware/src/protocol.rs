@@ -79,6 +79,7 @@ impl Named {
 #[derive(Debug, Clone)]
 pub struct Protocol<const LIST: usize> {
     electrodes: u8,
+    coils: bool,
     set: Set,
     list: [[u8; 4]; LIST],
     /// Measurements of a list that is being sent, so far, and those of the whole.
@@ -103,9 +104,9 @@ pub enum Taken {
 }
 
 impl<const LIST: usize> Protocol<LIST> {
-    /// One that follows from a rule.
-    pub fn new(electrodes: u8, named: Named) -> Self {
-        Self { electrodes, set: Set::Named(named), list: [[0; 4]; LIST], coming: (0, 0) }
+    /// One that follows from a rule, for electrodes or for `coils`.
+    pub fn new(electrodes: u8, coils: bool, named: Named) -> Self {
+        Self { electrodes, coils, set: Set::Named(named), list: [[0; 4]; LIST], coming: (0, 0) }
     }
 
     /// Measurements in a frame.
@@ -170,6 +171,9 @@ impl<const LIST: usize> Protocol<LIST> {
     fn can_measure(&self, [source, sink, positive, negative]: [u8; 4]) -> bool {
         let there = |electrode: u8| electrode < self.electrodes;
         let there_or_ground = |electrode: u8| electrode == NO_ELECTRODE || there(electrode);
+        if self.coils {
+            return there(source) && there(positive) && source != positive && [sink, negative] == [NO_ELECTRODE; 2];
+        }
         there(source) && there_or_ground(sink) && there(positive) && there_or_ground(negative)
     }
 }

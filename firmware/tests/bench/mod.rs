@@ -282,11 +282,12 @@ impl<B: Board, A: Analog> Bench<B, A> {
 
     /// Has the host ask something; the board goes on until there is an answer.
     pub fn call(&mut self, order: Order) -> Result<Vec<f32>, String> {
-        let control = self.control.clone();
-        let asking = std::thread::spawn(move || control.call(order).map_err(|error| error.to_string()));
-        while !asking.is_finished() {
+        let question = self.control.ask(order).map_err(|error| error.to_string())?;
+        loop {
+            if let Some(answer) = question.answer() {
+                return answer.map_err(|error| error.to_string());
+            }
             self.step();
         }
-        asking.join().expect("an answer")
     }
 }

@@ -9,4 +9,4 @@ mod order;
 
 pub use device::{DeviceInfo, WireDevice};
 pub use host::WireHost;
-pub use order::{Description, Order, WireControl};
+pub use order::{Description, Order, Question, WireControl};

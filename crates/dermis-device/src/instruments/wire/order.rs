@@ -219,16 +219,51 @@ impl WireControl {
     /// # Errors
     /// [`DeviceError::Refused`] with the device's reason, or that there was no answer.
     pub fn call(&self, order: Order) -> Result<Vec<f32>, DeviceError> {
-        let refused = |reason: String| DeviceError::Refused { order: order.to_string(), reason };
-        order.check().map_err(|expected| refused(format!("expected {expected}")))?;
+        self.ask(order)?.wait()
+    }
+
+    /// The same without waiting for the answer.
+    ///
+    /// # Errors
+    /// [`DeviceError::Refused`] for what the wire cannot hold, and where the connection has been closed.
+    pub fn ask(&self, order: Order) -> Result<Question, DeviceError> {
         let (answer, answers) = sync_channel(1);
-        let call = Call { order: order.clone(), answer };
-        self.calls.send(call).map_err(|_| refused("the connection has been closed".to_owned()))?;
+        let question = Question { order: order.clone(), answers };
+        order.check().map_err(|expected| question.refused(format!("expected {expected}")))?;
+        let sent = self.calls.send(Call { order, answer });
+        sent.map_err(|_| question.refused("the connection has been closed".to_owned()))?;
+        Ok(question)
+    }
+}
+
+/// An order that has been given and not yet answered.
+#[derive(Debug)]
+pub struct Question {
+    order: Order,
+    answers: Receiver<Result<Vec<f32>, String>>,
+}
+
+impl Question {
+    /// The answer, as [`WireControl::call`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn wait(self) -> Result<Vec<f32>, DeviceError> {
         // The conversation answers within its own patience; a little more for a thread that is between two reads.
-        match answers.recv_timeout(order.patience() + SHORT) {
-            Ok(result) => result.map_err(refused),
-            Err(_) => Err(refused("no answer: the device is not connected".to_owned())),
+        match self.answers.recv_timeout(self.order.patience() + SHORT) {
+            Ok(result) => result.map_err(|reason| self.refused(reason)),
+            Err(_) => Err(self.refused("no answer: the device is not connected".to_owned())),
         }
+    }
+
+    /// The answer, if it is there.
+    pub fn answer(&self) -> Option<Result<Vec<f32>, DeviceError>> {
+        let result = self.answers.try_recv().ok()?;
+        Some(result.map_err(|reason| self.refused(reason)))
+    }
+
+    fn refused(&self, reason: String) -> DeviceError {
+        DeviceError::Refused { order: self.order.to_string(), reason }
     }
 }
 
