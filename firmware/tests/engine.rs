@@ -4,7 +4,7 @@ mod bench;
 
 use bench::{Analog, Bench, Pause, Shared, Spi, Wires, chips};
 use dermis_device::Status;
-use dermis_device::instruments::wire::Order;
+use dermis_device::instruments::wire::{Order, WireHost};
 use dermis_firmware::mux64::{Mux64, STEP_A, Selection};
 use dermis_firmware::{Engine, Named, STATE_BUDGET};
 use dermis_wire::NO_ELECTRODE;
@@ -200,6 +200,27 @@ fn a_setting_in_the_midst_of_a_frame_begins_it_anew_and_loses_none() {
 }
 
 #[test]
+fn a_board_that_went_on_measuring_is_met_again_as_it_was_set() {
+    let setup = vec![Order::ProtocolName("adjacent".into()), Order::AmplitudeA(20.8e-6), Order::Gain(Some(5))];
+    let mut bench = bench(setup.clone(), true);
+    bench.frame();
+    // Half a frame and more passes while nobody listens, then the same host comes again.
+    (0..5000).for_each(|_| bench.step());
+    let before = bench.frames.try_iter().count() as u64;
+    let heard = bench.chips.borrow().selections;
+    bench.reconnect(None);
+    let (frame, _) = bench.frame();
+    assert_eq!((frame.sequence, bench.inbox.losses()), (1 + before, (0, 0)), "nothing was stopped for it");
+    assert!(bench.chips.borrow().selections - heard <= 2 * 208);
+    // Another host, that wants something else, stops and sets it.
+    let other = vec![Order::Protocol(vec![[0, 8, 4, 12]; 9]), Order::AmplitudeA(10.4e-6)];
+    bench.reconnect(Some(WireHost::with_control(other, true)));
+    let (frame, _) = bench.frame();
+    assert_eq!(frame.values.len(), 9);
+    assert!((bench.control.description().expect("it said").amplitude_a - 10.4e-6).abs() < 1e-10);
+}
+
+#[test]
 fn an_open_electrode_shows_as_the_sources_limit() {
     let mut bench = bench(vec![Order::ProtocolName("adjacent-ground".into()), Order::Gain(Some(1))], true);
     assert!(!bench.frame().0.status.has(Status::COMPLIANCE));
@@ -269,5 +290,5 @@ fn the_engine_fits_into_its_budget() {
     println!("with a list of 4096: {bytes} bytes; without: {without_list} bytes");
     assert!(bytes <= STATE_BUDGET + 128, "{bytes} bytes");
     assert_eq!(bytes - without_list, 4 * 4096);
-    assert!(STATE_BUDGET + 128 < 20 * 1024, "12 KiB are left for all else");
+    const { assert!(STATE_BUDGET + 128 < 20 * 1024, "12 KiB are left for all else") };
 }

@@ -82,6 +82,8 @@ pub struct Pipeline {
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
     frames: u64,
+    /// Number and time of the last frame.
+    last: Option<(u64, u64)>,
     /// Time of the last frame: what happens on the skin is timed by the device where it has a clock, so that a replay at
     /// another pace gives the same touches.
     time_ns: u64,
@@ -126,6 +128,7 @@ impl Pipeline {
             latencies: StageLatencies::default(),
             timed_from_ns: 0,
             frames: 0,
+            last: None,
             time_ns: 0,
             calibration,
             prepared,
@@ -149,6 +152,7 @@ impl Pipeline {
         // A clock that was set back must not stop the skin: time then stands still until it has caught up.
         self.time_ns = self.time_ns.max(frame.device_time_ns.unwrap_or(frame.host_monotonic_ns));
         let time_ns = self.time_ns;
+        self.notice_gap(frame.sequence);
         self.baseline.observe(time_ns, &self.channels)?;
         let mut load = Load::Free;
         if let Some(ready) = &mut self.ready {
@@ -198,6 +202,17 @@ impl Pipeline {
             touches,
             events,
         })
+    }
+
+    /// Ends touches where the frames before this one were lost for so long that others may have begun.
+    fn notice_gap(&mut self, sequence: u64) {
+        let before = self.last.replace((sequence, self.time_ns));
+        if let (Some((last, last_ns)), Some(ready)) = (before, &mut self.ready) {
+            let lost = sequence.saturating_sub(last).saturating_sub(1);
+            if ready.touches.is_interruption(lost, self.time_ns - last_ns) {
+                ready.touches.interrupt(self.time_ns);
+            }
+        }
     }
 
     /// A new baseline stands: match it to the model and, the first time, build the operator.

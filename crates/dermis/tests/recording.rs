@@ -30,6 +30,7 @@ fn frame(n: u64) -> Frame {
         host_wall_ns: 1_600_000_000_000_000_000 + n,
         imaginary: if n.is_multiple_of(3) { values.iter().map(|value| value / 3.0).collect() } else { Vec::new() },
         values,
+        ..Frame::default()
     }
 }
 

@@ -249,6 +249,17 @@ impl<B: Board, A: Analog> Bench<B, A> {
         Self { chips, firmware, host, control, inbox, frames, began_ns }
     }
 
+    /// The line was interrupted: the host begins anew, or `another` one does, while the board goes on.
+    pub fn reconnect(&mut self, another: Option<(WireHost, WireControl)>) {
+        if let Some((host, control)) = another {
+            (self.host, self.control) = (host, control);
+        }
+        self.began_ns = self.chips.borrow().now_ns;
+        let mut send = Vec::new();
+        self.host.open(&mut send);
+        self.chips.borrow_mut().to_board.extend(send);
+    }
+
     /// The firmware's main loop, once, and what the host hears and answers.
     pub fn step(&mut self) {
         self.chips.borrow_mut().now_ns += LOOP_NS;

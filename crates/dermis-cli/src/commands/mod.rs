@@ -3,6 +3,7 @@
 mod bench;
 mod calibrate;
 mod design;
+mod device;
 mod devices;
 mod reconstruct;
 mod reproduce;
@@ -37,6 +38,8 @@ pub enum Command {
     Reproduce(reproduce::Arguments),
     /// List serial ports and what answers at them.
     Devices(devices::Arguments),
+    /// Ask one instrument who it is, set it, have it test itself or measure once.
+    Device(device::Arguments),
     /// Let programs connect to a skin's twin as to an instrument.
     Twin(twin::Arguments),
     /// Time the numerical work on this machine.
@@ -53,6 +56,7 @@ impl Command {
             Command::Reproduce(arguments) => arguments.run(out),
             Command::Design(arguments) => arguments.run(out),
             Command::Devices(arguments) => arguments.run(out),
+            Command::Device(arguments) => arguments.run(out),
             Command::Twin(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),

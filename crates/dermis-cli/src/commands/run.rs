@@ -55,6 +55,9 @@ pub struct Arguments {
     /// just numbers.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
+    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
+    #[arg(long)]
+    as_set: bool,
     /// Pace of a file: 1 as recorded, 0 as fast as possible.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -104,7 +107,7 @@ struct Run {
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let opened = source::open(&self.source, &self.skin, self.speed)?;
+        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
         let skin_toml = opened.skin.to_toml();
         let calibration = self.calibration.as_deref().map(Calibration::load).transpose()?;
         let prepared = Prepared::new(opened.skin)?;

@@ -78,6 +78,11 @@ impl WireDevice {
         self.running
     }
 
+    /// True while frames flow, or one was asked for.
+    pub fn wants_frames(&self) -> bool {
+        self.running || self.shots > 0
+    }
+
     /// Takes bytes from the host; answers go to `send`.
     pub fn receive(&mut self, bytes: &[u8], send: &mut Vec<u8>) {
         let mut rest = bytes;
@@ -103,7 +108,7 @@ impl WireDevice {
 
     /// Packs a frame, if the host wants one now. Its number is the frame's own, wrapped.
     pub fn frame(&mut self, frame: &Frame, status: Status, send: &mut Vec<u8>) {
-        if !self.running && self.shots == 0 {
+        if !self.wants_frames() {
             return;
         }
         let status = status.with(frame.status);

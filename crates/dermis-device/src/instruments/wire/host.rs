@@ -4,8 +4,8 @@ use std::sync::PoisonError;
 use std::time::Duration;
 
 use dermis_wire::{
-    Decoder, Frame as WireFrame, Hello, MOST_PACKET, Message, Part, Reply, ReplyStatus, Request, VERSION, encode,
-    encoded_len,
+    Decoder, Features, Frame as WireFrame, Hello, MOST_PACKET, Message, Part, Reply, ReplyStatus, Request, VERSION,
+    encode, encoded_len,
 };
 
 use super::assembly::{Assembly, fill};
@@ -34,6 +34,10 @@ pub struct WireHost {
     /// What is asked of the device before frames flow, and whether they shall.
     setup: Vec<Order>,
     start: bool,
+    /// What of that is asked in this conversation.
+    planned: Vec<Order>,
+    /// The device as it was once it was set.
+    set: Option<Description>,
     known: Option<Description>,
     /// Boot number and channels of the device whose frames are handed on.
     streamed: Option<(u32, u16)>,
@@ -91,6 +95,8 @@ impl WireHost {
             tag: 0,
             setup: Vec::new(),
             start: true,
+            planned: Vec::new(),
+            set: None,
             known: None,
             streamed: None,
             control: None,
@@ -135,16 +141,27 @@ impl WireHost {
         }
     }
 
-    /// Goes on with the setup at order `index`, then starts.
+    /// What must be asked of the device before it starts: nothing if it is as this host has set it, as after a lost connection
+    /// over which it went on measuring; else the setup, as far as it has such settings, of a device that stands still.
+    fn plan(&self) -> Vec<Order> {
+        let Some(known) = &self.known else { return Vec::new() };
+        if self.set.as_ref().is_some_and(|set| is_still(set, known)) {
+            return Vec::new();
+        }
+        let settings: Vec<Order> = self.setup.iter().filter(|order| known.obeys(order)).cloned().collect();
+        let runs = known.features.has(Features::RUNNING) && !settings.is_empty();
+        runs.then_some(Order::Stop).into_iter().chain(settings).collect()
+    }
+
+    /// Goes on with the plan at order `index`, then starts.
     fn set_up(&mut self, index: usize, send: &mut Vec<u8>) -> Result<(), String> {
-        let obeyed = |order: &Order| self.known.as_ref().is_some_and(|known| known.obeys(order));
-        let next = (index..self.setup.len()).find(|index| obeyed(&self.setup[*index]));
-        if let Some(index) = next {
+        if let Some(order) = self.planned.get(index).cloned() {
             self.enter(Stage::Setting(index));
-            self.order(self.setup[index].clone(), 0, None, send);
+            self.order(order, 0, None, send);
             return Ok(());
         }
-        if self.stage != Stage::Confirming && self.setup.iter().any(Order::changes_channels) {
+        // What was set shows in its description: other channels, the nearest amplitude.
+        if self.stage != Stage::Confirming && !self.planned.is_empty() {
             self.enter(Stage::Confirming);
             self.say_hello(send);
             return Ok(());
@@ -158,6 +175,12 @@ impl WireHost {
         }
         Ok(())
     }
+}
+
+/// Whether a device is as it was, but for frames that flow and their number a second.
+fn is_still(set: &Description, known: &Description) -> bool {
+    let settings = |d: &Description| (d.boot, d.channels, d.protocol.clone(), d.amplitude_a, d.frequency_hz);
+    known.boot != 0 && settings(set) == settings(known)
 }
 
 impl Default for WireHost {
@@ -272,10 +295,11 @@ impl WireHost {
         if self.stage == Stage::Greeting || reset {
             self.give_up("the device was reset");
             self.enter(Stage::Greeting);
+            self.planned = self.plan();
             return self.set_up(0, send);
         }
         if answer && self.stage == Stage::Confirming {
-            return self.set_up(self.setup.len(), send);
+            return self.set_up(self.planned.len(), send);
         }
         if settled { self.settle(false) } else { Ok(()) }
     }
@@ -292,6 +316,7 @@ impl WireHost {
             _ => {}
         }
         self.streamed = Some((known.boot, known.channels));
+        self.set = Some(known.clone());
         Ok(())
     }
 

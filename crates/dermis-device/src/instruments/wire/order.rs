@@ -73,11 +73,6 @@ impl Order {
         }
     }
 
-    /// Whether frames have other channels after it.
-    pub(super) fn changes_channels(&self) -> bool {
-        matches!(self, Self::Protocol(_) | Self::ProtocolName(_))
-    }
-
     /// Whether asking twice does no more than asking once.
     pub(super) fn can_be_repeated(&self) -> bool {
         !matches!(self, Self::SingleShot | Self::SelfTest | Self::ElectrodeImpedance)
