@@ -35,9 +35,9 @@ pub(crate) enum Order {
 
 impl Asked {
     /// What a message asks. Parts of a list go into `protocol` at once, unless the board is `busy` measuring it.
-    pub(crate) fn of<const LIST: usize>(
+    pub(crate) fn of(
         message: Result<Message<'_>, WireError>,
-        protocol: &mut Protocol<LIST>,
+        protocol: &mut Protocol<'_>,
         names: &[Named],
         busy: bool,
     ) -> Self {

@@ -1,5 +1,6 @@
 //! The scan engine: listens, answers, measures and sends, a little with every call of [`Engine::poll`], so that a host is
-//! heard between two readings. Its memory is fixed: the list of measurements, one part of a frame, one packet each way.
+//! heard between two readings. Its memory is fixed: one part of a frame, one packet each way; that of the list of measurements
+//! is lent, so that the engine itself can be made on a small stack.
 
 use dermis_wire::{
     Command, Decoder, Describe, Element, Features, Frame, List, Message, Numbers, Part, Reply, ReplyStatus, Status,
@@ -18,8 +19,8 @@ const COMMAND_BYTES: usize = 256;
 const PACKET_BYTES: usize = encoded_len(6 + 4 + 24 + PART_READINGS * (size_of::<i16>() + size_of::<u32>()));
 /// Longest name in a description.
 const NAMES_BYTES: usize = 96;
-/// Bytes that an engine for lists of 4,096 measurements takes at most, without board, port and clock.
-pub const STATE_BUDGET: usize = 18 * 1024 + 512;
+/// Bytes that an engine takes at most, without board, port, clock and list.
+pub const STATE_BUDGET: usize = 2 * 1024;
 /// A device that is silent for a second is taken for dead.
 const HEARTBEAT_NS: u64 = 900_000_000;
 /// A reading that takes longer has failed: 17 conversions.
@@ -30,7 +31,7 @@ const AUTOMATIC: u8 = 255;
 const FINER_BELOW: u16 = 14_000;
 
 // Checked for every target that the crate is built for.
-const _: () = assert!(size_of::<Engine<(), (), (), 4096>>() <= STATE_BUDGET);
+const _: () = assert!(size_of::<Engine<'static, (), (), ()>>() <= STATE_BUDGET);
 
 /// A clock of the board.
 pub trait Clock {
@@ -47,16 +48,16 @@ pub struct Identity {
     pub boot: u32,
 }
 
-/// The engine, with room for a list of `LIST` measurements. Lists that follow from a rule need none of it.
+/// The engine.
 #[derive(Debug)]
-pub struct Engine<B, P, C, const LIST: usize> {
+pub struct Engine<'l, B, P, C> {
     board: B,
     port: P,
     clock: C,
     identity: Identity,
     decoder: Decoder<[u8; COMMAND_BYTES]>,
     packet: [u8; PACKET_BYTES],
-    protocol: Protocol<LIST>,
+    protocol: Protocol<'l>,
     scan: Scan,
     running: bool,
     shots: u8,
@@ -74,13 +75,14 @@ pub struct Engine<B, P, C, const LIST: usize> {
     sent_ns: u64,
 }
 
-impl<B: Board, P: Read + ReadReady + Write, C: Clock, const LIST: usize> Engine<B, P, C, LIST> {
-    /// An engine that waits for a host; the first poll says what it is.
-    pub fn new(board: B, port: P, clock: C, identity: Identity) -> Self {
+impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
+    /// An engine that waits for a host; the first poll says what it is. `list` is memory for a list of measurements that a
+    /// host sends, four bytes each; protocols that follow from a rule need none.
+    pub fn new(board: B, port: P, clock: C, identity: Identity, list: &'l mut [[u8; 4]]) -> Self {
         let facts = board.facts();
         let named = facts.protocols.first().copied().unwrap_or(Named::AdjacentSink);
         Self {
-            protocol: Protocol::new(facts.electrodes, facts.coils, named),
+            protocol: Protocol::new(facts.electrodes, facts.coils, named, list),
             board,
             port,
             clock,

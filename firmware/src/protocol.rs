@@ -75,13 +75,13 @@ impl Named {
     }
 }
 
-/// The protocol as set, with room for a list of `LIST` measurements.
-#[derive(Debug, Clone)]
-pub struct Protocol<const LIST: usize> {
+/// The protocol as set, with memory for a list of measurements.
+#[derive(Debug)]
+pub struct Protocol<'l> {
     electrodes: u8,
     coils: bool,
     set: Set,
-    list: [[u8; 4]; LIST],
+    list: &'l mut [[u8; 4]],
     /// Measurements of a list that is being sent, so far, and those of the whole.
     coming: (u16, u16),
 }
@@ -103,10 +103,10 @@ pub enum Taken {
     Refused,
 }
 
-impl<const LIST: usize> Protocol<LIST> {
+impl<'l> Protocol<'l> {
     /// One that follows from a rule, for electrodes or for `coils`.
-    pub fn new(electrodes: u8, coils: bool, named: Named) -> Self {
-        Self { electrodes, coils, set: Set::Named(named), list: [[0; 4]; LIST], coming: (0, 0) }
+    pub fn new(electrodes: u8, coils: bool, named: Named, list: &'l mut [[u8; 4]]) -> Self {
+        Self { electrodes, coils, set: Set::Named(named), list, coming: (0, 0) }
     }
 
     /// Measurements in a frame.
@@ -147,7 +147,7 @@ impl<const LIST: usize> Protocol<LIST> {
     /// before, `fallback` is.
     pub fn take(&mut self, first: u16, total: u16, part: List<'_, [u8; 4]>, fallback: Named) -> Taken {
         let continues = first == 0 || (first, total) == self.coming;
-        let fits = total > 0 && usize::from(total) <= LIST && !part.is_empty();
+        let fits = total > 0 && usize::from(total) <= self.list.len() && !part.is_empty();
         let known = part.iter().all(|measurement| self.can_measure(measurement));
         if !(continues && fits && known) {
             self.coming = (0, 0);

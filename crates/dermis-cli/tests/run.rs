@@ -154,20 +154,12 @@ fn every_kind_of_file_is_a_source() {
     dermis_device::instruments::npy::write_f64(&desk.path().join("frames.npy"), &[40, 208], &flat).expect("a file");
     let recorded = run(desk.path(), &["--source", "frames.npy", "--speed", "0", "--headless", "--record", "x.mcap"]);
     assert_eq!(recorded.status.code(), Some(0), "{}", message(&recorded));
-    for (source, frames) in [
-        ("file:frames.csv", 40),
-        ("frames.csv#5..40", 35),
-        ("file:frames.npy", 40),
-        ("file:x.mcap", 40),
-        ("x.mcap", 40),
-    ] {
+    assert_eq!(lines(&recorded).len(), 40, "a NumPy table");
+    for (source, frames) in [("file:frames.csv#5..40", 35), ("file:x.mcap", 40)] {
         let output = run(desk.path(), &["--source", source, "--speed", "0", "--headless"]);
         assert_eq!(output.status.code(), Some(0), "{source}: {}", message(&output));
         assert_eq!(lines(&output).len(), frames, "{source}");
     }
-    let twin = run(desk.path(), &["--source", "twin:healing-square", "--headless", "--frames", "3"]);
-    assert_done(&twin);
-    assert_eq!(lines(&twin).len(), 3);
     let measured = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/sciospec/run1/setup");
     if !measured.exists() {
         println!("skipped: measured data is missing at {}", measured.display());

@@ -221,7 +221,7 @@ impl<A> embedded_io::Write for Line<A> {
 }
 
 /// Firmware with room for lists of 4,096 measurements, on a simulated board.
-pub type Firmware<B, A> = Engine<B, Line<A>, Watch<A>, 4096>;
+pub type Firmware<B, A> = Engine<'static, B, Line<A>, Watch<A>>;
 
 pub const IDENTITY: Identity = Identity { serial: "P-1", boot: 77 };
 
@@ -239,7 +239,9 @@ pub struct Bench<B, A> {
 impl<B: Board, A: Analog> Bench<B, A> {
     /// A host that sets the board by `setup` and lets it start, or not.
     pub fn new(chips: Shared<A>, board: B, setup: Vec<Order>, start: bool) -> Self {
-        let firmware = Engine::new(board, Line(chips.clone()), Watch(chips.clone()), IDENTITY);
+        // A static of a board.
+        let list = vec![[0; 4]; 4096].leak();
+        let firmware = Engine::new(board, Line(chips.clone()), Watch(chips.clone()), IDENTITY, list);
         let (mut host, control) = WireHost::with_control(setup, start);
         let (inbox, frames, _) = Inbox::new(16);
         let mut send = Vec::new();

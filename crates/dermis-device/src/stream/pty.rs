@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 
-use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
 /// The board's end of a pseudo-terminal. Nothing here blocks: without bytes, or without room for them, reading and writing
@@ -27,7 +27,7 @@ impl Pty {
         let path = ptsname(&master, Vec::new())?.into_string();
         let path = path.map_err(|_| io::Error::new(ErrorKind::InvalidData, "the terminal's path is no text"))?;
         // Before the other end has been open once, the system would not say that nobody is there.
-        drop(File::open(&path)?);
+        drop(open(path.as_str(), OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?);
         Ok(Self { master: File::from(master), path })
     }
 

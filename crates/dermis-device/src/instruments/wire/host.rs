@@ -107,8 +107,8 @@ impl WireHost {
         }
     }
 
-    /// One that sets the device first, with every connection anew, and takes calls. Settings that the device does not have are
-    /// left out. Without `start` it waits for calls.
+    /// One that sets the device first, with every connection on which it is not as it was set, and takes calls. Settings that
+    /// the device does not have, and those that the wire cannot hold, are left out. Without `start` it waits for calls.
     pub fn with_control(setup: Vec<Order>, start: bool) -> (Self, WireControl) {
         let (control, controlled) = WireControl::pair();
         (Self { setup, start, control: Some(controlled), ..Self::new() }, control)
@@ -148,7 +148,8 @@ impl WireHost {
         if self.set.as_ref().is_some_and(|set| is_still(set, known)) {
             return Vec::new();
         }
-        let settings: Vec<Order> = self.setup.iter().filter(|order| known.obeys(order)).cloned().collect();
+        let settings: Vec<Order> =
+            self.setup.iter().filter(|order| known.obeys(order) && order.check().is_ok()).cloned().collect();
         let runs = known.features.has(Features::RUNNING) && !settings.is_empty();
         runs.then_some(Order::Stop).into_iter().chain(settings).collect()
     }
