@@ -42,10 +42,11 @@ mod tests {
     fn four_electrodes_describe_the_channels_of_the_built_in_skins() {
         let list = |name: &str| measured_list(&Skin::open(name).unwrap().protocol().unwrap());
         let piezo = list("piezo-disc").unwrap();
-        assert_eq!((piezo.len(), piezo[0], piezo[1], piezo[64]), (4096, [0, 1, 0, 1], [0, 1, 1, 1], [1, 2, 0, 2]));
-        assert_eq!(piezo[4095], [63, 0, 63, 0]);
+        // As in EIDORS, the current enters at the second of two neighbours.
+        assert_eq!((piezo.len(), piezo[0], piezo[1], piezo[64]), (4096, [1, 0, 0, 0], [1, 0, 1, 0], [2, 1, 0, 1]));
+        assert_eq!(piezo[4095], [0, 63, 63, 63]);
         let healing = list("healing-square").unwrap();
-        assert_eq!((healing.len(), healing[0][..2].to_vec()), (208, vec![0, 7]));
+        assert_eq!((healing.len(), healing[0][..2].to_vec()), (208, vec![7, 0]));
         assert_eq!(
             list("em-8").unwrap()[..2],
             [[0, NO_ELECTRODE, 1, NO_ELECTRODE], [0, NO_ELECTRODE, 2, NO_ELECTRODE]]
