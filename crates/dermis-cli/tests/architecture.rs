@@ -78,6 +78,23 @@ fn crates_use_only_whom_they_may() {
 }
 
 #[test]
+fn the_firmware_uses_the_wire_alone_and_no_standard_library() {
+    let folder = crates().join("../firmware");
+    let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).expect("the firmware's manifest");
+    let (shipped, _for_tests) = manifest.split_once("[dev-dependencies]").expect("tests");
+    assert_eq!(our_dependencies(shipped).into_iter().collect::<Vec<_>>(), ["dermis-wire"]);
+    assert!(manifest.contains("[lints]\nworkspace = true"));
+    let mut files = Vec::new();
+    sources(&folder.join("src"), &mut files);
+    let text = |file: &PathBuf| std::fs::read_to_string(file).expect("a source file");
+    assert!(text(&folder.join("src/lib.rs")).contains("\n#![no_std]\n"));
+    for file in files {
+        let found = ["std::", "alloc::"].into_iter().find(|name| text(&file).contains(name));
+        assert_eq!(found, None, "{} uses more than core", file.display());
+    }
+}
+
+#[test]
 fn pure_crates_touch_no_files_sockets_or_clocks() {
     for name in PURE {
         let mut files = Vec::new();

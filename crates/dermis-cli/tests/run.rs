@@ -138,3 +138,61 @@ fn an_instrument_that_is_not_there_is_a_failure_with_its_reason() {
     assert_eq!(output.status.code(), Some(1), "{}", message(&output));
     assert!(message(&output).contains(&format!("{source}: cannot connect: ")), "{}", message(&output));
 }
+
+#[test]
+fn every_kind_of_file_is_a_source() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let skin = dermis::skin::Skin::open("healing-square").expect("a built-in skin");
+    let mut twin = dermis::twins::TwinKit::of(&skin).expect("it has a twin").twin;
+    let (mut values, mut rows, mut flat) = (Vec::new(), String::new(), Vec::new());
+    for n in 0..40 {
+        twin.step(f64::from(n) * 0.02, &mut values).expect("it goes on");
+        rows += &(values.iter().map(f64::to_string).collect::<Vec<_>>().join(",") + "\n");
+        flat.extend_from_slice(&values);
+    }
+    std::fs::write(desk.path().join("frames.csv"), rows).expect("a file");
+    dermis_device::instruments::npy::write_f64(&desk.path().join("frames.npy"), &[40, 208], &flat).expect("a file");
+    let recorded = run(desk.path(), &["--source", "frames.npy", "--speed", "0", "--headless", "--record", "x.mcap"]);
+    assert_eq!(recorded.status.code(), Some(0), "{}", message(&recorded));
+    assert_eq!(lines(&recorded).len(), 40, "a NumPy table");
+    for (source, frames) in [("file:frames.csv#5..40", 35), ("file:x.mcap", 40)] {
+        let output = run(desk.path(), &["--source", source, "--speed", "0", "--headless"]);
+        assert_eq!(output.status.code(), Some(0), "{source}: {}", message(&output));
+        assert_eq!(lines(&output).len(), frames, "{source}");
+    }
+    let measured = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/sciospec/run1/setup");
+    if !measured.exists() {
+        println!("skipped: measured data is missing at {}", measured.display());
+        return;
+    }
+    let source = format!("file:{}#0..40", measured.display());
+    let output = run(desk.path(), &["sciospec-tank", "--source", &source, "--speed", "0", "--headless"]);
+    assert_eq!(output.status.code(), Some(0), "{}", message(&output));
+    assert_eq!(lines(&output).len(), 40, "a folder of Sciospec files");
+}
+
+#[test]
+fn a_device_is_asked_and_measures_once() {
+    let ask = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_dermis")).arg("device").args(arguments).output();
+        let output = output.expect("the command starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned(), message(&output))
+    };
+    let (code, out, said) = ask(&["twin:healing-square", "--json"]);
+    let known: Value = serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error}: {out} {said}"));
+    assert_eq!((code, &known["channels"], &known["electrodes"]), (Some(0), &Value::from(208), &Value::from(16)));
+    let (code, out, said) = ask(&["twin:healing-square", "shot", "--json"]);
+    let shot: Value = serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error}: {out} {said}"));
+    assert_eq!((code, shot["values_v"].as_array().map(Vec::len)), (Some(0), Some(208)));
+    assert_eq!(shot["status"], 8, "taken in answer to a single shot");
+    // A twin has no converter to test, and measures what its skin file says.
+    for (arguments, reason) in [
+        (&["twin:healing-square", "self-test"][..], "does not have this command"),
+        (&["twin:healing-square", "--protocol", "adjacent"], "does not take a protocol"),
+        (&["frames.csv"], "expected an instrument"),
+        (&["twin:healing-square", "--gain", "300"], "a code of 0 to 254"),
+    ] {
+        let (code, _, said) = ask(arguments);
+        assert!(code != Some(0) && said.contains(reason), "{arguments:?}: {code:?} {said}");
+    }
+}

@@ -87,6 +87,14 @@ pub enum DeviceError {
         /// What happened.
         reason: String,
     },
+    /// A device did not do what it was asked.
+    #[error("{order}: {reason}")]
+    Refused {
+        /// What was asked.
+        order: String,
+        /// Why it was not done.
+        reason: String,
+    },
     /// A number of things (rows, channels, frames) differs from what it must be.
     #[error("{}: expected {expected} {what}, found {found}", file.display())]
     Count {

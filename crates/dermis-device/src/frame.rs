@@ -4,6 +4,8 @@
 use std::sync::LazyLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
+use dermis_wire::Status;
+
 /// One frame: every channel of the instrument once.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Frame {
@@ -19,6 +21,13 @@ pub struct Frame {
     pub values: Vec<f64>,
     /// Imaginary part of each reading; empty for instruments that read real values or magnitudes.
     pub imaginary: Vec<f64>,
+    /// What the instrument says happened while the frame was taken; nothing for those that do not say.
+    pub status: Status,
+    /// The instrument's own code of the gain, where it states one; of several, the first. Information only: readings are
+    /// volts.
+    pub gain: Option<u8>,
+    /// Time of each reading after `device_time_ns`, nanoseconds; empty for instruments that state none.
+    pub channel_times_ns: Vec<u64>,
 }
 
 impl Frame {
@@ -34,6 +43,9 @@ impl Frame {
         self.stamp(HostStamp { monotonic_ns: 0, wall_ns: 0 });
         self.values.clear();
         self.imaginary.clear();
+        self.status = Status::default();
+        self.gain = None;
+        self.channel_times_ns.clear();
     }
 
     /// Replaces the content. Allocates only if there are more readings than ever before; pass an empty `imaginary` for

@@ -22,10 +22,11 @@ pub mod stream;
 mod table;
 
 pub use atomic::write_atomic;
+pub use dermis_wire::Status;
 pub use error::DeviceError;
 pub use frame::{Frame, HostStamp};
 pub use instruments::{Format, decode, read};
-pub use open::open_stream;
+pub use open::{open_stream, open_wire};
 pub use playback::{Pacing, Playback, Repeat};
 pub use select::{FileSpec, FrameItem, FrameSelect};
 pub use selector::{Instrument, SerialName, SourceSelector};

@@ -2,7 +2,7 @@
 
 use crate::instruments::floats::Floats;
 use crate::instruments::lines::Lines;
-use crate::instruments::wire::WireHost;
+use crate::instruments::wire::{Order, WireControl, WireHost};
 use crate::selector::{Instrument, SourceSelector};
 use crate::stream::{Connect, Dialogue, StreamOptions, StreamSource, TcpConnect};
 use crate::{DeviceError, SerialName};
@@ -23,6 +23,29 @@ pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<
         }
         _ => Err(DeviceError::selector(&name, "a live instrument: tcp:HOST:PORT or serial:PORT")),
     }
+}
+
+/// Opens an instrument on the wire, set by `setup` with every connection (settings that it does not have are left out), and
+/// what calls it. Without `start` frames flow only after [`Order::Start`] or [`Order::SingleShot`].
+///
+/// # Errors
+/// As [`open_stream`]; [`DeviceError::Selector`] also where the selector names another kind of instrument.
+pub fn open_wire(
+    selector: &SourceSelector,
+    options: StreamOptions,
+    setup: Vec<Order>,
+    start: bool,
+) -> Result<(StreamSource, WireControl), DeviceError> {
+    let name = selector.to_string();
+    let connect: Box<dyn Connect> = match selector {
+        SourceSelector::Tcp { host, port, instrument: Instrument::Wire } => {
+            Box::new(TcpConnect::new(name, host, *port))
+        }
+        SourceSelector::Serial { port, baud, instrument: Instrument::Wire } => serial(name, port, *baud)?,
+        _ => return Err(DeviceError::selector(&name, "an instrument on the wire: tcp:HOST:PORT or serial:PORT")),
+    };
+    let (host, control) = WireHost::with_control(setup, start);
+    Ok((StreamSource::open(connect, Box::new(host), options)?, control))
 }
 
 fn dialogue(instrument: Instrument) -> Box<dyn Dialogue> {

@@ -28,6 +28,18 @@ use crate::{DeviceError, FileSpec};
 /// let file: SourceSelector = "runs/voltages.csv#ref".parse()?;
 /// assert_eq!(file, "file:runs/voltages.csv#ref".parse()?);
 ///
+/// // Whatever `read` reads, by content: CSV and NumPy tables, Sciospec files and the folders that hold them.
+/// for (text, path, frames) in [
+///     ("file:press.npy#0..60", "press.npy", "0..60"),
+///     ("file:tank/setup_00001.eit", "tank/setup_00001.eit", ""),
+///     ("file:tank/20240131 12.30.00/setup#..10", "tank/20240131 12.30.00/setup", "0..10"),
+///     ("run.mcap", "run.mcap", ""),
+/// ] {
+///     let SourceSelector::File(spec) = text.parse()? else { panic!("{text} is a file") };
+///     assert_eq!((spec.path.to_str(), spec.select.to_string()), (Some(path), frames.to_string()));
+/// }
+/// assert_eq!("twin:ionic-disc".parse::<SourceSelector>()?, SourceSelector::Twin { name: Some("ionic-disc".into()) });
+///
 /// let error = "udp:host:1".parse::<SourceSelector>().unwrap_err();
 /// assert!(error.to_string().starts_with("'udp:host:1': expected file:PATH, twin[:NAME]"));
 /// # Ok::<(), dermis_device::DeviceError>(())

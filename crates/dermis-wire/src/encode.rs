@@ -2,7 +2,7 @@
 
 use crate::cobs::{Full, Stuffer};
 use crate::list::{List, Numbers, Scalar};
-use crate::message::{Describe, Frame, Hello, Kind, Message};
+use crate::message::{Describe, Frame, Hello, Kind, Message, Part};
 use crate::{CRC, Command, MOST_PACKET, MOST_TEXT, Reply, Request, VERSION, WireError};
 
 /// Writes a message into `out` with a delimiter before and after it; the bytes to send.
@@ -19,7 +19,8 @@ pub fn encode<'b>(message: &Message<'_>, out: &'b mut [u8]) -> Result<&'b mut [u
         Message::Describe(describe) => writer.describe(describe)?,
         Message::Command(request) => writer.request(request)?,
         Message::Reply(reply) => writer.reply(reply)?,
-        Message::Frame(frame) => writer.frame(frame)?,
+        Message::Frame(frame) => writer.frame(Kind::Frame, frame)?,
+        Message::Part(part) => writer.part(part)?,
     }
     writer.finish()
 }
@@ -142,8 +143,18 @@ impl<'b> Writer<'b> {
         self.list(&reply.values)
     }
 
-    fn frame(&mut self, frame: &Frame<'_>) -> Result<(), WireError> {
-        let (kind, expected) = (Kind::Frame, frame.values.len());
+    fn part(&mut self, part: &Part<'_>) -> Result<(), WireError> {
+        let (end, total) = (usize::from(part.first) + part.readings.values.len(), usize::from(part.total));
+        if end > total {
+            return Err(WireError::Count { kind: Kind::Part, field: "values", expected: total, found: end });
+        }
+        self.bytes(&part.first.to_le_bytes())?;
+        self.bytes(&part.total.to_le_bytes())?;
+        self.frame(Kind::Part, &part.readings)
+    }
+
+    fn frame(&mut self, kind: Kind, frame: &Frame<'_>) -> Result<(), WireError> {
+        let expected = frame.values.len();
         if let Some(imaginary) = &frame.imaginary {
             let same = imaginary.element() == frame.values.element();
             let found = if same { imaginary.len() } else { 0 };

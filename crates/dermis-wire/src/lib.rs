@@ -47,7 +47,7 @@ pub use decoder::{Decoder, DecoderCounters};
 pub use encode::encode;
 pub use error::WireError;
 pub use list::{Element, List, Numbers, Scalar};
-pub use message::{Describe, Features, Frame, Hello, Kind, Message, Status};
+pub use message::{Describe, Features, Frame, Hello, Kind, Message, Part, Status};
 
 /// Version of the format that this crate speaks.
 pub const VERSION: u8 = 1;

@@ -15,6 +15,8 @@ pub enum Kind {
     Reply,
     /// Device to host: readings.
     Frame,
+    /// Device to host: some of a frame's readings.
+    Part,
 }
 
 impl Kind {
@@ -24,6 +26,7 @@ impl Kind {
             Self::Describe => 0x01,
             Self::Reply => 0x02,
             Self::Frame => 0x03,
+            Self::Part => 0x04,
             Self::Hello => 0x11,
             Self::Command => 0x12,
         }
@@ -31,7 +34,7 @@ impl Kind {
 
     /// By its code.
     pub fn from_code(code: u8) -> Option<Self> {
-        [Self::Hello, Self::Describe, Self::Command, Self::Reply, Self::Frame]
+        [Self::Hello, Self::Describe, Self::Command, Self::Reply, Self::Frame, Self::Part]
             .into_iter()
             .find(|kind| kind.code() == code)
     }
@@ -50,6 +53,8 @@ pub enum Message<'a> {
     Reply(Reply<'a>),
     /// Readings.
     Frame(Frame<'a>),
+    /// Some of a frame's readings.
+    Part(Part<'a>),
 }
 
 impl Message<'_> {
@@ -61,6 +66,7 @@ impl Message<'_> {
             Self::Command(_) => Kind::Command,
             Self::Reply(_) => Kind::Reply,
             Self::Frame(_) => Kind::Frame,
+            Self::Part(_) => Kind::Part,
         }
     }
 }
@@ -159,6 +165,8 @@ bits! {
         MAGNITUDE = 2,
         /// Frames state a time for every channel.
         CHANNEL_TIMES = 3,
+        /// Frames come in parts, as [`Part`](crate::Part).
+        PARTS = 4,
     }
 }
 
@@ -200,4 +208,19 @@ pub struct Frame<'a> {
     pub imaginary: Option<Numbers<'a>>,
     /// Time of each reading after `device_time_ns`, nanoseconds: as many as readings.
     pub channel_times_ns: Option<List<'a, u32>>,
+}
+
+/// Readings `first` and following of a frame that is sent in parts, by a device that does not hold a whole one.
+///
+/// Parts come in order, each beginning where the one before ended; one with `first` 0 begins a frame, and begins it anew
+/// where another of the same number was not finished. The frame is whole with the part that ends at `total`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Part<'a> {
+    /// Index of the part's first reading in the frame.
+    pub first: u16,
+    /// Readings of the whole frame.
+    pub total: u16,
+    /// The readings: number of the frame, time of the part's first reading, what happened during this part, gain and scale
+    /// of this part.
+    pub readings: Frame<'a>,
 }

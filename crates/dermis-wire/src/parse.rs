@@ -1,7 +1,7 @@
 //! Packets, unstuffed, to messages that borrow from them.
 
 use crate::list::{Element, List, Numbers, Scalar};
-use crate::message::{Describe, Features, Frame, Hello, Kind, Message, Status};
+use crate::message::{Describe, Features, Frame, Hello, Kind, Message, Part, Status};
 use crate::{CRC, Command, FRAMING, MOST_PACKET, Reply, ReplyStatus, Request, VERSION, WireError};
 
 static CHECKSUM: crc::Crc<u32> = CRC;
@@ -30,6 +30,7 @@ pub(crate) fn message(packet: &[u8]) -> Result<Message<'_>, WireError> {
         Kind::Command => Message::Command(fields.request()?),
         Kind::Reply => Message::Reply(fields.reply()?),
         Kind::Frame => Message::Frame(fields.frame()?),
+        Kind::Part => Message::Part(fields.part()?),
     };
     fields.end()?;
     Ok(message)
@@ -157,6 +158,16 @@ impl<'a> Fields<'a> {
         let status = self.code("status", status, ReplyStatus::from_code)?;
         let count = self.short()?;
         Ok(Reply { tag, command, status, values: self.list(count)? })
+    }
+
+    fn part(&mut self) -> Result<Part<'a>, WireError> {
+        let (first, total) = (self.short()?, self.short()?);
+        let readings = self.frame()?;
+        let (end, most) = (usize::from(first) + readings.values.len(), usize::from(total));
+        if end > most {
+            return Err(WireError::Count { kind: self.kind, field: "values", expected: most, found: end });
+        }
+        Ok(Part { first, total, readings })
     }
 
     fn frame(&mut self) -> Result<Frame<'a>, WireError> {

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use dermis_wire::{
-    Command, Decoder, Describe, Element, Features, Frame, Hello, List, Message, NO_ELECTRODE, Numbers, Reply,
-    ReplyStatus, Request, Status, encode,
+    Command, Decoder, Describe, Element, Features, Frame, Hello, Kind, List, Message, NO_ELECTRODE, Numbers, Part,
+    Reply, ReplyStatus, Request, Status, WireError, encode,
 };
 
 const CHAPTER: &str = include_str!("../../../docs/src/wire.md");
@@ -110,6 +110,16 @@ fn frames(is: &mut impl FnMut(&str, Message<'_>)) {
     let counts: Vec<i16> = (0..160).map(|channel| 0x0101 + channel).collect();
     let long = Frame { sequence: 300, device_time_ns: 1, scale: 1.0, values: Numbers::from(&counts[..]), ..plain };
     is("frame-long", Message::Frame(long));
+    let readings = Frame {
+        sequence: 9,
+        device_time_ns: 400_000_000,
+        gain: 4,
+        scale: 15.625e-6,
+        values: Numbers::from(&[100i16, -3][..]),
+        channel_times_ns: Some(List::from(&[0, 1_600_000][..])),
+        ..plain
+    };
+    is("part", Message::Part(Part { first: 256, total: 4096, readings }));
 }
 
 #[test]
@@ -135,4 +145,25 @@ fn protocol_names_are_listed() {
 fn a_bit_is_known_by_its_name() {
     let status = Status(0b10_0001);
     assert!(status.has(Status::SATURATED) && status.has(Status::GAIN_CHANGED) && !status.has(Status::OVERRUN));
+}
+
+#[test]
+fn a_part_that_ends_beyond_its_frame_is_refused_by_both_sides() {
+    let readings = Frame {
+        sequence: 0,
+        device_time_ns: 0,
+        status: Status::default(),
+        gain: 0,
+        scale: 1.0,
+        values: Numbers::from(&[1i16, 2, 3][..]),
+        imaginary: None,
+        channel_times_ns: None,
+    };
+    let mut buffer = [0; 128];
+    let long = Message::Part(Part { first: 6, total: 8, readings });
+    let error = WireError::Count { kind: Kind::Part, field: "values", expected: 8, found: 9 };
+    assert_eq!(encode(&long, &mut buffer), Err(error));
+    let fits = Message::Part(Part { first: 5, total: 8, readings });
+    let bytes = encode(&fits, &mut buffer).unwrap();
+    assert_eq!(Decoder::new([0; 128]).feed(&mut &*bytes), Some(Ok(fits)));
 }

@@ -155,8 +155,15 @@ impl Pipeline {
         let start = Instant::now();
         self.frames += 1;
         self.reader.read(&frame.values, &frame.imaginary, &mut self.channels)?;
+        let before_ns = self.clock.time_ns();
         let marks = self.clock.advance(frame);
         let time_ns = self.clock.time_ns();
+        if let Some(ready) = &mut self.ready
+            && ready.touches.is_interruption(marks.lost_before, time_ns - before_ns)
+        {
+            // The frames before this one were lost for so long that other touches may have begun.
+            ready.touches.interrupt(time_ns);
+        }
         self.baseline.observe(time_ns, &self.channels)?;
         if let Some(health) = &mut self.health {
             health.read(self.baseline.raw())?;

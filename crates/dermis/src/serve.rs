@@ -1,11 +1,13 @@
-//! A twin behind the real wire: on a socket it answers and streams as an instrument with firmware does, so that everything
-//! between port and picture is tried without hardware. One host at a time; frames that a slow host does not take are
-//! skipped and show in the sequence numbers.
+//! A twin behind the real wire: on a socket or a pseudo-terminal it answers and streams as an instrument with firmware does, so
+//! that everything between port and picture is tried without hardware. One host at a time; frames that a slow host does not
+//! take are skipped and show in the sequence numbers.
 
-use std::io::{ErrorKind, Read, Write};
-use std::net::{TcpListener, TcpStream};
+mod background;
+mod door;
+mod words;
+
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
 use dermis_device::{Frame, HostStamp, Source, SourceEvent};
@@ -15,12 +17,15 @@ use crate::Error;
 use crate::skin::{Reads, Skin};
 use crate::twin_source::TwinSource;
 
+pub use background::Background;
+pub use door::Door;
+use door::Host;
+pub use words::{WORDS, command_of};
+
 /// Time between two looks at the port.
 const NAP: Duration = Duration::from_millis(2);
 /// Bytes that may wait for a host before frames are skipped.
 const MOST_WAITING: usize = 256 * 1024;
-/// A host that takes nothing for so long has gone.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// Rate of a twin whose skin file gives none.
 const FRAMES_PER_S: f64 = 50.0;
 
@@ -70,16 +75,15 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
 /// host or not, as an instrument does.
 ///
 /// # Errors
-/// When the twin cannot go on, or the listener fails.
+/// When the twin cannot go on, or the door fails.
 pub fn serve(
-    listener: &TcpListener,
+    door: &mut Door,
     mut twin: TwinSource,
     info: DeviceInfo,
     most: Option<u64>,
     stop: &AtomicBool,
 ) -> Result<Served, Error> {
-    let failed = |source| Error::Io { file: "listening socket".into(), source };
-    listener.set_nonblocking(true).map_err(failed)?;
+    let failed = |source| Error::Io { file: "port of the served twin".into(), source };
     let mut device = WireDevice::new(info);
     let mut host: Option<Host> = None;
     let mut frame = Frame::default();
@@ -87,14 +91,18 @@ pub fn serve(
     let mut measuring = most.is_some();
     let mut overrun = false;
     while !stop.load(Ordering::Relaxed) && most.is_none_or(|most| served.frames < most) {
-        accept(listener, &mut host, &mut device, &mut served).map_err(failed)?;
+        if let Some(new) = door.knock(host.is_some()).map_err(failed)? {
+            device.reset_link();
+            served.hosts += 1;
+            host = Some(new);
+        }
         if let Some(talking) = &mut host
-            && !talking.serve(&mut device)
+            && !talking.serve(door, &mut device)
         {
             host = None;
             device.reset_link();
         }
-        measuring |= device.is_running();
+        measuring |= device.wants_frames();
         if !measuring {
             std::thread::sleep(NAP);
             continue;
@@ -105,86 +113,15 @@ pub fn serve(
             SourceEvent::Frame => {
                 served.frames += 1;
                 let Some(host) = &mut host else { continue };
-                if host.waiting.len() > MOST_WAITING {
+                if host.waiting() > MOST_WAITING {
                     served.skipped += 1;
                     overrun = true;
                     continue;
                 }
                 let status = if std::mem::take(&mut overrun) { Status::OVERRUN } else { Status::default() };
-                device.frame(&frame, status, &mut host.waiting);
-                host.flush();
+                host.send(door, |waiting| device.frame(&frame, status, waiting));
             }
         }
     }
     Ok(served)
-}
-
-/// Takes a host that knocks; another one at the same time is sent away.
-fn accept(
-    listener: &TcpListener,
-    host: &mut Option<Host>,
-    device: &mut WireDevice,
-    served: &mut Served,
-) -> std::io::Result<()> {
-    match listener.accept() {
-        Ok((_, from)) if host.is_some() => {
-            tracing::warn!("{from} was sent away: another host is connected");
-            Ok(())
-        }
-        Ok((stream, _)) => {
-            stream.set_nonblocking(true)?;
-            stream.set_nodelay(true)?;
-            device.reset_link();
-            served.hosts += 1;
-            *host = Some(Host { stream, waiting: Vec::new(), took: Instant::now(), gone: false });
-            Ok(())
-        }
-        // Whoever knocked has gone again, or nobody did.
-        Err(error) if is_passing(error.kind()) || error.kind() == ErrorKind::ConnectionAborted => Ok(()),
-        Err(error) => Err(error),
-    }
-}
-
-fn is_passing(kind: ErrorKind) -> bool {
-    matches!(kind, ErrorKind::WouldBlock | ErrorKind::Interrupted | ErrorKind::TimedOut)
-}
-
-/// The connected host.
-struct Host {
-    stream: TcpStream,
-    /// Bytes not sent yet.
-    waiting: Vec<u8>,
-    /// When it last took any.
-    took: Instant,
-    gone: bool,
-}
-
-impl Host {
-    /// Hears and answers; false when the host has gone.
-    fn serve(&mut self, device: &mut WireDevice) -> bool {
-        let mut buffer = [0; 4096];
-        match self.stream.read(&mut buffer) {
-            Ok(0) => self.gone = true,
-            Ok(count) => device.receive(&buffer[..count], &mut self.waiting),
-            Err(error) if is_passing(error.kind()) => {}
-            Err(_) => self.gone = true,
-        }
-        self.flush();
-        !self.gone
-    }
-
-    fn flush(&mut self) {
-        if self.waiting.is_empty() {
-            self.took = Instant::now();
-            return;
-        }
-        match self.stream.write(&self.waiting) {
-            Ok(count) => {
-                self.waiting.drain(..count);
-                self.took = Instant::now();
-            }
-            Err(error) if is_passing(error.kind()) => self.gone |= self.took.elapsed() > PATIENCE,
-            Err(_) => self.gone = true,
-        }
-    }
 }

@@ -22,6 +22,9 @@ pub struct Placement {
     pub doubtful: bool,
 }
 
+/// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
+const INTERRUPTION_NS: u64 = 250_000_000;
+
 /// Contact finder and tracker of a skin, with their memory.
 #[derive(Debug)]
 pub struct TouchStage {
@@ -29,6 +32,8 @@ pub struct TouchStage {
     tracker: Tracker,
     contacts: Vec<Contact>,
     events: Vec<TouchEvent>,
+    /// Ends of touches that an interruption of the stream has ended, until the next frame.
+    ended: Vec<TouchEvent>,
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
     spots: Option<SpotStage>,
@@ -72,6 +77,7 @@ impl TouchStage {
             tracker: Tracker::new(tracking)?,
             contacts: Vec::new(),
             events: Vec::new(),
+            ended: Vec::new(),
             noise,
             forces: None,
             spots: None,
@@ -142,6 +148,7 @@ impl TouchStage {
             });
         }
         self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
+        self.events.splice(0..0, self.ended.drain(..));
         Ok(())
     }
 
@@ -198,6 +205,18 @@ impl TouchStage {
     /// True while anything lies on the skin, contacts not yet confirmed included.
     pub fn is_loaded(&self) -> bool {
         self.tracker.is_following()
+    }
+
+    /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end, and what
+    /// that frame shows begins anew. The ends are among its events.
+    pub fn interrupt(&mut self, time_ns: u64) {
+        self.tracker.end_all(time_ns, &mut self.ended);
+    }
+
+    /// True where so many frames in a row, taking so long, are an interruption: more than a touch may be missed, and longer than
+    /// a fingertip takes to tap.
+    pub fn is_interruption(&self, frames: u64, lasted_ns: u64) -> bool {
+        frames > u64::from(self.tracker.params().max_missed_frames) && lasted_ns > INTERRUPTION_NS
     }
 
     /// Ends all touches: the next frame has nothing to do with this one.

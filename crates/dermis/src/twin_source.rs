@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
-use dermis_twin::instrument::FrameFate;
+use dermis_twin::instrument::{Fault, FrameFate, TimedFault};
 use dermis_twin::scene::Script;
 use dermis_twin::{Frontend, TwinError};
 
@@ -32,6 +32,10 @@ pub enum TwinCommand {
         /// Who stops.
         pointer: u64,
     },
+    /// Something of the instrument breaks, with all that is broken already.
+    Break(Fault),
+    /// Nothing is broken any more, whatever the skin file says.
+    Repair,
 }
 
 /// A twin as a [`Source`].
@@ -42,6 +46,8 @@ pub struct TwinSource {
     twin: AnyTwin,
     press: PressRange,
     demo: Option<Script>,
+    /// What is broken, and when.
+    faults: Vec<TimedFault>,
     commands: Receiver<TwinCommand>,
     notices: (Sender<String>, Receiver<String>),
     /// Pointers whose last press was refused.
@@ -85,6 +91,7 @@ impl TwinSource {
             twin,
             press,
             demo: Some(demo),
+            faults: skin.twin.timed_faults(),
             commands,
             notices: crossbeam_channel::bounded(NOTICES),
             refused: BTreeSet::new(),
@@ -99,6 +106,11 @@ impl TwinSource {
             values: Vec::new(),
         };
         Ok((source, sender))
+    }
+
+    /// The same without its demonstration: nothing touches it but who commands it.
+    pub fn undemonstrated(self) -> Self {
+        Self { demo: None, ..self }
     }
 
     /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps up.
@@ -148,6 +160,11 @@ impl TwinSource {
                     self.refused.remove(&pointer);
                     self.twin.scene_mut().release(pointer);
                 }
+                TwinCommand::Break(fault) => self.break_(fault),
+                TwinCommand::Repair => {
+                    self.faults.clear();
+                    self.twin.set_faults(Vec::new())?;
+                }
             }
         }
         Ok(())
@@ -168,6 +185,15 @@ impl TwinSource {
                     self.notice(format!("press refused: {error}"));
                 }
             }
+        }
+    }
+
+    /// Breaks something more, or says why it cannot be broken.
+    fn break_(&mut self, fault: Fault) {
+        self.faults.push(fault.into());
+        if let Err(error) = self.twin.set_faults(self.faults.clone()) {
+            self.faults.pop();
+            self.notice(format!("fault refused: {error}"));
         }
     }
 

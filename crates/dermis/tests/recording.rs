@@ -32,13 +32,14 @@ fn frame(n: u64) -> Frame {
         host_wall_ns: 1_600_000_000_000_000_000 + n,
         imaginary: if n.is_multiple_of(3) { values.iter().map(|value| value / 3.0).collect() } else { Vec::new() },
         values,
+        ..Frame::default()
     }
 }
 
 /// Everything of a frame, readings as bits.
 fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
-    let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary } = frame;
+    let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, .. } = frame;
     (*sequence, *device_time_ns, *host_monotonic_ns, *host_wall_ns, bits(values), bits(imaginary))
 }
 

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use dermis::serve::{Served, device_info, serve};
+use dermis::serve::{Door, Served, device_info, serve};
 use dermis::skin::Skin;
 use dermis::twin_source::TwinSource;
 use dermis::twins::TwinKit;
@@ -29,7 +29,8 @@ impl Instrument {
         let stopped = stop.clone();
         let thread = thread::spawn(move || {
             let (twin, _commands) = TwinSource::new(&skin).expect("it has a twin");
-            serve(&listener, twin, device_info(&skin).expect("a protocol"), None, &stopped).expect("it goes on")
+            let mut door = Door::tcp(listener).expect("a socket");
+            serve(&mut door, twin, device_info(&skin).expect("a protocol"), None, &stopped).expect("it goes on")
         });
         Self { stop, thread }
     }
@@ -101,4 +102,66 @@ fn frames_are_the_twins_and_a_restart_is_survived() {
     let all: Vec<u64> = first.iter().chain(&again).map(|frame| frame.sequence).collect();
     let gaps: u64 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
     assert_eq!(source.counters().lost, gaps);
+}
+
+/// The twin stands at a pseudo-terminal as a board at a serial port; a host goes and another one comes.
+#[cfg(unix)]
+#[test]
+fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
+    use dermis::serve::command_of;
+    use dermis_device::stream::Pty;
+
+    let Ok(pty) = Pty::open() else {
+        eprintln!("skipped: this machine gives no pseudo-terminal");
+        return;
+    };
+    let selector = format!("serial:{}", pty.path());
+    let skin = Skin::open("healing-square").expect("a built-in skin");
+    let (twin, commands) = TwinSource::new(&skin).expect("it has a twin");
+    let (twin, press) = (twin.undemonstrated(), twin_range(&skin));
+    let say = |line: &str| {
+        let command = command_of(line, &press).expect("it means something").expect("a command");
+        commands.send(command).expect("the twin listens");
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = stop.clone();
+    let info = device_info(&skin).expect("a protocol");
+    let thread = thread::spawn(move || serve(&mut Door::Pty(pty), twin, info, None, &stopped).expect("it goes on"));
+    let options = StreamOptions { patience: LIMIT, longest_wait: Duration::from_millis(50), ..Default::default() };
+    let open = || open_stream(&selector.parse().expect("a selector"), options).expect("it answers");
+
+    let mut source = open();
+    let rest = collect(&mut source, 10).pop().expect("frames");
+    say("press 10 -5 20");
+    let changed = |frame: &Frame| {
+        let difference = frame.values.iter().zip(&rest.values).map(|(now, before)| (now - before).powi(2)).sum::<f64>();
+        (difference / rest.values.iter().map(|value| value.powi(2)).sum::<f64>()).sqrt()
+    };
+    let pressed = collect(&mut source, 40).pop().expect("frames");
+    assert!(changed(&pressed) > 0.01, "the press changes the frame by {}", changed(&pressed));
+    say("release");
+    say("fault channel 7 stuck 2.5");
+    let broken = collect(&mut source, 60).pop().expect("frames");
+    assert!((broken.values[6] - 2.5e-3).abs() < 1e-9, "{} V", broken.values[6]);
+    say("repair");
+    let sound = collect(&mut source, 40).pop().expect("frames");
+    assert!(changed(&sound) < 0.01, "{}", changed(&sound));
+
+    // This host goes; the twin measures on, and the next host is told how it is numbered.
+    let last_ns = sound.device_time_ns.expect("a clock");
+    drop(source);
+    thread::sleep(Duration::from_millis(300));
+    let mut source = open();
+    let next = collect(&mut source, 5);
+    assert!(next[0].device_time_ns.expect("a clock") > last_ns + 200_000_000, "it went on");
+    assert!(next.windows(2).all(|pair| pair[1].sequence == pair[0].sequence + 1));
+    drop(source);
+    stop.store(true, Ordering::Relaxed);
+    let served = thread.join().expect("it ends in order");
+    assert_eq!((served.hosts, served.skipped), (2, 0));
+}
+
+#[cfg(unix)]
+fn twin_range(skin: &Skin) -> dermis::twins::PressRange {
+    TwinKit::of(skin).expect("it has a twin").press
 }

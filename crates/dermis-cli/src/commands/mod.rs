@@ -3,6 +3,7 @@
 mod bench;
 mod calibrate;
 mod design;
+mod device;
 mod devices;
 mod doctor;
 mod export;
@@ -55,6 +56,8 @@ pub enum Command {
     Devices(devices::Arguments),
     /// Examine an instrument and its skin, and say what to do about what is wrong.
     Doctor(doctor::Arguments),
+    /// Ask one instrument who it is, set it, have it test itself or measure once.
+    Device(device::Arguments),
     /// Let programs connect to a skin's twin as to an instrument.
     Twin(twin::Arguments),
     /// Time the numerical work on this machine.
@@ -77,6 +80,7 @@ impl Command {
             Command::Design(arguments) => arguments.run(out),
             Command::Devices(arguments) => arguments.run(out),
             Command::Doctor(arguments) => arguments.run(out),
+            Command::Device(arguments) => arguments.run(out),
             Command::Twin(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),

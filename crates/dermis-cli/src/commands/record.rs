@@ -37,6 +37,9 @@ pub struct Arguments {
     /// Where frames come from: twin, a file, tcp:HOST:PORT, serial:PORT, as for `dermis run`.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
+    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
+    #[arg(long)]
+    as_set: bool,
     /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -68,7 +71,7 @@ impl Arguments {
                 return Err(UsageError(format!("{name} {value}: expected a number that is not negative")).into());
             }
         }
-        let opened = source::open(&self.source, &self.skin, self.speed)?;
+        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
         let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         let mut recording = LiveRecording::start(&self.out, &head, &pipeline, self.images_per_s)?;
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);

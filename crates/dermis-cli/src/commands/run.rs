@@ -49,6 +49,9 @@ pub struct Arguments {
     /// just numbers.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
+    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
+    #[arg(long)]
+    as_set: bool,
     /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -99,7 +102,7 @@ struct Run {
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let opened = source::open(&self.source, &self.skin, self.speed)?;
+        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
         let (pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);

@@ -3,6 +3,8 @@
 
 mod inbox;
 mod options;
+#[cfg(unix)]
+mod pty;
 mod session;
 mod tcp;
 
@@ -18,6 +20,8 @@ use std::time::{Duration, Instant};
 pub use inbox::Inbox;
 use inbox::Shared;
 pub use options::StreamOptions;
+#[cfg(unix)]
+pub use pty::Pty;
 #[cfg(feature = "serial")]
 pub use serial::{Port, SerialConnect, ports};
 pub use tcp::TcpConnect;

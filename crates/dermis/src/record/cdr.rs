@@ -73,6 +73,14 @@ impl<'a> CdrWriter<'a> {
         }
     }
 
+    pub(super) fn u64s(&mut self, values: &[u64]) {
+        self.length(values.len());
+        if !values.is_empty() {
+            self.align(8);
+            self.out.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        }
+    }
+
     /// A `uint8[]` of `length` bytes, which `fill` appends.
     pub(super) fn bytes(&mut self, length: usize, fill: impl FnOnce(&mut Vec<u8>)) {
         self.length(length);
@@ -136,13 +144,24 @@ impl<'a> CdrReader<'a> {
     /// Replaces the content of `to`.
     pub(super) fn doubles(&mut self, to: &mut Vec<f64>) -> Option<()> {
         to.clear();
+        to.extend(self.eights()?.iter().map(|bytes| f64::from_bits(u64::from_le_bytes(*bytes))));
+        Some(())
+    }
+
+    /// Replaces the content of `to`.
+    pub(super) fn u64s(&mut self, to: &mut Vec<u64>) -> Option<()> {
+        to.clear();
+        to.extend(self.eights()?.iter().map(|bytes| u64::from_le_bytes(*bytes)));
+        Some(())
+    }
+
+    /// A sequence of elements of eight bytes.
+    fn eights(&mut self) -> Option<&'a [[u8; 8]]> {
         let length = self.length(8)?;
         if length > 0 {
             self.at = self.at.next_multiple_of(8);
-            let bytes = self.take(8 * length)?;
-            to.extend(bytes.as_chunks::<8>().0.iter().map(|bytes| f64::from_bits(u64::from_le_bytes(*bytes))));
         }
-        Some(())
+        Some(self.take(8 * length)?.as_chunks::<8>().0)
     }
 }
 

@@ -1,7 +1,7 @@
 //! The messages of a recording's own types: frames, baselines, touches and events, to CDR and back ([`super::schema`] has
 //! their definitions).
 
-use dermis_device::Frame;
+use dermis_device::{Frame, Status};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord, Touch, TouchEvent, TouchPhase};
 
 use super::cdr::{CdrReader, CdrWriter};
@@ -78,6 +78,9 @@ pub(super) fn write_frame(out: &mut Vec<u8>, frame: &Frame) {
     cdr.u64(frame.host_wall_ns);
     cdr.doubles(&frame.values);
     cdr.doubles(&frame.imaginary);
+    cdr.u32(u32::from(frame.status.0));
+    cdr.i32(frame.gain.map_or(-1, i32::from));
+    cdr.u64s(&frame.channel_times_ns);
 }
 
 /// Reads a frame into `frame`, or returns none if the bytes are no such message; `frame` then holds part of it.
@@ -90,7 +93,11 @@ pub(super) fn read_frame(bytes: &[u8], frame: &mut Frame) -> Option<()> {
     frame.host_monotonic_ns = cdr.u64()?;
     frame.host_wall_ns = cdr.u64()?;
     cdr.doubles(&mut frame.values)?;
-    cdr.doubles(&mut frame.imaginary)
+    cdr.doubles(&mut frame.imaginary)?;
+    frame.status = Status(u16::try_from(cdr.u32()?).ok()?);
+    // -1, all bits set, stands for none.
+    frame.gain = u8::try_from(cdr.u32()?).ok();
+    cdr.u64s(&mut frame.channel_times_ns)
 }
 
 pub(super) fn write_baseline(out: &mut Vec<u8>, record: &ReferenceRecord, values: &[f64], noise_std: &[f64]) {
@@ -205,21 +212,25 @@ mod tests {
     use crate::sink::testing::touch;
     use proptest::prelude::*;
 
-    fn bits(frame: &Frame) -> (u64, Option<u64>, u64, u64, Vec<u64>, Vec<u64>) {
+    /// The frame without its readings, and these as bits, NaN among them.
+    fn bits(frame: &Frame) -> (Frame, Vec<u64>, Vec<u64>) {
         let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect();
-        let Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary } = frame;
-        (*sequence, *device_time_ns, *host_monotonic_ns, *host_wall_ns, bits(values), bits(imaginary))
+        let rest = Frame { values: Vec::new(), imaginary: Vec::new(), ..frame.clone() };
+        (rest, bits(&frame.values), bits(&frame.imaginary))
     }
 
     proptest! {
         #[test]
         fn frames_come_back_bit_for_bit(
             sequence: u64, device_time_ns: Option<u64>, host_monotonic_ns: u64, host_wall_ns: u64,
-            values: Vec<u64>, imaginary: Vec<u64>,
+            values: Vec<u64>, imaginary: Vec<u64>, status: u16, gain: Option<u8>, channel_times_ns: Vec<u64>,
         ) {
             let values = values.into_iter().map(f64::from_bits).collect();
             let imaginary = imaginary.into_iter().map(f64::from_bits).collect();
-            let frame = Frame { sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary };
+            let status = Status(status);
+            let frame = Frame {
+                sequence, device_time_ns, host_monotonic_ns, host_wall_ns, values, imaginary, status, gain, channel_times_ns,
+            };
             let mut bytes = vec![1];
             write_frame(&mut bytes, &frame);
             let mut found = Frame { imaginary: vec![5.0], device_time_ns: Some(1), ..Frame::default() };

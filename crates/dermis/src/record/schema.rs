@@ -54,6 +54,9 @@ uint64 host_monotonic_ns  # first byte, the host's monotonic clock
 uint64 host_wall_ns  # first byte, since 1970-01-01 UTC
 float64[] values  # readings in the order and unit of the instrument, NaN where missing
 float64[] imaginary  # imaginary parts, empty for instruments without
+uint32 status  # flags of the wire, 0 for instruments that state none
+int32 gain  # the instrument's own code, -1 where it states none
+uint64[] channel_times_ns  # of each reading after device_time_ns, empty for instruments that state none
 ";
 
 const BASELINE: &str = "\

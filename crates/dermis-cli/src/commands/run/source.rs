@@ -12,8 +12,8 @@ use dermis::record::{Recording, RecordingHead, Replay};
 use dermis::skin::Skin;
 use dermis::twin_source::{TwinCommand, TwinSource};
 use dermis::twins::PressRange;
-use dermis_device::stream::StreamOptions;
-use dermis_device::{Pacing, Playback, Repeat, Source, SourceSelector, open_stream};
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire};
 
 use crate::exit::UsageError;
 
@@ -67,8 +67,9 @@ pub struct TwinControl {
     pub notices: crossbeam_channel::Receiver<String>,
 }
 
-/// Opens what `--source` names.
-pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opened> {
+/// Opens what `--source` names. An instrument on the wire is set to the skin file's protocol and current, unless it shall stay
+/// `as_set`.
+pub fn open(selector: &str, skin_name: &str, speed: f64, as_set: bool) -> anyhow::Result<Opened> {
     if !(speed >= 0.0 && speed.is_finite()) {
         return Err(
             UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")).into()
@@ -89,7 +90,7 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
         (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
     };
     match selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
-        SourceSelector::Twin { name } => open("twin", name.as_deref().unwrap_or(skin_name), speed),
+        SourceSelector::Twin { name } => open("twin", name.as_deref().unwrap_or(skin_name), speed, as_set),
         SourceSelector::File(spec) if spec.path.extension().is_some_and(|extension| extension == "mcap") => {
             let recording = Recording::open(&spec.path)?;
             let file = spec.path.display().to_string();
@@ -109,11 +110,28 @@ pub fn open(selector: &str, skin_name: &str, speed: f64) -> anyhow::Result<Opene
         }
         live => {
             let skin = super::skin(skin_name)?;
-            let source = open_stream(&live, StreamOptions::default()).map_err(dermis::Error::from)?;
+            let source = open_live(&live, &skin, as_set)?;
             tracing::info!("{live}: {}", source.identity().unwrap_or_default());
             Ok(Opened { skin, source: Box::new(source), twin: None, wait: false })
         }
     }
+}
+
+/// Opens an instrument. One on the wire is set to what the skin file says, as far as it can be, unless it shall stay `as_set`.
+fn open_live(selector: &SourceSelector, skin: &Skin, as_set: bool) -> anyhow::Result<StreamSource> {
+    let options = StreamOptions::default();
+    let on_the_wire = matches!(
+        selector,
+        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
+            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
+    );
+    let opened = if on_the_wire && !as_set {
+        let setup = super::super::device::orders_of(skin)?;
+        open_wire(selector, options, setup, true).map(|(source, _)| source)
+    } else {
+        open_stream(selector, options)
+    };
+    Ok(opened.map_err(dermis::Error::from)?)
 }
 
 /// Asks the desktop to show the page; without a desktop nothing happens.

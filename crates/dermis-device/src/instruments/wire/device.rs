@@ -46,13 +46,14 @@ pub struct WireDevice {
     shots: u32,
     readings: Vec<f32>,
     imaginary: Vec<f32>,
+    times_ns: Vec<u32>,
     buffer: Vec<u8>,
 }
 
 impl WireDevice {
     /// A device that sends no frames yet.
     pub fn new(info: DeviceInfo) -> Self {
-        let longest = encoded_len(64 + 8 * usize::from(info.channels)).max(encoded_len(2048));
+        let longest = encoded_len(64 + 12 * usize::from(info.channels)).max(encoded_len(2048));
         Self {
             info,
             decoder: Decoder::new(vec![0; LONGEST_COMMAND]),
@@ -60,6 +61,7 @@ impl WireDevice {
             shots: 0,
             readings: Vec::new(),
             imaginary: Vec::new(),
+            times_ns: Vec::new(),
             buffer: vec![0; longest],
         }
     }
@@ -74,6 +76,11 @@ impl WireDevice {
     /// True while frames flow.
     pub fn is_running(&self) -> bool {
         self.running
+    }
+
+    /// True while frames flow, or one was asked for.
+    pub fn wants_frames(&self) -> bool {
+        self.running || self.shots > 0
     }
 
     /// Takes bytes from the host; answers go to `send`.
@@ -101,24 +108,28 @@ impl WireDevice {
 
     /// Packs a frame, if the host wants one now. Its number is the frame's own, wrapped.
     pub fn frame(&mut self, frame: &Frame, status: Status, send: &mut Vec<u8>) {
-        if !self.running && self.shots == 0 {
+        if !self.wants_frames() {
             return;
         }
+        let status = status.with(frame.status);
         let status = if self.running { status } else { status.with(Status::SINGLE) };
         self.shots = self.shots.saturating_sub(1);
         self.readings.clear();
         self.readings.extend(frame.values.iter().map(|value| *value as f32));
         self.imaginary.clear();
         self.imaginary.extend(frame.imaginary.iter().map(|value| *value as f32));
+        self.times_ns.clear();
+        // The wire has room for 4.29 s.
+        self.times_ns.extend(frame.channel_times_ns.iter().map(|time_ns| u32::try_from(*time_ns).unwrap_or(u32::MAX)));
         let message = Message::Frame(dermis_wire::Frame {
             sequence: frame.sequence as u32,
             device_time_ns: frame.device_time_ns.unwrap_or(frame.host_monotonic_ns),
             status,
-            gain: 0,
+            gain: frame.gain.unwrap_or(0),
             scale: 1.0,
             values: Numbers::from(&self.readings[..]),
             imaginary: (!self.imaginary.is_empty()).then(|| Numbers::from(&self.imaginary[..])),
-            channel_times_ns: None,
+            channel_times_ns: (!self.times_ns.is_empty()).then(|| List::from(&self.times_ns[..])),
         });
         push(&message, &mut self.buffer, send);
     }

@@ -1,19 +1,23 @@
-//! The host's side: hello, describe, start, frames; and exact counting of what did not come.
+//! The host's side: hello, describe, settings, start, frames, calls in between; and exact counting of what did not come.
 
+use std::sync::PoisonError;
 use std::time::Duration;
 
-use dermis_wire::{Command, Decoder, Describe, Frame, Hello, MOST_PACKET, Message, ReplyStatus, Request};
-use dermis_wire::{VERSION, encode, encoded_len};
+use dermis_wire::{
+    Decoder, Features, Frame as WireFrame, Hello, MOST_PACKET, Message, Part, Reply, ReplyStatus, Request, VERSION,
+    encode, encoded_len,
+};
 
+use super::assembly::{Assembly, fill};
+use super::count::Count;
+use super::order::{Call, Controlled, Description, Order, WireControl, reason};
 use crate::stream::{Dialogue, Inbox};
 use crate::{HostStamp, Layout};
 
 /// Time between two attempts to get an answer.
 const AGAIN: Duration = Duration::from_millis(500);
-/// Longest wait for a description or a reply.
+/// Longest wait for a description.
 const LONGEST: Duration = Duration::from_secs(3);
-/// Frames in a row with numbers of the past after which the device is taken to count anew.
-const STUBBORN: u32 = 16;
 
 /// The host's side of a conversation over the wire, as a [`Dialogue`].
 #[derive(Debug)]
@@ -22,13 +26,25 @@ pub struct WireHost {
     stage: Stage,
     /// When, after the connection was made, something was asked last.
     asked: Duration,
-    /// When the present stage began.
+    /// When the present stage or order began.
     since: Duration,
     now: Duration,
     nonce: u32,
     tag: u16,
-    known: Option<Known>,
+    /// What is asked of the device before frames flow, and whether they shall.
+    setup: Vec<Order>,
+    start: bool,
+    /// What of that is asked in this conversation.
+    planned: Vec<Order>,
+    /// The device as it was once it was set.
+    set: Option<Description>,
+    known: Option<Description>,
+    /// Boot number and channels of the device whose frames are handed on.
+    streamed: Option<(u32, u16)>,
+    control: Option<Controlled>,
+    flight: Option<Flight>,
     count: Count,
+    assembly: Assembly,
     /// When the packet in progress began, if its first byte came earlier.
     begun: Option<HostStamp>,
 }
@@ -37,46 +53,36 @@ pub struct WireHost {
 enum Stage {
     /// Waiting for the answer to hello.
     Greeting,
+    /// Waiting for the reply to an order of the setup.
+    Setting(usize),
+    /// Waiting for the answer to a second hello, as its channels may be others now.
+    Confirming,
     /// Waiting for the reply to start.
     Starting,
-    /// Frames flow.
-    Streaming,
+    /// Frames flow, or the device waits for calls.
+    Open,
 }
 
-/// What the device has said of itself.
+/// An order that waits for its reply.
 #[derive(Debug)]
-struct Known {
-    boot: u32,
-    channels: u16,
-    frames_per_s: f32,
-    identity: String,
+struct Flight {
+    order: Order,
+    /// Of a list, the part that was sent.
+    first: usize,
+    /// A call's answer; none for those of the setup.
+    call: Option<Call>,
 }
 
-/// Sequence numbers: the device's, which wrap, and the host's, which do not.
-#[derive(Debug, Default)]
-struct Count {
-    /// What the device's next number should be.
-    expected: Option<u32>,
-    /// The host's next number.
-    next: u64,
-    /// The device was reset, or may have been: its numbers start anew.
-    anew: Option<Anew>,
-    /// Numbers of the past in a row.
-    repeats: u32,
-    /// Arrival of the last frame.
-    last_ns: u64,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Anew {
-    /// Known by another boot number.
-    Certain,
-    /// The device has none; believed where its numbers go back.
-    IfBack,
+/// What a message means for the conversation, owned, so that it outlives the decoder's borrow.
+enum Heard {
+    Nothing,
+    Bad,
+    Described { answer: bool, known: Description },
+    Replied { status: ReplyStatus, values: Vec<f32> },
 }
 
 impl WireHost {
-    /// A conversation that has not begun.
+    /// A conversation that has not begun; it starts the device as it is set.
     pub fn new() -> Self {
         Self {
             decoder: Decoder::new(vec![0; encoded_len(MOST_PACKET)]),
@@ -87,10 +93,25 @@ impl WireHost {
             // Differs between hosts that follow each other on one device.
             nonce: HostStamp::now().wall_ns as u32,
             tag: 0,
+            setup: Vec::new(),
+            start: true,
+            planned: Vec::new(),
+            set: None,
             known: None,
+            streamed: None,
+            control: None,
+            flight: None,
             count: Count::default(),
+            assembly: Assembly::default(),
             begun: None,
         }
+    }
+
+    /// One that sets the device first, with every connection on which it is not as it was set, and takes calls. Settings that
+    /// the device does not have, and those that the wire cannot hold, are left out. Without `start` it waits for calls.
+    pub fn with_control(setup: Vec<Order>, start: bool) -> (Self, WireControl) {
+        let (control, controlled) = WireControl::pair();
+        (Self { setup, start, control: Some(controlled), ..Self::new() }, control)
     }
 
     fn say_hello(&mut self, send: &mut Vec<u8>) {
@@ -99,16 +120,68 @@ impl WireHost {
         self.asked = self.now;
     }
 
-    fn order(&mut self, command: Command<'_>, send: &mut Vec<u8>) {
-        self.tag = self.tag.wrapping_add(1);
-        push(&Message::Command(Request { tag: self.tag, command }), send);
-        self.asked = self.now;
-    }
-
     fn enter(&mut self, stage: Stage) {
         self.stage = stage;
         self.since = self.now;
     }
+
+    /// Sends an order, or the next part of one.
+    fn order(&mut self, order: Order, first: usize, call: Option<Call>, send: &mut Vec<u8>) {
+        self.tag = self.tag.wrapping_add(1);
+        push(&Message::Command(Request { tag: self.tag, command: order.command(first) }), send);
+        (self.asked, self.since) = (self.now, self.now);
+        self.flight = Some(Flight { order, first, call });
+    }
+
+    fn repeat(&mut self, send: &mut Vec<u8>) {
+        if let Some(flight) = &self.flight {
+            let command = flight.order.command(flight.first);
+            push(&Message::Command(Request { tag: self.tag, command }), send);
+            self.asked = self.now;
+        }
+    }
+
+    /// What must be asked of the device before it starts: nothing if it is as this host has set it, as after a lost connection
+    /// over which it went on measuring; else the setup, as far as it has such settings, of a device that stands still.
+    fn plan(&self) -> Vec<Order> {
+        let Some(known) = &self.known else { return Vec::new() };
+        if self.set.as_ref().is_some_and(|set| is_still(set, known)) {
+            return Vec::new();
+        }
+        let settings: Vec<Order> =
+            self.setup.iter().filter(|order| known.obeys(order) && order.check().is_ok()).cloned().collect();
+        let runs = known.features.has(Features::RUNNING) && !settings.is_empty();
+        runs.then_some(Order::Stop).into_iter().chain(settings).collect()
+    }
+
+    /// Goes on with the plan at order `index`, then starts.
+    fn set_up(&mut self, index: usize, send: &mut Vec<u8>) -> Result<(), String> {
+        if let Some(order) = self.planned.get(index).cloned() {
+            self.enter(Stage::Setting(index));
+            self.order(order, 0, None, send);
+            return Ok(());
+        }
+        // What was set shows in its description: other channels, the nearest amplitude.
+        if self.stage != Stage::Confirming && !self.planned.is_empty() {
+            self.enter(Stage::Confirming);
+            self.say_hello(send);
+            return Ok(());
+        }
+        self.settle(true)?;
+        if self.start {
+            self.enter(Stage::Starting);
+            self.order(Order::Start, 0, None, send);
+        } else {
+            self.enter(Stage::Open);
+        }
+        Ok(())
+    }
+}
+
+/// Whether a device is as it was, but for frames that flow and their number a second.
+fn is_still(set: &Description, known: &Description) -> bool {
+    let settings = |d: &Description| (d.boot, d.channels, d.protocol.clone(), d.amplitude_a, d.frequency_hz);
+    known.boot != 0 && settings(set) == settings(known)
 }
 
 impl Default for WireHost {
@@ -117,21 +190,14 @@ impl Default for WireHost {
     }
 }
 
-/// What a message means for the conversation, owned, so that it outlives the decoder's borrow.
-enum Heard {
-    Nothing,
-    Bad,
-    Described { answer: bool, known: Known },
-    Started,
-    Refused(String),
-}
-
 impl Dialogue for WireHost {
     fn open(&mut self, send: &mut Vec<u8>) {
         self.decoder.reset();
+        self.assembly.forget();
         self.begun = None;
         self.nonce = self.nonce.wrapping_add(1).max(1);
         self.now = Duration::ZERO;
+        self.give_up("the connection has ended");
         self.enter(Stage::Greeting);
         self.say_hello(send);
     }
@@ -140,39 +206,35 @@ impl Dialogue for WireHost {
         let mut rest = bytes;
         let mut stamp = self.begun.unwrap_or(at);
         while let Some(message) = self.decoder.feed(&mut rest) {
+            // Frames before the answer to hello are of an earlier conversation.
+            let greeting = self.stage == Stage::Greeting;
+            let frames_per_s = self.known.as_ref().map_or(0.0, |known| known.frames_per_s);
+            let channels = self.known.as_ref().map_or(0, |known| usize::from(known.channels));
             let heard = match message {
-                Ok(Message::Frame(frame)) => {
-                    if self.stage == Stage::Greeting {
-                        // Of an earlier conversation.
-                        Heard::Nothing
-                    } else if let Some(known) = self.known.as_ref().filter(|known| fits(known, &frame)) {
-                        self.count.take(&frame, known.frames_per_s, stamp, inbox);
-                        Heard::Nothing
-                    } else {
-                        Heard::Bad
-                    }
+                Ok(Message::Frame(_) | Message::Part(_)) if greeting => Heard::Nothing,
+                Ok(Message::Frame(frame)) if frame.values.len() == channels => {
+                    take(&mut self.count, &frame, frames_per_s, stamp, inbox);
+                    Heard::Nothing
+                }
+                Ok(Message::Part(part)) if usize::from(part.total) == channels => {
+                    join(&mut self.assembly, &mut self.count, &part, frames_per_s, stamp, inbox);
+                    Heard::Nothing
                 }
                 Ok(Message::Describe(describe)) => {
-                    Heard::Described { answer: describe.nonce == self.nonce, known: Known::of(&describe) }
+                    Heard::Described { answer: describe.nonce == self.nonce, known: Description::of(&describe) }
                 }
-                Ok(Message::Reply(reply)) if reply.tag == self.tag && reply.command == Command::Start.code() => {
-                    match reply.status {
-                        ReplyStatus::Done => Heard::Started,
-                        status => Heard::Refused(format!("the device does not start: {status:?}")),
-                    }
-                }
+                Ok(Message::Reply(reply)) => replied(&reply, self.tag),
+                Ok(Message::Frame(_) | Message::Part(_)) | Err(_) => Heard::Bad,
                 Ok(_) => Heard::Nothing,
-                Err(_) => Heard::Bad,
             };
             stamp = at;
             match heard {
                 Heard::Nothing => {}
                 // Before frames flow, the end of a packet whose beginning was not heard is nothing to count.
-                Heard::Bad if self.stage == Stage::Streaming => inbox.bad(1),
+                Heard::Bad if self.stage == Stage::Open => inbox.bad(1),
                 Heard::Bad => {}
                 Heard::Described { answer, known } => self.described(answer, known, send)?,
-                Heard::Started => self.enter(Stage::Streaming),
-                Heard::Refused(reason) => return Err(reason),
+                Heard::Replied { status, values } => self.replied(status, values, send)?,
             }
         }
         self.begun = self.decoder.is_mid_packet().then_some(stamp);
@@ -181,136 +243,179 @@ impl Dialogue for WireHost {
 
     fn tick(&mut self, open_for: Duration, send: &mut Vec<u8>) -> Result<(), String> {
         self.now = open_for;
-        if self.stage == Stage::Streaming {
-            return Ok(());
+        let (waited, again) = (open_for.saturating_sub(self.since), open_for.saturating_sub(self.asked) >= AGAIN);
+        match self.stage {
+            Stage::Greeting | Stage::Confirming if waited > LONGEST => {
+                let seconds = LONGEST.as_secs();
+                return Err(format!("no answer to the handshake in {seconds} s: another instrument?"));
+            }
+            Stage::Greeting | Stage::Confirming if again => self.say_hello(send),
+            Stage::Greeting | Stage::Confirming => {}
+            Stage::Setting(_) | Stage::Starting | Stage::Open => self.wait_for_reply(waited, again, send)?,
         }
-        if open_for.saturating_sub(self.since) > LONGEST {
-            let seconds = LONGEST.as_secs();
-            return Err(match self.stage {
-                Stage::Greeting => format!("no answer to the handshake in {seconds} s: another instrument?"),
-                _ => format!("described itself, but did not start in {seconds} s"),
-            });
-        }
-        if open_for.saturating_sub(self.asked) >= AGAIN {
-            match self.stage {
-                Stage::Greeting => self.say_hello(send),
-                _ => self.order(Command::Start, send),
+        if self.stage == Stage::Open && self.flight.is_none() {
+            let call = self.control.as_ref().and_then(|control| control.calls.try_recv().ok());
+            if let Some(call) = call {
+                self.order(call.order.clone(), 0, Some(call), send);
             }
         }
         Ok(())
     }
 
     fn close(&mut self, send: &mut Vec<u8>) {
-        self.order(Command::Stop, send);
+        self.give_up("the connection has been closed");
+        self.order(Order::Stop, 0, None, send);
+        self.flight = None;
     }
 
     fn layout(&self) -> Option<Layout> {
-        self.known.as_ref().map(|known| Layout::Channels { count: usize::from(known.channels) })
+        let known = self.known.as_ref().filter(|_| matches!(self.stage, Stage::Starting | Stage::Open))?;
+        Some(Layout::Channels { count: usize::from(known.channels) })
     }
 
     fn identity(&self) -> Option<String> {
-        self.known.as_ref().map(|known| known.identity.clone())
+        self.known.as_ref().map(Description::identity)
     }
 }
 
 impl WireHost {
     /// The device has described itself, in answer to this conversation's hello or unasked.
-    fn described(&mut self, answer: bool, known: Known, send: &mut Vec<u8>) -> Result<(), String> {
+    fn described(&mut self, answer: bool, known: Description, send: &mut Vec<u8>) -> Result<(), String> {
         if !answer && self.stage == Stage::Greeting {
             return Ok(());
         }
         if known.channels == 0 {
             return Err("the device has no channels".to_owned());
         }
-        let mut reset = false;
-        if let Some(before) = &self.known {
-            if before.channels != known.channels {
-                return Err(format!(
-                    "expected {} channels, found {} ({})",
-                    before.channels, known.channels, known.identity
-                ));
-            }
-            reset = before.boot != known.boot;
-            self.count.anew = match (reset, known.boot) {
-                (true, _) => Some(Anew::Certain),
-                (false, 0) if answer => Some(Anew::IfBack),
-                (false, _) => self.count.anew,
-            };
+        let settled = matches!(self.stage, Stage::Starting | Stage::Open);
+        let reset = settled && self.streamed.is_some_and(|(boot, _)| boot != known.boot);
+        if let Some(control) = &self.control {
+            *control.known.lock().unwrap_or_else(PoisonError::into_inner) = Some(known.clone());
         }
         self.known = Some(known);
         if self.stage == Stage::Greeting || reset {
-            self.enter(Stage::Starting);
-            self.order(Command::Start, send);
+            self.give_up("the device was reset");
+            self.enter(Stage::Greeting);
+            self.planned = self.plan();
+            return self.set_up(0, send);
+        }
+        if answer && self.stage == Stage::Confirming {
+            return self.set_up(self.planned.len(), send);
+        }
+        if settled { self.settle(false) } else { Ok(()) }
+    }
+
+    /// The device is set, `anew` if it was not before: it must have the channels that frames had so far, and may count anew.
+    fn settle(&mut self, anew: bool) -> Result<(), String> {
+        let Some(known) = &self.known else { return Ok(()) };
+        match self.streamed {
+            Some((_, channels)) if channels != known.channels && self.start => {
+                return Err(format!("expected {channels} channels, found {} ({})", known.channels, known.identity()));
+            }
+            Some((boot, _)) if boot != known.boot => self.count.is_anew(),
+            Some((0, _)) if anew => self.count.may_be_anew(),
+            _ => {}
+        }
+        self.streamed = Some((known.boot, known.channels));
+        self.set = Some(known.clone());
+        Ok(())
+    }
+
+    /// The order in flight has been answered.
+    fn replied(&mut self, status: ReplyStatus, values: Vec<f32>, send: &mut Vec<u8>) -> Result<(), String> {
+        let Some(Flight { order, first, call }) = self.flight.take() else { return Ok(()) };
+        if status == ReplyStatus::Done
+            && let Some(next) = order.next_part(first)
+        {
+            self.order(order, next, call, send);
+            return Ok(());
+        }
+        if let Some(call) = call {
+            let result = if status == ReplyStatus::Done { Ok(values) } else { Err(reason(status)) };
+            // Who has called may have given up.
+            let _ = call.answer.try_send(result);
+            return Ok(());
+        }
+        if status != ReplyStatus::Done {
+            return Err(format!("{order}: {}", reason(status)));
+        }
+        match self.stage {
+            Stage::Setting(index) => self.set_up(index + 1, send)?,
+            Stage::Starting => self.enter(Stage::Open),
+            _ => {}
         }
         Ok(())
     }
-}
 
-impl Known {
-    fn of(describe: &Describe<'_>) -> Self {
-        let clean = |text: &str| crate::error::shorten(text);
-        let (device, serial) = (clean(describe.device), clean(describe.serial));
-        let identity = format!(
-            "{device} {serial}, firmware {}, {} electrodes, {} channels at {} frames/s",
-            clean(describe.firmware),
-            describe.electrodes,
-            describe.channels,
-            describe.frames_per_s
-        );
-        Self { boot: describe.boot, channels: describe.channels, frames_per_s: describe.frames_per_s, identity }
-    }
-}
-
-fn fits(known: &Known, frame: &Frame<'_>) -> bool {
-    frame.values.len() == usize::from(known.channels)
-}
-
-impl Count {
-    /// Numbers a frame, counts those before it that did not come, and hands it on unless it has come before.
-    fn take(&mut self, frame: &Frame<'_>, frames_per_s: f32, at: HostStamp, inbox: &mut Inbox) {
-        let ahead = frame.sequence.wrapping_sub(self.expected.unwrap_or(frame.sequence));
-        let back = ahead >= 1 << 31;
-        let anew = match self.anew.take() {
-            Some(Anew::Certain) => true,
-            Some(Anew::IfBack) => back,
-            None => back && self.repeats >= STUBBORN,
-        };
-        if back && !anew {
-            self.repeats += 1;
-            inbox.bad(1);
-            return;
-        }
-        let missed = if anew {
-            // What the device would have sent since the last frame; its numbers say nothing of that.
-            let elapsed_s = at.monotonic_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
-            (elapsed_s * f64::from(frames_per_s)).round() as u64
-        } else {
-            u64::from(ahead)
-        };
-        // With a reset the frame itself is one of those that the rate gives.
-        let missed = if anew { missed.saturating_sub(1) } else { missed };
-        inbox.lost(missed);
-        let sequence = self.next + missed;
-        self.next = sequence + 1;
-        self.expected = Some(frame.sequence.wrapping_add(1));
-        self.repeats = 0;
-        self.last_ns = at.monotonic_ns;
-        inbox.take(|out| {
-            out.clear();
-            out.sequence = sequence;
-            out.stamp(at);
-            out.device_time_ns = Some(frame.device_time_ns);
-            out.values.extend(frame.values.volts(frame.scale));
-            if let Some(imaginary) = &frame.imaginary {
-                out.imaginary.extend(imaginary.volts(frame.scale));
+    /// Asks again, or gives up.
+    fn wait_for_reply(&mut self, waited: Duration, again: bool, send: &mut Vec<u8>) -> Result<(), String> {
+        let Some(flight) = &self.flight else { return Ok(()) };
+        let (patience, can_be_repeated) = (flight.order.patience(), flight.order.can_be_repeated());
+        if waited > patience {
+            let text = format!("no answer to '{}' in {} s", flight.order, patience.as_secs());
+            if flight.call.is_none() {
+                return Err(text);
             }
-        });
+            self.give_up(&text);
+        } else if again && can_be_repeated {
+            self.repeat(send);
+        }
+        Ok(())
     }
+
+    /// Nobody waits for what is in flight any longer.
+    fn give_up(&mut self, why: &str) {
+        if let Some(Flight { call: Some(call), .. }) = self.flight.take() {
+            // Who has called may have given up.
+            let _ = call.answer.try_send(Err(why.to_owned()));
+        }
+    }
+}
+
+/// A reply, if it is that to the last order.
+fn replied(reply: &Reply<'_>, tag: u16) -> Heard {
+    if reply.tag != tag {
+        return Heard::Nothing;
+    }
+    Heard::Replied { status: reply.status, values: reply.values.iter().collect() }
+}
+
+/// Hands on a frame that came in one piece.
+fn take(count: &mut Count, frame: &WireFrame<'_>, frames_per_s: f32, at: HostStamp, inbox: &mut Inbox) {
+    let Some(number) = count.number(frame.sequence, frames_per_s, at, inbox) else { return };
+    inbox.take(|out| {
+        out.clear();
+        fill(out, frame);
+        out.sequence = number;
+        out.stamp(at);
+    });
+}
+
+/// Joins a part to those before it, and hands on the frame that is whole with it.
+fn join(
+    assembly: &mut Assembly,
+    count: &mut Count,
+    part: &Part<'_>,
+    frames_per_s: f32,
+    at: HostStamp,
+    inbox: &mut Inbox,
+) {
+    if !assembly.take(part, at) {
+        return;
+    }
+    let (sequence, begun) = assembly.of();
+    let begun = begun.unwrap_or(at);
+    let Some(number) = count.number(sequence, frames_per_s, begun, inbox) else { return };
+    inbox.take(|out| {
+        assembly.move_into(out);
+        out.sequence = number;
+        out.stamp(begun);
+    });
 }
 
 /// Appends a message; every message of this side is short.
 fn push(message: &Message<'_>, send: &mut Vec<u8>) {
-    let mut buffer = [0; 64];
+    let mut buffer = [0; 256];
     if let Ok(bytes) = encode(message, &mut buffer) {
         send.extend_from_slice(bytes);
     }
