@@ -19,7 +19,7 @@ mod tau;
 
 pub use mesh::EdgeMesh;
 pub use shapes::{Grading, box_mesh, cylinder_mesh, plate_mesh, sphere_mesh};
-pub use solution::Fields;
+pub use solution::{Fields, Sensitivity};
 pub use symmetry::SymmetricBody;
 pub use system::{CoarseMesh, EddySystem, Material, Order, SystemInfo};
 pub use tau::{Harmonic, Shape, body_tau, symmetric_tau, tau};
