@@ -18,6 +18,7 @@ mod ring;
 mod ring_body;
 mod segment;
 pub mod sensitivity;
+pub mod sheet;
 mod sphere;
 
 pub use array::CoilArray;
