@@ -117,7 +117,7 @@ impl Body {
 /// How neighbours excite each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coupling {
-    /// Highest degree that is passed on, 1 to 3.
+    /// Highest degree that is passed on, 1 to [`super::MOST_DEGREE`].
     pub degree: usize,
     /// Bodies farther apart than this do not, metres.
     pub reach_m: f64,
@@ -262,7 +262,18 @@ fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<
 /// Coefficients of a table made along +x, turned about the coil's axis.
 fn turned(table: &[f64], angle: f64) -> Vec<f64> {
     /// Order m, and where cosine and sine of it stand in a degree.
-    const GROUPS: [(usize, usize, usize); 6] = [(1, 1, 2), (1, 4, 5), (2, 6, 7), (1, 9, 10), (2, 11, 12), (3, 13, 14)];
+    const GROUPS: [(usize, usize, usize); 10] = [
+        (1, 1, 2),
+        (1, 4, 5),
+        (2, 6, 7),
+        (1, 9, 10),
+        (2, 11, 12),
+        (3, 13, 14),
+        (1, 16, 17),
+        (2, 18, 19),
+        (3, 20, 21),
+        (4, 22, 23),
+    ];
     let mut out = table.to_vec();
     for row in out.chunks_exact_mut(HARMONICS) {
         for (m, cosine, sine) in GROUPS {

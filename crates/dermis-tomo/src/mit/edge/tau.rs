@@ -1,4 +1,4 @@
-//! The multipole matrix of a body from edge elements: each of the 15 harmonic fields is imposed, and tau is the change of
+//! The multipole matrix of a body from edge elements: each harmonic field of degree 1 to 4 is imposed, and tau is the change of
 //! mutual inductance between any two of them.
 
 use super::super::error::positive;
