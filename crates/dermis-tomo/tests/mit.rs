@@ -196,12 +196,12 @@ fn a_sphere_between_two_coils_as_tabulated() {
         let off = relative(body.truncated(3).change_h(&c1, &c2), complex(&row["dM12"]));
         // The table's own l <= 3 truncation, and how far 51 rings at 1e-8 of quadrature are from it.
         assert!((off - number(row, "rel_err_l3_12")).abs() < 1e-6, "{centre:?}: {off:e}");
-        // One degree more leaves less, down to what the table itself is good for.
-        let four = relative(body.change_h(&c1, &c2), complex(&row["dM12"]));
-        beyond = beyond.max(four);
-        assert!(four < 0.6 * off + 1e-7, "{centre:?}: {four:e} after {off:e}");
+        // More degrees leave less, down to what the table itself is good for.
+        let all = relative(body.change_h(&c1, &c2), complex(&row["dM12"]));
+        beyond = beyond.max(all);
+        assert!(all < 0.5 * off + 1e-7, "{centre:?}: {all:e} after {off:e}");
     }
-    println!("worst relative differences: {worst:?}; with degree 4 {beyond:e} of the exact values");
+    println!("worst relative differences: {worst:?}; with all degrees {beyond:e} of the exact values");
     // Expansion by quadrature on a fiftieth of the distance: 1e-8 of the field's size, some of it cancelled in the sum.
     assert!(worst.iter().all(|w| *w < 1e-6), "{worst:?}");
 }

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 
 use super::error::positive;
-use super::harmonics::{DEGREES, HARMONICS, expansion, translation};
+use super::harmonics::{DEGREES, HARMONICS, MOST_DEGREE, expansion, index, translation};
 use super::{Coil, CoilArray, Complex, MU0, MitError, Sphere, Vector, norm, subtract};
 
 /// `4 pi mu0`, henries per metre.
@@ -67,7 +67,7 @@ impl Body {
     /// # Errors
     /// See [`Sphere::responses`].
     pub fn sphere(sphere: &Sphere, frequency_hz: f64) -> Result<Self, MitError> {
-        let responses = sphere.responses(frequency_hz, super::MOST_DEGREE)?;
+        let responses = sphere.responses(frequency_hz, MOST_DEGREE)?;
         let mut tau = vec![Complex::new(0.0, 0.0); HARMONICS * HARMONICS];
         for (i, &l) in DEGREES.iter().enumerate() {
             tau[i * HARMONICS + i] = responses[l - 1] * (FOUR_PI_MU0 * l as f64 / (l as f64 + 1.0));
@@ -261,26 +261,14 @@ fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<
 
 /// Coefficients of a table made along +x, turned about the coil's axis.
 fn turned(table: &[f64], angle: f64) -> Vec<f64> {
-    /// Order m, and where cosine and sine of it stand in a degree.
-    const GROUPS: [(usize, usize, usize); 10] = [
-        (1, 1, 2),
-        (1, 4, 5),
-        (2, 6, 7),
-        (1, 9, 10),
-        (2, 11, 12),
-        (3, 13, 14),
-        (1, 16, 17),
-        (2, 18, 19),
-        (3, 20, 21),
-        (4, 22, 23),
-    ];
     let mut out = table.to_vec();
     for row in out.chunks_exact_mut(HARMONICS) {
-        for (m, cosine, sine) in GROUPS {
-            let (s, c) = (m as f64 * angle).sin_cos();
-            let (along, across) = (row[cosine], row[sine]);
-            row[cosine] = along * c - across * s;
-            row[sine] = along * s + across * c;
+        for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
+            let (s, c) = (order as f64 * angle).sin_cos();
+            let at = index(degree, order);
+            let (along, across) = (row[at], row[at + 1]);
+            row[at] = along * c - across * s;
+            row[at + 1] = along * s + across * c;
         }
     }
     out
@@ -455,7 +443,7 @@ impl Bodies {
     /// Sweeps of `d = -tau (c + sum S d) / (4 pi mu0)`.
     fn excite_each_other(&mut self, heights_m: &[f64]) {
         let Some(coupling) = self.coupling else { return };
-        let degree = coupling.degree.clamp(1, super::MOST_DEGREE);
+        let degree = coupling.degree.clamp(1, MOST_DEGREE);
         let count = (degree + 1) * (degree + 1) - 1;
         let stride = self.tables.coils * HARMONICS;
         let at = |body: usize| [self.tables.places_m[body][0], self.tables.places_m[body][1], heights_m[body]];
