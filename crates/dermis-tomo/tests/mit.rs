@@ -311,16 +311,22 @@ fn what_cannot_be_is_refused_with_its_numbers() {
     let near = CoilArray::new(vec![spiral(0.0), spiral(0.06)]).unwrap_err();
     assert!(matches!(near, MitError::CoilsOverlap { first: 1, second: 2, .. }), "{near}");
     assert!(CoilArray::new(Vec::new()).is_err());
+    let nowhere = CoilArray::new(vec![spiral(f64::NAN)]).unwrap_err();
+    assert!(nowhere.to_string().contains("NaN"), "{nowhere}");
     assert!(Coil::circular_spiral([0.0; 3], 0.07, 0.03, 51).is_err());
     assert!(Coil::circular_spiral([0.0; 3], 0.03, 0.07, 0).is_err());
     let array = CoilArray::em_8().unwrap();
     assert_eq!(array.pairs().len(), 28);
     let inside = CoilTables::new(&array, &[[0.062, 0.045]], [0.001, 0.03], 0.007).unwrap_err();
     assert!(matches!(inside, MitError::WireInside { body: 1, .. }), "{inside}");
+    assert!(CoilTables::new(&array, &[[f64::NAN, 0.0]], [0.01, 0.03], 0.006).is_err());
     let tables = CoilTables::new(&array, &[[0.0, 0.0], [0.008, 0.0]], [0.01, 0.03], 0.006).unwrap();
     let coupling = Some(Coupling { degree: 1, reach_m: 0.1, sweeps: 1 });
     let overlap = Bodies::new(vec![aluminium(0.005); 2], tables.clone(), coupling).unwrap_err();
     assert!(matches!(overlap, MitError::BodiesOverlap { first: 1, second: 2, .. }), "{overlap}");
+    // Bodies that do not excite each other may come nearer, but not into each other.
+    let inside = Bodies::new(vec![aluminium(0.005); 2], tables.clone(), None).unwrap_err();
+    assert!(matches!(inside, MitError::BodiesOverlap { distance_m: 0.008, .. }), "{inside}");
     let mut bodies = Bodies::new(vec![aluminium(0.003); 2], tables, None).unwrap();
     let mut changes = vec![Complex::new(0.0, 0.0); 28];
     assert!(matches!(bodies.changes(&[0.02, 0.04], &mut changes), Err(MitError::OutsideTable { body: 2, .. })));

@@ -24,6 +24,8 @@ pub struct Body {
     pub label: String,
     /// Radius of the sphere around it, metres.
     pub radius_m: f64,
+    /// Radius of a sphere that it holds, metres; 0 where that is not known.
+    inner_m: f64,
     /// tau, row by row, [`HARMONICS`] squared.
     tau: Vec<Complex>,
 }
@@ -59,7 +61,7 @@ impl Body {
                 }
             }
         }
-        Ok(Self { label: label.into(), radius_m, tau })
+        Ok(Self { label: label.into(), radius_m, inner_m: 0.0, tau })
     }
 
     /// A sphere at a frequency.
@@ -72,7 +74,14 @@ impl Body {
         for (i, &l) in DEGREES.iter().enumerate() {
             tau[i * HARMONICS + i] = responses[l - 1] * (FOUR_PI_MU0 * l as f64 / (l as f64 + 1.0));
         }
-        Ok(Self { label: "sphere".into(), radius_m: sphere.radius_m, tau })
+        Ok(Self { label: "sphere".into(), radius_m: sphere.radius_m, inner_m: sphere.radius_m, tau })
+    }
+
+    /// The same body, which is known to hold a sphere of this radius about its middle, metres: two whose spheres reach into
+    /// each other are refused even where they do not excite each other.
+    pub fn with_inner_radius(mut self, inner_m: f64) -> Self {
+        self.inner_m = inner_m.clamp(0.0, self.radius_m);
+        self
     }
 
     /// tau, row by row.
@@ -232,6 +241,10 @@ fn check_clearance(
             for step in 0..=8 {
                 let position_m = [*x, *y, low_m + (high_m - low_m) * f64::from(step) / 8.0];
                 let distance_m = wire.distance_m(position_m);
+                if !distance_m.is_finite() {
+                    let field = "distance of a body from wire (m)";
+                    return Err(MitError::Value { field, value: distance_m, expected: "finite" });
+                }
                 if distance_m < clearance_m {
                     let (coil, body, radius_m) = (coil + 1, body + 1, clearance_m);
                     return Err(MitError::WireInside { body, position_m, coil, distance_m, radius_m });
@@ -297,7 +310,8 @@ impl Bodies {
     /// One body for each place of the tables.
     ///
     /// # Errors
-    /// Another number of bodies, bodies that overlap when side by side.
+    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the spheres
+    /// around them.
     pub fn new(bodies: Vec<Body>, tables: CoilTables, coupling: Option<Coupling>) -> Result<Self, MitError> {
         let count = tables.places_m.len();
         if bodies.len() != count {
@@ -310,8 +324,10 @@ impl Bodies {
         let mut neighbours = Vec::new();
         for a in 0..count {
             for b in (0..count).filter(|b| *b != a) {
-                let (distance_m, needed_m) = (distance(a, b), bodies[a].radius_m + bodies[b].radius_m);
-                if coupling.is_some() && distance_m < needed_m {
+                // Bodies that excite each other need the spheres around them apart, others only those within them.
+                let reach = |body: &Body| if coupling.is_some() { body.radius_m } else { body.inner_m };
+                let (distance_m, needed_m) = (distance(a, b), reach(&bodies[a]) + reach(&bodies[b]));
+                if distance_m < needed_m * (1.0 - 1e-9) {
                     return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });
                 }
                 if coupling.is_some_and(|coupling| distance_m <= coupling.reach_m) {

@@ -39,8 +39,12 @@ impl<'a> SymmetricBody<'a> {
         Self::with_parts(octant, materials, frequency_hz, order, &ALL)
     }
 
-    /// The part that answers harmonics of cosines alone: half of the systems, and enough for a body of revolution.
-    pub(super) fn of_cosines(
+    /// Half of the systems: those that answer harmonics of cosines, which are all that a coil in the plane y = 0 has, and enough for
+    /// tau of a body of revolution.
+    ///
+    /// # Errors
+    /// As [`SymmetricBody::new`].
+    pub fn of_cosines(
         octant: &'a EdgeMesh,
         materials: &[Material],
         frequency_hz: f64,
@@ -82,13 +86,19 @@ impl<'a> SymmetricBody<'a> {
     /// Changes of mutual inductance of any two sources, henries, row by row.
     ///
     /// # Errors
-    /// An iteration that does not converge.
+    /// An iteration that does not converge, a source with a part whose system was left out.
     pub fn changes_h(&self, sources: &[&dyn Source]) -> Result<Vec<Complex>, MitError> {
         let count = sources.len();
         let mut changes = vec![Complex::new(0.0, 0.0); count * count];
         let Some((_, first)) = self.systems.first() else { return Ok(changes) };
         let reflected: Vec<Vec<Samples>> =
             sources.iter().map(|source| (0..8).map(|flips| first.sample(*source, signs(flips))).collect()).collect();
+        for left_out in ALL.into_iter().filter(|odd| self.systems.iter().all(|(kept, _)| kept != odd)) {
+            if let Some(s) = reflected.iter().position(|samples| part(samples, usize::from(left_out)).is_some()) {
+                let (field, expected) = ("number of a source that is not even across the plane y = 0", "none");
+                return Err(MitError::Value { field, value: (s + 1) as f64, expected });
+            }
+        }
         let parts = self
             .systems
             .par_iter()

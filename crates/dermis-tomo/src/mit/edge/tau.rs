@@ -128,8 +128,11 @@ fn of_harmonics(
 }
 
 /// tau of a body of revolution about the z axis, from its answers to harmonics of cosines: sines of the same order answer
-/// alike, and different orders do not mix.
-fn round_tau(octant: &EdgeMesh, material: &Material, frequency_hz: f64) -> Result<Vec<Complex>, MitError> {
+/// alike, and different orders do not mix. Takes an [`EdgeMesh::octant`].
+///
+/// # Errors
+/// See [`SymmetricBody::new`].
+pub fn round_tau(octant: &EdgeMesh, material: &Material, frequency_hz: f64) -> Result<Vec<Complex>, MitError> {
     let body = SymmetricBody::of_cosines(octant, &[*material], frequency_hz, Order::Second)?;
     let places: Vec<(usize, usize)> = (1..=MOST_DEGREE).flat_map(|l| (0..=l).map(move |m| (l, m))).collect();
     let harmonics: Vec<Harmonic> = places.iter().map(|&(l, m)| Harmonic(index(l, m))).collect();
@@ -162,5 +165,5 @@ pub fn body_tau(shape: &Shape, material: &Material, frequency_hz: f64) -> Result
             symmetric_tau(&SymmetricBody::new(&mesh.octant()?, &[*material], frequency_hz, Order::Second)?)?
         }
     };
-    Body::from_tau(shape.label(), shape.radius_m(), tau)
+    Ok(Body::from_tau(shape.label(), shape.radius_m(), tau)?.with_inner_radius(shape.half_widths_m().0))
 }
