@@ -7,7 +7,7 @@ use std::time::Instant;
 use dermis_tomo::mit::edge::{
     EddySystem, EdgeMesh, Grading, Material, Order, Shape, Source, SymmetricBody, body_tau, tau,
 };
-use dermis_tomo::mit::{Body, Coil, Complex, Sphere, expansion, skin_depth_m};
+use dermis_tomo::mit::{Body, Coil, Complex, HARMONICS, Sphere, expansion, skin_depth_m};
 use serde_json::Value;
 
 const ALUMINIUM: Material = Material { conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
@@ -23,7 +23,8 @@ fn spheres() -> Result<(), Box<dyn Error>> {
         let found = tau(&system)?;
         let sphere = Sphere { radius_m: 0.005, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
         let exact = Body::sphere(&sphere, frequency_hz)?;
-        let off = |i: usize| (found[i * 16] - exact.tau()[i * 16]).norm() / exact.tau()[i * 16].norm();
+        let at = |i: usize| i * (HARMONICS + 1);
+        let off = |i: usize| (found[at(i)] - exact.tau()[at(i)]).norm() / exact.tau()[at(i)].norm();
         let worst = [0..3, 3..8, 8..15].map(|range| 100.0 * range.map(off).fold(0.0, f64::max));
         println!("sphere {frequency_hz} Hz, around {around}: {worst:.3?} % in {:.2} s", start.elapsed().as_secs_f64());
     }

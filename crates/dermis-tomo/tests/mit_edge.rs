@@ -4,10 +4,12 @@ use std::f64::consts::PI;
 use std::path::PathBuf;
 
 use dermis_tomo::mit::edge::{
-    EddySystem, Grading, Material, Order, Shape, Source, SymmetricBody, body_tau, box_mesh, sphere_mesh, symmetric_tau,
-    tau,
+    EddySystem, Grading, Harmonic, Material, Order, Shape, Source, SymmetricBody, body_tau, box_mesh, round_tau,
+    sphere_mesh, symmetric_tau,
 };
-use dermis_tomo::mit::{Body, Coil, Complex, HARMONICS, MU0, MitError, Sphere, expansion, skin_depth_m};
+use dermis_tomo::mit::{
+    Body, Coil, Complex, HARMONICS, MOST_DEGREE, MU0, MitError, RingBody, Sphere, expansion, skin_depth_m,
+};
 use serde_json::Value;
 
 #[path = "../../dermis-cli/examples/team7/problem.rs"]
@@ -98,16 +100,20 @@ fn sphere_errors(material: Material, frequency_hz: f64) -> [f64; 3] {
     let grading = Grading { around: 8, ..Grading::for_body(depth, 0.005, 0.005) };
     let mesh = sphere_mesh(0.005, &grading).unwrap();
     let system = EddySystem::new(&mesh, &[material], frequency_hz, Order::Second).unwrap();
-    let found = tau(&system).unwrap();
+    // Two or three of each degree to 3, of different orders: eight go through one pass over the factor.
+    let chosen: [&[usize]; 3] = [&[0, 2], &[3, 5, 6], &[8, 11, 14]];
+    let harmonics: Vec<(usize, Harmonic)> =
+        chosen.into_iter().flatten().map(|&i| (i, Harmonic::new(i).unwrap())).collect();
+    let sources: Vec<&dyn Source> = harmonics.iter().map(|(_, h)| h as &dyn Source).collect();
+    let fields = system.solve(&sources).unwrap();
     let sphere = Sphere {
         radius_m: 0.005,
         conductivity_s_per_m: material.conductivity_s_per_m,
         relative_permeability: material.relative_permeability,
     };
     let exact = Body::sphere(&sphere, frequency_hz).unwrap();
-    [0..3, 3..8, 8..15].map(|range| {
-        range.map(|i| i * HARMONICS + i).map(|at| relative(found[at], exact.tau()[at])).fold(0.0, f64::max)
-    })
+    let off = |k: usize| relative(fields.change_h(k, k).unwrap(), exact.tau()[harmonics[k].0 * (HARMONICS + 1)]);
+    [0..2, 2..5, 5..8].map(|range| range.map(off).fold(0.0, f64::max))
 }
 
 #[test]
@@ -121,67 +127,123 @@ fn spheres_answer_as_in_closed_form() {
     }
 }
 
-/// Largest errors of dM12 and dM11 over these poses of the reference's coil pair: by elements, and by tau of the same mesh at
-/// gaps of 5 mm and more.
-fn pair_errors(file: &Value, shape: &Shape, grading: &Grading, frequency_hz: f64, poses: &[usize]) -> [f64; 2] {
-    let mesh = shape.mesh(grading).unwrap().octant().unwrap();
-    let system = SymmetricBody::new(&mesh, &[ALUMINIUM], frequency_hz, Order::Second).unwrap();
-    assert_eq!(system.info().warnings, []);
-    let body = Body::from_tau("body", shape.radius_m(), symmetric_tau(&system).unwrap()).unwrap();
+/// The reference's poses of a coil pair around a body of one shape, for elements of second order at a frequency.
+fn poses(file: &Value, frequency_hz: f64) -> &[Value] {
     let of_case = |case: &&Value| case["order"] == 2 && number(&case["f_Hz"]) == frequency_hz;
-    let case = file.as_array().unwrap().iter().find(of_case).unwrap();
-    let poses: Vec<&Value> = poses.iter().map(|&k| &case["pairs"][k]).collect();
-    let around = |pose: &&Value| {
-        let c = [0, 1, 2].map(|k| number(&pose["center"][k]));
-        [-0.0375, 0.0375].map(|x| Coil::circular_spiral([x - c[0], -c[1], -c[2]], 0.03, 0.07, 51).unwrap())
-    };
-    let coils: Vec<Coil> = poses.iter().flat_map(around).collect();
+    file.as_array().unwrap().iter().find(of_case).unwrap()["pairs"].as_array().unwrap()
+}
+
+/// The pair of coils of a pose, the body at the origin.
+fn coils(pose: &Value) -> [Coil; 2] {
+    let c = [0, 1, 2].map(|k| number(&pose["center"][k]));
+    [-0.0375, 0.0375].map(|x| Coil::circular_spiral([x - c[0], -c[1], -c[2]], 0.03, 0.07, 51).unwrap())
+}
+
+/// Largest error of dM12 and dM11 over these poses by elements.
+fn pair_errors(file: &Value, shape: &Shape, grading: &Grading, frequency_hz: f64, chosen: &[usize]) -> f64 {
+    let mesh = shape.mesh(grading).unwrap().octant().unwrap();
+    // All coils of these poses stand in the plane y = 0.
+    let system = SymmetricBody::of_cosines(&mesh, &[ALUMINIUM], frequency_hz, Order::Second).unwrap();
+    assert_eq!(system.info().warnings, []);
+    let poses: Vec<&Value> = chosen.iter().map(|&k| &poses(file, frequency_hz)[k]).collect();
+    let coils: Vec<Coil> = poses.iter().flat_map(|pose| coils(pose)).collect();
     let sources: Vec<&dyn Source> = coils.iter().map(|coil| coil as &dyn Source).collect();
     let changes = system.changes_h(&sources).unwrap();
-    let expand = |coil: &Coil| expansion([0.0; 3], 0.02 * coil.distance_m([0.0; 3]), |p| coil.flux_density(p));
-    let mut worst = [0.0_f64; 2];
+    let mut worst: f64 = 0.0;
     for (k, pose) in poses.iter().enumerate() {
-        let (m, n) = (2 * k, 2 * k + 1);
-        for (label, other) in [("dM12", n), ("dM11", m)] {
-            let expected = complex(&pose[label]);
-            let by_elements = relative(changes[m * coils.len() + other], expected);
-            let by_tau = relative(body.change_h(&expand(&coils[m]), &expand(&coils[other])), expected);
-            println!("{label} {} {}: {by_elements:.5} {by_tau:.5}", pose["center"], pose["gap_m"]);
-            worst[0] = worst[0].max(by_elements);
-            if number(&pose["gap_m"]) >= 0.005 {
-                worst[1] = worst[1].max(by_tau);
-            }
+        for (label, other) in [("dM12", 2 * k + 1), ("dM11", 2 * k)] {
+            let off = relative(changes[2 * k * coils.len() + other], complex(&pose[label]));
+            println!("{label} {} {}: {off:.5}", pose["center"], pose["gap_m"]);
+            worst = worst.max(off);
         }
     }
     worst
 }
 
+const CYLINDER: Shape = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
+
 #[test]
 fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
     let Some(file) = reference("edge_fem_cylinder.json") else { return };
-    let cylinder = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
-    // The reference itself is within 0.05 % at 1 kHz and 1.05 % at 100 kHz of an axisymmetric one. Poses: between the coils,
-    // near and less near, and over one of them.
-    for (frequency_hz, most, poses) in [(1e3, 0.005, &[0, 1, 6][..]), (1e5, 0.015, &[0, 6])] {
-        let grading = cylinder.grading(skin_depth_m(3.5e7, 1.0, frequency_hz).unwrap());
-        let grading = Grading { air_growth: 2.5, ..grading };
-        let [by_elements, by_tau] = pair_errors(&file, &cylinder, &grading, frequency_hz, poses);
-        assert!(by_elements < most, "{frequency_hz}: {by_elements}");
-        assert!(by_tau < 0.01, "{frequency_hz}: {by_tau}");
+    let grading = CYLINDER.grading(skin_depth_m(3.5e7, 1.0, 1e3).unwrap());
+    // Between the coils, near and less near, and over one of them. The reference is within 0.05 % of an axisymmetric one.
+    let off = pair_errors(&file, &CYLINDER, &Grading { air_growth: 2.5, ..grading }, 1e3, &[0, 1, 6]);
+    assert!(off < 0.005, "{off}");
+}
+
+#[test]
+fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
+    let Some(file) = reference("edge_fem_cylinder.json") else { return };
+    // What the multipoles leave and what elements of second order do: the reference itself is 1.05 % from an axisymmetric
+    // computation at 100 kHz.
+    for (frequency_hz, most) in [(1e3, 0.003), (1e5, 0.01)] {
+        let body = body_tau(&CYLINDER, &ALUMINIUM, frequency_hz).unwrap();
+        for pose in poses(&file, frequency_hz) {
+            let coils = coils(pose);
+            let c = coils
+                .each_ref()
+                .map(|coil| expansion([0.0; 3], 0.02 * coil.distance_m([0.0; 3]), |p| coil.flux_density(p)));
+            for (label, n) in [("dM12", 1), ("dM11", 0)] {
+                // The reference's table leaves one value out.
+                if pose[label].is_null() || pose[label][0].is_null() {
+                    continue;
+                }
+                let off = relative(body.change_h(&c[0], &c[n]), complex(&pose[label]));
+                println!("{frequency_hz} Hz {label} {} {}: {off:.5}", pose["center"], pose["gap_m"]);
+                assert!(off < most, "{frequency_hz} Hz {label} {pose}: {off}");
+            }
+        }
     }
 }
 
 #[test]
-fn a_cylinder_is_as_polarizable_as_in_an_axisymmetric_computation() {
+fn a_cylinder_answers_axial_fields_as_rings_and_an_axisymmetric_computation_do() {
+    let body = body_tau(&CYLINDER, &ALUMINIUM, 20e3).unwrap();
+    let rings = RingBody::cylinder(0.005, 0.01, 3.5e7, 20e3, [8, 16]).unwrap();
+    // The harmonics of order 0: degree l stands at l^2 - 1.
+    let axial: Vec<usize> = (1..=MOST_DEGREE).map(|l| l * l - 1).collect();
+    let harmonics: Vec<Harmonic> = axial.iter().map(|&i| Harmonic::new(i).unwrap()).collect();
+    let sources: Vec<&dyn Source> = harmonics.iter().map(|h| h as &dyn Source).collect();
+    let by_rings = rings.changes_h(&sources, 20e3).unwrap();
+    for (i, &row) in axial.iter().enumerate() {
+        for (j, &column) in axial.iter().enumerate() {
+            let (found, expected) = (body.tau()[row * HARMONICS + column], by_rings[i * axial.len() + j]);
+            let size = (by_rings[i * (axial.len() + 1)] * by_rings[j * (axial.len() + 1)]).norm().sqrt();
+            println!("degrees {} and {}: {:.5}", i + 1, j + 1, (found - expected).norm() / size);
+            // Rings leave 0.1 % of degree 1, elements 0.3 %; both more of higher degrees.
+            assert!((found - expected).norm() < 4e-3 * (1 + i.max(j)) as f64 * size, "{i} {j}: {found:?} {expected:?}");
+        }
+    }
     let Some(file) = reference("axisymmetric_bodies.json") else { return };
-    let cylinder = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
     let rows = file["rows"].as_array().unwrap();
     let row =
         rows.iter().find(|row| row["kind"] == "cyl" && number(&row["f_Hz"]) == 20e3 && number(&row["Rair"]) == 0.3);
-    let body = body_tau(&cylinder, &ALUMINIUM, 20e3).unwrap();
     let off = relative(body.tau()[0] / MU0, complex(&row.unwrap()["alpha_z"]));
     println!("{off}");
     assert!(off < 5e-3, "{off}");
+}
+
+#[test]
+fn half_of_the_systems_are_enough_for_a_round_body() {
+    let coarse = Grading { air_growth: 4.0, around: 8, ..CYLINDER.grading(2.7e-3) };
+    let mesh = CYLINDER.mesh(&coarse).unwrap().octant().unwrap();
+    let whole = symmetric_tau(&SymmetricBody::new(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap()).unwrap();
+    let half = round_tau(&mesh, &ALUMINIUM, 1e3).unwrap();
+    // A field that is not even across y = 0 has no answer from half of the systems.
+    let cosines = SymmetricBody::of_cosines(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap();
+    assert!(cosines.changes_h(&[&Harmonic::new(1).unwrap()]).is_ok());
+    let refused = cosines.changes_h(&[&Harmonic::new(0).unwrap(), &Harmonic::new(2).unwrap()]).unwrap_err();
+    assert!(refused.to_string().contains("= 2"), "{refused}");
+    let degree = |i: usize| (1..=MOST_DEGREE).find(|l| i < (l + 1) * (l + 1) - 1).unwrap() as i32;
+    for i in 0..HARMONICS {
+        for j in 0..HARMONICS {
+            let (a, b) = (whole[i * HARMONICS + j], half[i * HARMONICS + j]);
+            let size = (whole[i * (HARMONICS + 1)].norm() * whole[j * (HARMONICS + 1)].norm()).sqrt();
+            // Eight elements around tell cosines from sines by a few per cent at most.
+            let most = if degree(i).max(degree(j)) < 3 { 0.02 } else { 0.1 };
+            assert!((a - b).norm() < most * size, "{i} {j}: {a:?} {b:?} of {size:e}");
+        }
+    }
 }
 
 #[test]
@@ -190,9 +252,8 @@ fn a_plate_changes_coil_pairs_as_in_the_reference() {
     let plate = Shape::Plate { size_m: [0.02, 0.02, 0.001] };
     let grading =
         Grading { first_m: 0.5e-3, growth: 2.0, most_m: 0.5e-3, air_growth: 3.0, air_m: 0.08, ..plate.grading(1.0) };
-    // The reference's own orders differ by 1.8-4.7 %: it is trusted to about 1 %. tau stops at degree 3, which a plate as wide
-    // as this is not within at 5 mm.
-    let [by_elements, _] = pair_errors(&file, &plate, &grading, 1e3, &[0, 4, 6]);
+    // The reference's own orders differ by 1.8-4.7 %: it is trusted to about 1 %.
+    let by_elements = pair_errors(&file, &plate, &grading, 1e3, &[0, 4, 6]);
     assert!(by_elements < 0.03, "{by_elements}");
 }
 
@@ -203,7 +264,7 @@ fn a_coil_over_a_large_plate_changes_as_over_an_infinite_one() {
         Grading { first_m: 0.25e-3, growth: 1.8, most_m: 0.01, wide_m: 0.01, air_growth: 2.5, air_m: 0.5, around: 16 };
     let shape = Shape::Cylinder { radius_m: 0.15, height_m: 0.001 };
     let mesh = shape.mesh(&grading).unwrap().octant().unwrap();
-    let system = SymmetricBody::new(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap();
+    let system = SymmetricBody::of_cosines(&mesh, &[ALUMINIUM], 1e3, Order::Second).unwrap();
     let row = file["spiral"]
         .as_array()
         .unwrap()

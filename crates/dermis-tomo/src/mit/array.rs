@@ -17,12 +17,15 @@ impl CoilArray {
     /// Coils that do not reach into each other.
     ///
     /// # Errors
-    /// No coils, or coils that overlap.
+    /// No coils, coils that overlap or are nowhere.
     pub fn new(coils: Vec<Coil>) -> Result<Self, MitError> {
         if coils.is_empty() {
             return Err(MitError::Count { what: "coils", expected: 1, got: 0 });
         }
         for (k, a) in coils.iter().enumerate() {
+            if let Some(value) = a.centre_m.into_iter().find(|x| !x.is_finite()) {
+                return Err(MitError::Value { field: "centre of a coil (m)", value, expected: "finite" });
+            }
             for (n, b) in coils.iter().enumerate().skip(k + 1) {
                 let between = subtract(a.centre_m, b.centre_m);
                 let needed_m = a.half_width_m + b.half_width_m;

@@ -10,114 +10,15 @@
 use std::collections::HashMap;
 use std::f64::consts::PI;
 
+use super::body::{Body, FOUR_PI_MU0};
 use super::error::positive;
-use super::harmonics::{DEGREES, HARMONICS, expansion, translation};
-use super::{Coil, CoilArray, Complex, MU0, MitError, Sphere, Vector, norm, subtract};
-
-/// `4 pi mu0`, henries per metre.
-const FOUR_PI_MU0: f64 = 4.0 * PI * MU0;
-
-/// A body's answer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Body {
-    /// What it is, for people.
-    pub label: String,
-    /// Radius of the sphere around it, metres.
-    pub radius_m: f64,
-    /// tau, row by row, [`HARMONICS`] squared.
-    tau: Vec<Complex>,
-}
-
-impl Body {
-    /// From a matrix made elsewhere, row by row, for one frequency.
-    ///
-    /// # Errors
-    /// Another number of entries, entries that are not finite, a matrix that is not symmetric to 1e-3 of its largest entry of
-    /// these degrees, a radius that is not positive.
-    pub fn from_tau(label: impl Into<String>, radius_m: f64, tau: Vec<Complex>) -> Result<Self, MitError> {
-        positive("radius_m", radius_m)?;
-        if tau.len() != HARMONICS * HARMONICS {
-            let (expected, got) = (HARMONICS * HARMONICS, tau.len());
-            return Err(MitError::Count { what: "entries of tau", expected, got });
-        }
-        // In the harmonics of the sphere around it, so that degrees compare.
-        let size =
-            |i: usize, j: usize| (tau[i * HARMONICS + j] / radius_m.powi((DEGREES[i] + DEGREES[j] + 1) as i32)).norm();
-        let largest = (0..HARMONICS).flat_map(|i| (0..HARMONICS).map(move |j| (i, j))).map(|(i, j)| size(i, j));
-        let largest = largest.fold(0.0, f64::max);
-        for i in 0..HARMONICS {
-            for j in 0..i {
-                let scale = radius_m.powi((DEGREES[i] + DEGREES[j] + 1) as i32);
-                let off = ((tau[i * HARMONICS + j] - tau[j * HARMONICS + i]) / scale).norm();
-                if off > 1e-3 * largest || !off.is_finite() {
-                    let expected = "tau to be symmetric";
-                    return Err(MitError::Value {
-                        field: "tau_ij - tau_ji over its largest",
-                        value: off / largest,
-                        expected,
-                    });
-                }
-            }
-        }
-        Ok(Self { label: label.into(), radius_m, tau })
-    }
-
-    /// A sphere at a frequency.
-    ///
-    /// # Errors
-    /// See [`Sphere::responses`].
-    pub fn sphere(sphere: &Sphere, frequency_hz: f64) -> Result<Self, MitError> {
-        let responses = sphere.responses(frequency_hz, super::MOST_DEGREE)?;
-        let mut tau = vec![Complex::new(0.0, 0.0); HARMONICS * HARMONICS];
-        for (i, &l) in DEGREES.iter().enumerate() {
-            tau[i * HARMONICS + i] = responses[l - 1] * (FOUR_PI_MU0 * l as f64 / (l as f64 + 1.0));
-        }
-        Ok(Self { label: "sphere".into(), radius_m: sphere.radius_m, tau })
-    }
-
-    /// tau, row by row.
-    pub fn tau(&self) -> &[Complex] {
-        &self.tau
-    }
-
-    /// The same body with all answers of higher degrees left out.
-    pub fn truncated(&self, degree: usize) -> Self {
-        let mut body = self.clone();
-        for i in 0..HARMONICS {
-            for j in 0..HARMONICS {
-                if DEGREES[i].max(DEGREES[j]) > degree {
-                    body.tau[i * HARMONICS + j] = Complex::new(0.0, 0.0);
-                }
-            }
-        }
-        body
-    }
-
-    /// Change of the mutual inductance of two coils of these expansions (see [`super::expansion`]) at the body alone, henries:
-    /// `c_m' tau c_n`.
-    pub fn change_h(&self, c_m: &[f64; HARMONICS], c_n: &[f64; HARMONICS]) -> Complex {
-        let mut answer = [Complex::new(0.0, 0.0); HARMONICS];
-        self.answer(c_n, &mut answer);
-        answer.iter().zip(c_m).map(|(a, c)| *a * *c).sum()
-    }
-
-    /// `tau c` for a real c.
-    fn answer(&self, c: &[f64], out: &mut [Complex]) {
-        for (row, out) in self.tau.chunks_exact(HARMONICS).zip(out) {
-            let (mut re, mut im) = (0.0, 0.0);
-            for (t, c) in row.iter().zip(c) {
-                re += t.re * c;
-                im += t.im * c;
-            }
-            *out = Complex::new(re, im);
-        }
-    }
-}
+use super::harmonics::{HARMONICS, MOST_DEGREE, expansion, index, translation};
+use super::{Coil, CoilArray, Complex, MitError, Vector, norm, subtract};
 
 /// How neighbours excite each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coupling {
-    /// Highest degree that is passed on, 1 to 3.
+    /// Highest degree that is passed on, 1 to [`super::MOST_DEGREE`].
     pub degree: usize,
     /// Bodies farther apart than this do not, metres.
     pub reach_m: f64,
@@ -232,6 +133,10 @@ fn check_clearance(
             for step in 0..=8 {
                 let position_m = [*x, *y, low_m + (high_m - low_m) * f64::from(step) / 8.0];
                 let distance_m = wire.distance_m(position_m);
+                if !distance_m.is_finite() {
+                    let field = "distance of a body from wire (m)";
+                    return Err(MitError::Value { field, value: distance_m, expected: "finite" });
+                }
                 if distance_m < clearance_m {
                     let (coil, body, radius_m) = (coil + 1, body + 1, clearance_m);
                     return Err(MitError::WireInside { body, position_m, coil, distance_m, radius_m });
@@ -261,15 +166,14 @@ fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<
 
 /// Coefficients of a table made along +x, turned about the coil's axis.
 fn turned(table: &[f64], angle: f64) -> Vec<f64> {
-    /// Order m, and where cosine and sine of it stand in a degree.
-    const GROUPS: [(usize, usize, usize); 6] = [(1, 1, 2), (1, 4, 5), (2, 6, 7), (1, 9, 10), (2, 11, 12), (3, 13, 14)];
     let mut out = table.to_vec();
     for row in out.chunks_exact_mut(HARMONICS) {
-        for (m, cosine, sine) in GROUPS {
-            let (s, c) = (m as f64 * angle).sin_cos();
-            let (along, across) = (row[cosine], row[sine]);
-            row[cosine] = along * c - across * s;
-            row[sine] = along * s + across * c;
+        for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
+            let (s, c) = (order as f64 * angle).sin_cos();
+            let at = index(degree, order);
+            let (along, across) = (row[at], row[at + 1]);
+            row[at] = along * c - across * s;
+            row[at + 1] = along * s + across * c;
         }
     }
     out
@@ -298,7 +202,8 @@ impl Bodies {
     /// One body for each place of the tables.
     ///
     /// # Errors
-    /// Another number of bodies, bodies that overlap when side by side.
+    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the spheres
+    /// around them.
     pub fn new(bodies: Vec<Body>, tables: CoilTables, coupling: Option<Coupling>) -> Result<Self, MitError> {
         let count = tables.places_m.len();
         if bodies.len() != count {
@@ -311,8 +216,10 @@ impl Bodies {
         let mut neighbours = Vec::new();
         for a in 0..count {
             for b in (0..count).filter(|b| *b != a) {
-                let (distance_m, needed_m) = (distance(a, b), bodies[a].radius_m + bodies[b].radius_m);
-                if coupling.is_some() && distance_m < needed_m {
+                // Bodies that excite each other need the spheres around them apart, others only those within them.
+                let reach = |body: &Body| if coupling.is_some() { body.radius_m } else { body.inner_m };
+                let (distance_m, needed_m) = (distance(a, b), reach(&bodies[a]) + reach(&bodies[b]));
+                if distance_m < needed_m * (1.0 - 1e-9) {
                     return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });
                 }
                 if coupling.is_some_and(|coupling| distance_m <= coupling.reach_m) {
@@ -444,7 +351,7 @@ impl Bodies {
     /// Sweeps of `d = -tau (c + sum S d) / (4 pi mu0)`.
     fn excite_each_other(&mut self, heights_m: &[f64]) {
         let Some(coupling) = self.coupling else { return };
-        let degree = coupling.degree.clamp(1, super::MOST_DEGREE);
+        let degree = coupling.degree.clamp(1, MOST_DEGREE);
         let count = (degree + 1) * (degree + 1) - 1;
         let stride = self.tables.coils * HARMONICS;
         let at = |body: usize| [self.tables.places_m[body][0], self.tables.places_m[body][1], heights_m[body]];
@@ -455,27 +362,35 @@ impl Bodies {
             .map(|&[target, source]| translation(subtract(at(target), at(source)), degree))
             .collect();
         self.alone.copy_from_slice(&self.d);
-        let mut field = [Complex::new(0.0, 0.0); HARMONICS];
+        let mut field = vec![Complex::new(0.0, 0.0); self.tables.coils * count];
         for _ in 0..coupling.sweeps {
             self.next.copy_from_slice(&self.alone);
-            for (&[target, source], s) in self.neighbours.iter().zip(&matrices) {
-                for coil in 0..self.tables.coils {
-                    let d = &self.d[source * stride + coil * HARMONICS..][..count];
-                    field.fill(Complex::new(0.0, 0.0));
-                    for (field, row) in field.iter_mut().zip(s).take(count) {
-                        let (mut re, mut im) = (0.0, 0.0);
-                        for (d, s) in d.iter().zip(row) {
-                            re += d.re * s;
-                            im += d.im * s;
+            // Neighbours stand in the order of the body that they excite: one answer to all their fields.
+            let mut from = 0;
+            while from < self.neighbours.len() {
+                let target = self.neighbours[from][0];
+                let to = from + self.neighbours[from..].iter().take_while(|pair| pair[0] == target).count();
+                field.fill(Complex::new(0.0, 0.0));
+                for (&[_, source], s) in self.neighbours[from..to].iter().zip(&matrices[from..to]) {
+                    let answers = self.d[source * stride..(source + 1) * stride].chunks_exact(HARMONICS);
+                    for (field, d) in field.chunks_exact_mut(count).zip(answers) {
+                        for (field, row) in field.iter_mut().zip(s.chunks_exact(count)) {
+                            let (mut re, mut im) = (0.0, 0.0);
+                            for (d, s) in d.iter().zip(row) {
+                                re += d.re * s;
+                                im += d.im * s;
+                            }
+                            *field += Complex::new(re, im);
                         }
-                        *field = Complex::new(re, im);
-                    }
-                    let out = &mut self.next[target * stride + coil * HARMONICS..][..HARMONICS];
-                    for (row, out) in self.bodies[target].tau.chunks_exact(HARMONICS).zip(out) {
-                        let answer: Complex = row.iter().zip(&field).take(count).map(|(t, f)| *t * *f).sum();
-                        *out -= answer * (1.0 / FOUR_PI_MU0);
                     }
                 }
+                let answers = self.next[target * stride..(target + 1) * stride].chunks_exact_mut(HARMONICS);
+                for (field, out) in field.chunks_exact(count).zip(answers) {
+                    for (row, column, value) in self.bodies[target].entries.iter().filter(|entry| entry.1 < count) {
+                        out[*row] -= *value * field[*column] * (1.0 / FOUR_PI_MU0);
+                    }
+                }
+                from = to;
             }
             std::mem::swap(&mut self.d, &mut self.next);
         }

@@ -199,6 +199,11 @@ impl Coil {
         &self.filaments
     }
 
+    /// Wire of images in a shield, in which the current is reversed.
+    pub fn images(&self) -> &[Filament] {
+        &self.images
+    }
+
     /// Effective over nominal turns.
     pub fn scale(&self) -> f64 {
         self.scale

@@ -40,6 +40,12 @@ pub enum MitError {
         /// Sum of their half widths.
         needed_m: f64,
     },
+    /// A coil that is not round about a vertical axis, where only such a coil will do.
+    #[error("the coil at {centre_m:?} m is not made of loops about a vertical axis")]
+    NotRound {
+        /// Its middle.
+        centre_m: [f64; 3],
+    },
     /// Wire inside the sphere around a body, where multipoles do not hold.
     #[error(
         "body {body} at {position_m:?} m: wire of coil {coil} is {distance_m} m from its centre, within its sphere of {radius_m} m"
@@ -55,6 +61,18 @@ pub enum MitError {
         distance_m: f64,
         /// Radius of the sphere around the body.
         radius_m: f64,
+    },
+    /// Wire in a layer of voxels, or too near to it.
+    #[error("voxel {voxel}: wire of coil {coil} is {distance_m} m from one of its points, which resolve {least_m} m")]
+    WireInVoxel {
+        /// Number of the voxel, from 1.
+        voxel: usize,
+        /// Number of the coil, from 1.
+        coil: usize,
+        /// Distance of the nearest wire from a point of the quadrature.
+        distance_m: f64,
+        /// What the points of a voxel resolve.
+        least_m: f64,
     },
     /// Bodies whose spheres reach into each other.
     #[error("bodies {first} and {second} are {distance_m} m apart, their spheres need {needed_m} m")]

@@ -7,22 +7,31 @@
 
 mod array;
 mod bodies;
+mod body;
 mod coil;
 pub mod edge;
 mod error;
 mod harmonics;
 mod heights;
+mod plate;
+mod quadrature;
 mod ring;
+mod ring_body;
 mod segment;
+pub mod sensitivity;
+pub mod sheet;
 mod sphere;
 
 pub use array::CoilArray;
-pub use bodies::{Bodies, Body, CoilTables, Coupling};
+pub use bodies::{Bodies, CoilTables, Coupling};
+pub use body::Body;
 pub use coil::{Coil, Filament};
 pub use error::MitError;
 pub use harmonics::{HARMONICS, MOST_DEGREE, expansion, regular, regular_gradients};
 pub use heights::{Heights, HeightsFit, HeightsOptions};
+pub use plate::{ConductingPlate, RoundWinding};
 pub use ring::{Ring, complete_elliptic};
+pub use ring_body::{RingBody, Section};
 pub use segment::Segment;
 pub use sphere::{Sphere, skin_depth_m};
 

@@ -19,10 +19,10 @@ mod tau;
 
 pub use mesh::EdgeMesh;
 pub use shapes::{Grading, box_mesh, cylinder_mesh, plate_mesh, sphere_mesh};
-pub use solution::Fields;
+pub use solution::{Fields, Sensitivity};
 pub use symmetry::SymmetricBody;
 pub use system::{CoarseMesh, EddySystem, Material, Order, SystemInfo};
-pub use tau::{Harmonic, Shape, body_tau, symmetric_tau, tau};
+pub use tau::{Harmonic, Shape, body_tau, round_tau, symmetric_tau, tau};
 
 use super::{Coil, Ring, Segment, Vector, add, cross, dot, norm, scaled, subtract};
 

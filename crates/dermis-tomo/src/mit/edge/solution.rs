@@ -1,9 +1,18 @@
 //! Solutions: changes of mutual inductance and the field of the eddy currents.
 
-use super::super::{Complex, MU0, add, scaled};
+use super::super::{Complex, MU0, MitError, add, scaled};
 use super::elements::Point;
 use super::system::{EddySystem, Samples};
 use super::{Source, Vector};
+
+/// Derivatives of a change of mutual inductance by the material of one body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sensitivity {
+    /// By its conductivity, henries per (S/m).
+    pub by_conductivity: Complex,
+    /// By its permeability, henries per (H/m).
+    pub by_permeability: Complex,
+}
 
 /// Potentials of the eddy currents of several sources.
 #[derive(Debug)]
@@ -66,6 +75,58 @@ impl<'a> Fields<'a> {
         let side = self.system.side(&probe);
         let scattered: Complex = potential.iter().zip(&side).map(|(x, b)| x * b).sum();
         Some((scattered + self.system.direct(own, &probe)) / MU0)
+    }
+
+    /// Derivatives of every change by the conductivity and permeability of every body, by reciprocity, from the whole fields
+    /// `A = As + Ar` in it: `dM_mn/dsigma = -j w int A_m.A_n dV`, `dM_mn/dmu = 1/mu^2 int B_m.B_n dV`. They are the exact
+    /// derivatives of this discrete model, up to the residual of its iteration. Row by row as [`Fields::changes_h`], bodies within.
+    ///
+    /// # Errors
+    /// Other than the sources that were solved for, by their number.
+    pub fn sensitivities(&self, sources: &[&dyn Source]) -> Result<Vec<Sensitivity>, MitError> {
+        if sources.len() != self.len() {
+            return Err(MitError::Count { what: "sources", expected: self.len(), got: sources.len() });
+        }
+        let (count, regions) = (self.len(), self.system.coefficients.len() - 1);
+        let mut sums = vec![[Complex::new(0.0, 0.0); 2]; count * count * regions];
+        for (body, element) in self.system.bodies().into_iter().enumerate() {
+            let region = self.system.mesh.regions[element] as usize - 1;
+            for (q, volume) in self.system.volumes(element).into_iter().enumerate() {
+                let whole: Vec<_> = (0..count).map(|s| self.whole(s, sources[s], body, element, q)).collect();
+                for m in 0..count {
+                    for n in 0..count {
+                        let sum = &mut sums[(m * count + n) * regions + region];
+                        for (k, sum) in sum.iter_mut().enumerate() {
+                            *sum += (0..3).map(|i| whole[m][k][i] * whole[n][k][i]).sum::<Complex>() * volume;
+                        }
+                    }
+                }
+            }
+        }
+        let finish = |(at, [potentials, fields]): (usize, [Complex; 2])| {
+            let reluctivity = self.system.coefficients[at % regions + 1].1 / MU0;
+            Sensitivity {
+                by_conductivity: potentials * Complex::new(0.0, -self.system.angular_frequency),
+                by_permeability: fields * reluctivity.powi(2),
+            }
+        };
+        Ok(sums.into_iter().enumerate().map(finish).collect())
+    }
+
+    /// Whole potential and flux density of a source at a point of the quadrature.
+    fn whole(&self, source: usize, outer: &dyn Source, body: usize, element: usize, q: usize) -> [[Complex; 3]; 2] {
+        let point = &self.system.points[q];
+        let map = self.system.mesh.geometry(element).map(point.barycentric);
+        let coefficients = self.system.local(element, &self.potentials[source]);
+        let own = self.samples[source][body * self.system.points.len() + q].0;
+        let complex = |v: Vector| v.map(|x| Complex::new(x, 0.0));
+        let mut all = [complex(own), complex(outer.flux_density(map.position_m))];
+        for f in 0..self.system.functions() {
+            for (all, v) in all.iter_mut().zip([map.value(point.values[f]), map.curl(point.curls[f])]) {
+                all.iter_mut().zip(v).for_each(|(all, v)| *all += coefficients[f] * v);
+            }
+        }
+        all
     }
 
     /// Vector potential and flux density (T) that the bodies add to a source's field at a point; the potential is

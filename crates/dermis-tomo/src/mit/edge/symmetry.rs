@@ -16,8 +16,14 @@ const NOTHING: f64 = 1e-20;
 /// A symmetric body at one frequency: the eight systems of an eighth of its mesh.
 #[derive(Debug)]
 pub struct SymmetricBody<'a> {
-    systems: Vec<EddySystem<'a>>,
+    /// With the planes across which each is odd, as bits.
+    systems: Vec<(u8, EddySystem<'a>)>,
 }
+
+/// All sets of planes.
+const ALL: [u8; 8] = [0, 1, 2, 3, 4, 5, 6, 7];
+/// Those with an odd potential across the plane y = 0: fields of harmonics of cosines.
+const COSINES: [u8; 4] = [2, 3, 6, 7];
 
 impl<'a> SymmetricBody<'a> {
     /// Assembles and factors on an [`EdgeMesh::octant`].
@@ -30,19 +36,43 @@ impl<'a> SymmetricBody<'a> {
         frequency_hz: f64,
         order: Order,
     ) -> Result<Self, MitError> {
+        Self::with_parts(octant, materials, frequency_hz, order, &ALL)
+    }
+
+    /// Half of the systems: those that answer harmonics of cosines, which are all that a coil in the plane y = 0 has, and enough for
+    /// tau of a body of revolution.
+    ///
+    /// # Errors
+    /// As [`SymmetricBody::new`].
+    pub fn of_cosines(
+        octant: &'a EdgeMesh,
+        materials: &[Material],
+        frequency_hz: f64,
+        order: Order,
+    ) -> Result<Self, MitError> {
+        Self::with_parts(octant, materials, frequency_hz, order, &COSINES)
+    }
+
+    fn with_parts(
+        octant: &'a EdgeMesh,
+        materials: &[Material],
+        frequency_hz: f64,
+        order: Order,
+        parts: &[u8],
+    ) -> Result<Self, MitError> {
         if !octant.is_octant {
             return Err(MitError::Count { what: "eighths in the mesh of a symmetric body", expected: 1, got: 8 });
         }
-        let systems = (0..8_u8)
-            .into_par_iter()
-            .map(|odd| EddySystem::with_fixed(octant, materials, frequency_hz, order, Some(odd)))
-            .collect::<Result<_, _>>()?;
+        let systems = parts
+            .par_iter()
+            .map(|&odd| Ok((odd, EddySystem::with_fixed(octant, materials, frequency_hz, order, Some(odd))?)))
+            .collect::<Result<_, MitError>>()?;
         Ok(Self { systems })
     }
 
     /// Sizes of all systems together, and warnings.
     pub fn info(&self) -> SystemInfo {
-        let all: Vec<SystemInfo> = self.systems.iter().map(EddySystem::info).collect();
+        let all: Vec<SystemInfo> = self.systems.iter().map(|(_, system)| system.info()).collect();
         let sum = |of: fn(&SystemInfo) -> usize| all.iter().map(of).sum();
         SystemInfo {
             unknowns: sum(|info| info.unknowns),
@@ -56,20 +86,26 @@ impl<'a> SymmetricBody<'a> {
     /// Changes of mutual inductance of any two sources, henries, row by row.
     ///
     /// # Errors
-    /// An iteration that does not converge.
+    /// An iteration that does not converge, a source with a part whose system was left out.
     pub fn changes_h(&self, sources: &[&dyn Source]) -> Result<Vec<Complex>, MitError> {
         let count = sources.len();
         let mut changes = vec![Complex::new(0.0, 0.0); count * count];
-        let Some(first) = self.systems.first() else { return Ok(changes) };
+        let Some((_, first)) = self.systems.first() else { return Ok(changes) };
         let reflected: Vec<Vec<Samples>> =
             sources.iter().map(|source| (0..8).map(|flips| first.sample(*source, signs(flips))).collect()).collect();
+        for left_out in ALL.into_iter().filter(|odd| self.systems.iter().all(|(kept, _)| kept != odd)) {
+            if let Some(s) = reflected.iter().position(|samples| part(samples, usize::from(left_out)).is_some()) {
+                let (field, expected) = ("number of a source that is not even across the plane y = 0", "none");
+                return Err(MitError::Value { field, value: (s + 1) as f64, expected });
+            }
+        }
         let parts = self
             .systems
             .par_iter()
-            .enumerate()
             .map(|(odd, system)| {
-                let (kept, samples): (Vec<usize>, Vec<Samples>) =
-                    (0..count).filter_map(|s| part(&reflected[s], odd).map(|samples| (s, samples))).unzip();
+                let (kept, samples): (Vec<usize>, Vec<Samples>) = (0..count)
+                    .filter_map(|s| part(&reflected[s], usize::from(*odd)).map(|samples| (s, samples)))
+                    .unzip();
                 let fields = system.solve_samples(samples)?;
                 Ok((kept, fields.changes_h().to_vec()))
             })

@@ -97,8 +97,9 @@ pub struct SystemInfo {
 #[derive(Debug)]
 pub struct EddySystem<'a> {
     pub(super) mesh: &'a EdgeMesh,
+    pub(super) angular_frequency: f64,
     order: Order,
-    points: Vec<Point>,
+    pub(super) points: Vec<Point>,
     /// Per region: `w mu0 sigma` and `1/mu_r`.
     pub(super) coefficients: Vec<(f64, f64)>,
     unknowns: Unknowns,
@@ -140,7 +141,8 @@ impl<'a> EddySystem<'a> {
         let matrix = assemble(mesh, &points, &unknowns, &coefficients)?;
         let warnings = coarse(mesh, materials, frequency_hz, order)?;
         let gauge = gauge(mesh, &points, odd);
-        Ok(Self { mesh, order, points, coefficients, unknowns, matrix, gauge, warnings })
+        let angular_frequency = TAU * frequency_hz;
+        Ok(Self { mesh, angular_frequency, order, points, coefficients, unknowns, matrix, gauge, warnings })
     }
 
     /// Size and warnings.
@@ -188,7 +190,14 @@ impl<'a> EddySystem<'a> {
         self.bodies().par_iter().flat_map_iter(of_element).collect()
     }
 
-    fn bodies(&self) -> Vec<usize> {
+    /// Volume that each point of the quadrature in an element stands for.
+    pub(super) fn volumes(&self, element: usize) -> Vec<f64> {
+        let geometry = self.mesh.geometry(element);
+        self.points.iter().map(|point| point.weight * geometry.map(point.barycentric).determinant.abs()).collect()
+    }
+
+    /// Elements in bodies.
+    pub(super) fn bodies(&self) -> Vec<usize> {
         (0..self.mesh.tetrahedra.len()).filter(|&t| self.mesh.regions[t] != 0).collect()
     }
 

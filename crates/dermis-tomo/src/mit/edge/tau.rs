@@ -1,8 +1,8 @@
-//! The multipole matrix of a body from edge elements: each of the 15 harmonic fields is imposed, and tau is the change of
+//! The multipole matrix of a body from edge elements: each harmonic field is imposed, and tau is the change of
 //! mutual inductance between any two of them.
 
 use super::super::error::positive;
-use super::super::harmonics::{DEGREES, regular_gradients};
+use super::super::harmonics::{DEGREES, MOST_DEGREE, index, regular_gradients};
 use super::super::{Body, Complex, HARMONICS, MU0, MitError, Vector, cross, scaled, skin_depth_m};
 use super::{
     EddySystem, EdgeMesh, Grading, Material, Order, Source, SymmetricBody, cylinder_mesh, plate_mesh, sphere_mesh,
@@ -127,6 +127,29 @@ fn of_harmonics(
         .collect())
 }
 
+/// tau of a body of revolution about the z axis, from its answers to harmonics of cosines: sines of the same order answer
+/// alike, and different orders do not mix. Takes an [`EdgeMesh::octant`].
+///
+/// # Errors
+/// See [`SymmetricBody::new`].
+pub fn round_tau(octant: &EdgeMesh, material: &Material, frequency_hz: f64) -> Result<Vec<Complex>, MitError> {
+    let body = SymmetricBody::of_cosines(octant, &[*material], frequency_hz, Order::Second)?;
+    let places: Vec<(usize, usize)> = (1..=MOST_DEGREE).flat_map(|l| (0..=l).map(move |m| (l, m))).collect();
+    let harmonics: Vec<Harmonic> = places.iter().map(|&(l, m)| Harmonic(index(l, m))).collect();
+    let sources: Vec<&dyn Source> = harmonics.iter().map(|h| h as &dyn Source).collect();
+    let changes = body.changes_h(&sources)?;
+    let mut tau = vec![Complex::new(0.0, 0.0); HARMONICS * HARMONICS];
+    for (i, &(l, m)) in places.iter().enumerate() {
+        for (j, &(k, _)) in places.iter().enumerate().filter(|(_, (_, n))| *n == m) {
+            let mean = (changes[i * places.len() + j] + changes[j * places.len() + i]) * 0.5;
+            for sine in 0..=usize::from(m > 0) {
+                tau[(index(l, m) + sine) * HARMONICS + index(k, m) + sine] = mean;
+            }
+        }
+    }
+    Ok(tau)
+}
+
 /// The multipole body of a shape, material and frequency, by elements of second order on a mesh that suits the skin depth.
 ///
 /// # Errors
@@ -135,10 +158,12 @@ pub fn body_tau(shape: &Shape, material: &Material, frequency_hz: f64) -> Result
     positive("radius_m", shape.radius_m())?;
     let depth = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz)?;
     let mesh = shape.mesh(&shape.grading(depth))?;
-    let tau = if let Shape::Sphere { .. } = shape {
-        tau(&EddySystem::new(&mesh, &[*material], frequency_hz, Order::Second)?)?
-    } else {
-        symmetric_tau(&SymmetricBody::new(&mesh.octant()?, &[*material], frequency_hz, Order::Second)?)?
+    let tau = match shape {
+        Shape::Sphere { .. } => tau(&EddySystem::new(&mesh, &[*material], frequency_hz, Order::Second)?)?,
+        Shape::Cylinder { .. } => round_tau(&mesh.octant()?, material, frequency_hz)?,
+        Shape::Plate { .. } => {
+            symmetric_tau(&SymmetricBody::new(&mesh.octant()?, &[*material], frequency_hz, Order::Second)?)?
+        }
     };
-    Body::from_tau(shape.label(), shape.radius_m(), tau)
+    Ok(Body::from_tau(shape.label(), shape.radius_m(), tau)?.with_inner_radius(shape.half_widths_m().0))
 }
