@@ -18,6 +18,7 @@ pub mod experiments;
 pub mod forces;
 pub mod imager;
 pub mod latency;
+pub mod learning;
 pub mod pipeline;
 pub mod prepare;
 pub mod reconstruct;
