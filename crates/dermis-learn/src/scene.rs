@@ -55,6 +55,23 @@ pub enum SceneKind {
 }
 
 impl Figure {
+    /// Lowest and highest coordinates of a box that holds it.
+    pub fn bounds(&self) -> ([f64; 2], [f64; 2]) {
+        let around = |points: &[[f64; 2]], margin: f64| {
+            let fold = |axis: usize, start: f64, choose: fn(f64, f64) -> f64| {
+                points.iter().map(|p| p[axis]).fold(start, choose)
+            };
+            let low = [0, 1].map(|axis| fold(axis, f64::INFINITY, f64::min) - margin);
+            let high = [0, 1].map(|axis| fold(axis, f64::NEG_INFINITY, f64::max) + margin);
+            (low, high)
+        };
+        match self {
+            Figure::Ellipse(middle, half, _) => around(&[*middle], half[0].max(half[1])),
+            Figure::Polygon(corners) => around(corners, 0.0),
+            Figure::Stroke(chain, width) => around(chain, 0.5 * width),
+        }
+    }
+
     /// Is a point inside?
     pub fn contains(&self, p: [f64; 2]) -> bool {
         match self {
@@ -88,11 +105,40 @@ fn from_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     (ap[0] - along * ab[0]).hypot(ap[1] - along * ab[1])
 }
 
+/// A scene made ready to be asked at many points: figures are looked at only within their boxes.
+#[derive(Clone, Debug)]
+pub struct SceneLookup<'a> {
+    /// Lowest and highest coordinates; the last inclusion first.
+    boxed: Vec<([f64; 2], [f64; 2], &'a Inclusion)>,
+}
+
+impl SceneLookup<'_> {
+    /// Class and factor at a point.
+    pub fn at(&self, p: [f64; 2]) -> (u8, f64) {
+        for (low, high, inclusion) in &self.boxed {
+            let near = p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1];
+            if near && inclusion.figure.contains(p) {
+                return (inclusion.class, inclusion.factor);
+            }
+        }
+        (BACKGROUND, 1.0)
+    }
+}
+
 impl Scene {
     /// Class and factor at a point.
     pub fn at(&self, p: [f64; 2]) -> (u8, f64) {
-        let here = self.inclusions.iter().rev().find(|inclusion| inclusion.figure.contains(p));
-        here.map_or((BACKGROUND, 1.0), |inclusion| (inclusion.class, inclusion.factor))
+        self.lookup().at(p)
+    }
+
+    /// Makes ready to be asked at many points.
+    pub fn lookup(&self) -> SceneLookup<'_> {
+        let boxed = |inclusion| {
+            let Inclusion { figure, .. } = inclusion;
+            let (low, high) = figure.bounds();
+            (low, high, inclusion)
+        };
+        SceneLookup { boxed: self.inclusions.iter().rev().map(boxed).collect() }
     }
 
     /// Draws one. `size_m` is half the shorter side of the skin; `inside` says where there is skin, in metres from its
@@ -281,7 +327,14 @@ mod tests {
     fn area(figure: &Figure) -> f64 {
         let side = 400;
         let at = |k: usize| (2.0 * k as f64 + 1.0) / side as f64 - 1.0;
-        let inside = (0..side * side).filter(|k| figure.contains([at(k % side), at(k / side)])).count();
+        let (low, high) = figure.bounds();
+        let boxed = |p: [f64; 2]| (0..2).all(|axis| p[axis] >= low[axis] && p[axis] <= high[axis]);
+        let inside = |k: &usize| {
+            let p = [at(k % side), at(k / side)];
+            assert!(boxed(p) || !figure.contains(p), "{p:?} is outside the box of {figure:?}");
+            figure.contains(p)
+        };
+        let inside = (0..side * side).filter(inside).count();
         4.0 * inside as f64 / (side * side) as f64
     }
 

@@ -210,7 +210,8 @@ impl SimulatedFrames {
             let scene = Scene::draw(request.scenes(), size_m, finest_m, &on_skin, &mut random);
             let voltages = model.voltages(&elements.conductivity(&scene, conductance))?;
             let frame = instrument.read(&voltages, true, &mut random);
-            let label = |pixel: usize| if inside[pixel] { scene.at(grid.centre_m(pixel)).0 } else { 0 };
+            let lookup = scene.lookup();
+            let label = |pixel: usize| if inside[pixel] { lookup.at(grid.centre_m(pixel)).0 } else { 0 };
             let labels = (0..grid.len()).map(label).collect();
             Ok((frame, scene, labels))
         };
@@ -260,11 +261,12 @@ impl Elements {
         Self { samples, size_m: mean.sqrt() }
     }
 
-    /// Logarithmic means over each element's points.
+    /// Geometric means over each element's points.
     fn conductivity(&self, scene: &Scene, rest: f64) -> Vec<f64> {
+        let lookup = scene.lookup();
         let of_element = |points: &[[f64; 2]; 4]| {
-            let sum: f64 = points.iter().map(|p| scene.at(*p).1.ln()).sum();
-            rest * (0.25 * sum).exp()
+            let product: f64 = points.iter().map(|p| lookup.at(*p).1).product();
+            if product == 1.0 { rest } else { rest * product.sqrt().sqrt() }
         };
         self.samples.iter().map(of_element).collect()
     }
