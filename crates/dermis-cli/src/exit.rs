@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use dermis::acquire::AcquisitionCounters;
 use dermis_device::DeviceError;
+use dermis_learn::LearnError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
 
@@ -82,6 +83,9 @@ fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if let Some(error) = cause.downcast_ref::<dermis::Error>() {
         return Some(code_of_dermis(error));
     }
+    if let Some(error) = cause.downcast_ref::<LearnError>() {
+        return Some(code_of_learn(error));
+    }
     if let Some(error) = cause.downcast_ref::<DeviceError>() {
         return Some(code_of_device(error));
     }
@@ -101,9 +105,17 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
         | Error::Touch(_) => BAD_INPUT,
         Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),
+        Error::Learn(error) => code_of_learn(error),
         Error::Forward(EitError::System(_)) | Error::Inverse(InverseError::Singular { .. }) => FAILED,
         Error::Forward(_) | Error::Inverse(_) => BAD_INPUT,
         _ => FAILED,
+    }
+}
+
+fn code_of_learn(error: &LearnError) -> u8 {
+    match error {
+        LearnError::Io { source, .. } => code_of_io(source),
+        _ => BAD_INPUT,
     }
 }
 

@@ -4,14 +4,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Our crates, and those of ours that each may use.
-const MAY_USE: [(&str, &[&str]); 7] = [
+const MAY_USE: [(&str, &[&str]); 8] = [
     ("dermis-tomo", &[]),
     ("dermis-touch", &[]),
     ("dermis-wire", &[]),
+    ("dermis-learn", &[]),
     ("dermis-device", &["dermis-wire"]),
     ("dermis-twin", &["dermis-tomo"]),
-    ("dermis", &["dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"]),
-    ("dermis-cli", &["dermis", "dermis-device", "dermis-tomo", "dermis-touch", "dermis-twin"]),
+    ("dermis", &["dermis-device", "dermis-learn", "dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"]),
+    ("dermis-cli", &["dermis", "dermis-device", "dermis-learn", "dermis-tomo", "dermis-touch", "dermis-twin"]),
 ];
 
 /// Crates that compute and do nothing else.

@@ -98,6 +98,9 @@ pub enum Error {
     /// From a twin.
     #[error("twin: {0}")]
     Twin(#[from] dermis_twin::TwinError),
+    /// From networks, their weights and training sets.
+    #[error(transparent)]
+    Learn(#[from] dermis_learn::LearnError),
     /// From touch extraction.
     #[error("touches: {0}")]
     Touch(#[from] dermis_touch::TouchError),

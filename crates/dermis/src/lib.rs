@@ -22,6 +22,7 @@ pub mod forces;
 mod health;
 pub mod imager;
 pub mod latency;
+pub mod learning;
 pub mod measured_list;
 pub mod pipeline;
 pub mod prepare;

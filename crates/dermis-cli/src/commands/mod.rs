@@ -14,9 +14,13 @@ mod recover;
 mod replay;
 mod reproduce;
 mod run;
+mod segment;
 mod skins;
 mod snr;
 mod solve;
+#[cfg(feature = "train")]
+mod train;
+mod train_set;
 mod twin;
 
 use std::io::Write;
@@ -42,6 +46,13 @@ pub enum Command {
     Solve(solve::Arguments),
     /// Make images and touches of recorded frames.
     Reconstruct(reconstruct::Arguments),
+    /// Label recorded frames: lowered or raised conductivity.
+    Segment(segment::Arguments),
+    /// Simulate samples for a network to learn from.
+    TrainSet(train_set::Arguments),
+    /// Train a network.
+    #[cfg(feature = "train")]
+    Train(train::Arguments),
     /// Fit a calibration to pokes at known positions.
     Calibrate(calibrate::Arguments),
     /// List, show or draw skins.
@@ -75,6 +86,10 @@ impl Command {
             Command::Recover(arguments) => arguments.run(out),
             Command::Export(arguments) => arguments.run(out),
             Command::Reconstruct(arguments) => arguments.run(out),
+            Command::Segment(arguments) => arguments.run(out),
+            Command::TrainSet(arguments) => arguments.run(out),
+            #[cfg(feature = "train")]
+            Command::Train(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),
             Command::Design(arguments) => arguments.run(out),

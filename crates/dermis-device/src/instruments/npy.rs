@@ -248,6 +248,14 @@ impl Number for f32 {
     }
 }
 
+impl Number for u8 {
+    const DESCR: &'static str = "|u1";
+
+    fn write_to(self, out: &mut dyn Write) -> io::Result<()> {
+        out.write_all(&[self])
+    }
+}
+
 /// Writes everything that stands before the elements, padded so that these are aligned; for writers that stream the
 /// elements themselves, with [`Number::write_to`], inside [`write_atomic`].
 ///
@@ -282,6 +290,14 @@ pub fn write_f64(path: &Path, shape: &[usize], values: &[f64]) -> Result<(), Dev
 /// # Errors
 /// As [`write_f64`].
 pub fn write_f32(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), DeviceError> {
+    write_array(path, shape, values)
+}
+
+/// As [`write_f64`] in bytes (labels).
+///
+/// # Errors
+/// As [`write_f64`].
+pub fn write_u8(path: &Path, shape: &[usize], values: &[u8]) -> Result<(), DeviceError> {
     write_array(path, shape, values)
 }
 

@@ -116,15 +116,27 @@ impl Skin {
     /// # Errors
     /// As [`Skin::body`].
     pub fn body_with_elements(&self, elements: usize) -> Result<SkinBody, Error> {
-        let outline = self.outline();
         let electrodes = self.electrode_shapes();
+        let factors = vec![1.0; electrodes.len()];
+        self.body_with_electrodes(elements, electrodes, &factors)
+    }
+
+    /// As [`Skin::body_with_elements`] with electrodes somewhat elsewhere, and a factor on each contact impedance.
+    pub(crate) fn body_with_electrodes(
+        &self,
+        elements: usize,
+        electrodes: Vec<ElectrodeShape>,
+        contact_factors: &[f64],
+    ) -> Result<SkinBody, Error> {
+        let outline = self.outline();
         let named = |source: MeshError| Error::Mesh { skin: self.name.clone(), source };
         let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
         let spec = SheetSpec::new(outline.clone(), electrodes.clone(), size);
         let spec = spec.with_target_elements(elements).map_err(named)?;
         // Coils touch nothing: they are in the mesh to be drawn.
         let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
-        let impedances: Vec<f64> = electrodes.iter().map(impedance).collect();
+        let impedances: Vec<f64> =
+            electrodes.iter().zip(contact_factors).map(|(shape, factor)| factor * impedance(shape)).collect();
         let (mesh, _) = spec.build(&impedances).map_err(named)?;
         Ok(SkinBody { outline, electrodes, mesh })
     }

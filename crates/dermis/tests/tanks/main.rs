@@ -6,6 +6,7 @@ mod ktc;
 mod order;
 mod pyeidors;
 mod sciospec;
+mod segment;
 
 use std::path::{Path, PathBuf};
 

@@ -1,0 +1,160 @@
+//! `dermis train`: a network from a training set. Built with the feature `train` only, since the framework that trains takes
+//! minutes to build.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use dermis_learn::train::{Device, EpochReport, Progress, TrainOptions, Training, train};
+use dermis_learn::{ModelCard, TrainingSet};
+
+use super::progress_bar;
+use crate::exit::Outcome;
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis train --set set --out model.json --width 4 --levels 3 --epochs 2 --batch 10 --held-out 0.5
+
+Losses are mean cross-entropies; IoU is the intersection over union of each class on the frames held out. Weights go to
+model.safetensors beside the card (PyTorch loads them as a state_dict). After every pass a checkpoint is written to
+model.checkpoint; the same command goes on from there, and removes it when done.";
+
+/// Arguments of `dermis train`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Folder made by `dermis train-set`.
+    #[arg(long, value_name = "FOLDER")]
+    set: PathBuf,
+    /// The model card to write.
+    #[arg(long, value_name = "MODEL.json")]
+    out: PathBuf,
+    /// Channels of the finest level.
+    #[arg(long, default_value_t = TrainOptions::default().width)]
+    width: usize,
+    /// Levels, each of half the rows and columns of the one before.
+    #[arg(long, default_value_t = TrainOptions::default().levels)]
+    levels: usize,
+    /// Most passes over the samples.
+    #[arg(long, default_value_t = TrainOptions::default().epochs)]
+    epochs: usize,
+    /// Samples a step.
+    #[arg(long, default_value_t = TrainOptions::default().batch)]
+    batch: usize,
+    /// Adam's first step; it falls to a fiftieth along a half cosine.
+    #[arg(long, default_value_t = TrainOptions::default().learning_rate)]
+    learning_rate: f64,
+    /// Passes without improvement after which training stops.
+    #[arg(long, default_value_t = TrainOptions::default().patience)]
+    patience: usize,
+    /// Share of the shards that are held out.
+    #[arg(long, default_value_t = TrainOptions::default().held_out)]
+    held_out: f64,
+    /// Seed of the initial weights and of the order of samples.
+    #[arg(long, default_value_t = TrainOptions::default().seed)]
+    seed: u64,
+}
+
+impl Arguments {
+    /// Trains, and says what each pass brought.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let set = TrainingSet::open(&self.set)?;
+        let checkpoint = self.out.with_extension("checkpoint");
+        let options = self.options();
+        let command = self.command();
+        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command };
+        let bar = progress_bar("samples");
+        let mut failed = Ok(());
+        let classes = set.manifest().classes.clone();
+        let trained = train(&training, &Device::flex(), |progress| match progress {
+            Progress::Step(done, all, loss) => {
+                bar.set_length(*all as u64);
+                bar.set_position(*done as u64);
+                bar.set_message(format!("loss {loss:.4}"));
+            }
+            Progress::Epoch(report) => {
+                let line = described(report, &classes);
+                let written = bar.suspend(|| writeln!(out, "{line}").and_then(|()| out.flush()));
+                if failed.is_ok() {
+                    failed = written;
+                }
+            }
+            _ => {}
+        });
+        bar.finish_and_clear();
+        let mut model = trained?;
+        failed?;
+        model.save(&self.out)?;
+        remove_checkpoint(&checkpoint);
+        summary(&model.card, out)?;
+        Ok(Outcome::Done)
+    }
+
+    fn options(&self) -> TrainOptions {
+        TrainOptions {
+            width: self.width,
+            levels: self.levels,
+            epochs: self.epochs,
+            batch: self.batch,
+            learning_rate: self.learning_rate,
+            patience: self.patience,
+            held_out: self.held_out,
+            seed: self.seed,
+        }
+    }
+
+    /// The command in full, whatever was left to its default.
+    fn command(&self) -> String {
+        format!(
+            "dermis train --set {} --out {} --width {} --levels {} --epochs {} --batch {} --learning-rate {} \
+             --patience {} --held-out {} --seed {}",
+            name(&self.set),
+            name(&self.out),
+            self.width,
+            self.levels,
+            self.epochs,
+            self.batch,
+            self.learning_rate,
+            self.patience,
+            self.held_out,
+            self.seed
+        )
+    }
+}
+
+/// The last part of a path: a card tells nothing of the machine that it was made on.
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// What is left of the checkpoint does no harm if it cannot be removed.
+fn remove_checkpoint(folder: &Path) {
+    let _ = std::fs::remove_dir_all(folder);
+}
+
+fn described(report: &EpochReport, classes: &[String]) -> String {
+    let mark = if report.best { ", best so far" } else { "" };
+    format!(
+        "epoch {}: loss {:.4}, held out {:.4}, IoU {}{mark}",
+        report.epoch,
+        report.loss,
+        report.held_out_loss,
+        overlaps(&report.held_out_iou, classes)
+    )
+}
+
+fn overlaps(values: &[Option<f64>], classes: &[String]) -> String {
+    let one = |(name, value): (&String, &Option<f64>)| match value {
+        Some(value) => format!("{name} {value:.3}"),
+        None => format!("{name} none"),
+    };
+    classes.iter().zip(values).map(one).collect::<Vec<_>>().join(", ")
+}
+
+fn summary(card: &ModelCard, out: &mut dyn Write) -> std::io::Result<()> {
+    let record = &card.training;
+    writeln!(out, "best pass: {} of {}", record.best_epoch, record.epochs)?;
+    writeln!(out, "IoU: {}", overlaps(&record.held_out_iou, &card.classes))?;
+    writeln!(out, "temperature: {:.3}", card.temperature)?;
+    writeln!(out, "expected calibration error: {:.4}", record.calibration_error)?;
+    writeln!(out, "weights: {} ({} bytes)", card.weights, card.weights_bytes)
+}

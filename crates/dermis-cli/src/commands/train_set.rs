@@ -1,0 +1,95 @@
+//! `dermis train-set`: random scenes on a skin, simulated and imaged, for a network to learn from.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use dermis::learning::InputImage;
+use dermis::learning::train_set::{TrainSetRequest, simulate};
+use dermis::skin::Skin;
+use dermis_learn::scene::SceneKind;
+
+use super::progress_bar;
+use crate::exit::Outcome;
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis train-set --skin healing-square --samples 40 --shard 20 --out set
+
+Every shard has a skin of its own (another mesh than the reconstruction's, electrodes a little off their places, contacts of
+other impedances), an instrument of its own (gain, drift, noise) and a set of lost electrodes of its own. The folder has
+manifest.json and shard-00000.safetensors, ... with inputs (samples x images x rows x columns, F32) and labels (samples x
+rows x columns, U8: 0 background, 1 conductivity lowered, 2 raised). The same command goes on with a set that was
+interrupted. What is done is a matter of --seed and the other options alone.";
+
+/// Arguments of `dermis train-set`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    /// Built-in skin or skin file.
+    #[arg(long, value_name = "NAME|FILE")]
+    skin: String,
+    /// Samples in all.
+    #[arg(long, value_name = "N", default_value_t = 14_000)]
+    samples: usize,
+    /// Samples that share a skin, an instrument and lost electrodes.
+    #[arg(long, value_name = "N", default_value_t = 250)]
+    shard: usize,
+    /// Seed of everything random.
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    seed: u64,
+    /// What scenes are made of; by the skin's layer where left out.
+    #[arg(long, value_enum)]
+    scenes: Option<Scenes>,
+    /// What the network is shown: image, image*FACTOR (on lambda), coverage; commas between.
+    #[arg(long, value_name = "IMAGES", value_delimiter = ',', default_value = "image")]
+    inputs: Vec<InputImage>,
+    /// Most electrodes lost; give the input coverage too.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    lost: usize,
+    /// Noise of the instrument, dB below the root mean square of a frame.
+    #[arg(long, value_name = "DB", default_value_t = 56.8)]
+    noise_db: f64,
+    /// The folder.
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+}
+
+/// What scenes are made of.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Scenes {
+    /// None to four touches, and cuts: lines, arcs, holes.
+    TouchesAndCuts,
+    /// One to four objects in a tank, insulating or metallic.
+    Objects,
+}
+
+impl Arguments {
+    /// Simulates what is missing and says how long it took.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let mut request = TrainSetRequest::new(Skin::open(&self.skin)?, self.samples);
+        request.shard_samples = self.shard;
+        request.seed = self.seed;
+        request.inputs = self.inputs;
+        request.most_lost = self.lost;
+        request.jitter.noise_db = self.noise_db;
+        request.scenes = self.scenes.map(|scenes| match scenes {
+            Scenes::TouchesAndCuts => SceneKind::TouchesAndCuts,
+            Scenes::Objects => SceneKind::Objects,
+        });
+        let bar = progress_bar("samples");
+        let begun = Instant::now();
+        let set = simulate(&request, &self.out, |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        });
+        bar.finish_and_clear();
+        let set = set?;
+        let manifest = set.manifest();
+        writeln!(out, "samples: {} in {} shards", manifest.samples, manifest.shards())?;
+        writeln!(out, "images: {} of {} x {}", manifest.inputs.join(", "), manifest.rows, manifest.columns)?;
+        writeln!(out, "manifest: {}", set.manifest_sha256())?;
+        writeln!(out, "time: {:.1} s", begun.elapsed().as_secs_f64())?;
+        Ok(Outcome::Done)
+    }
+}

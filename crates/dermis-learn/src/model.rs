@@ -1,0 +1,341 @@
+//! A trained model: the weights (safetensors) and beside them the model card (JSON) that says what they are for, how they
+//! were made and how good they are. The card holds the weights' size and SHA-256, which are checked before anything of the
+//! weights is parsed.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::LearnError;
+use crate::network::Network;
+use crate::novelty::Novelty;
+use crate::shape::UNetShape;
+use crate::weights::Tensors;
+
+/// Version of the card's keys.
+pub const CARD_FORMAT: &str = "dermis-model-1";
+/// Cards and weights larger than this are none.
+const LARGEST_CARD_BYTES: u64 = 1 << 20;
+const LARGEST_WEIGHTS_BYTES: u64 = 1 << 30;
+
+/// What a model is for, how it was made, how good it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelCard {
+    /// [`CARD_FORMAT`].
+    pub format: String,
+    /// Name of the weights' file, in the card's folder.
+    pub weights: String,
+    /// Its size.
+    pub weights_bytes: u64,
+    /// Its SHA-256, hexadecimal.
+    pub weights_sha256: String,
+    /// Architecture.
+    pub shape: UNetShape,
+    /// Rows of the images.
+    pub rows: usize,
+    /// Columns of the images.
+    pub columns: usize,
+    /// Name of the skin.
+    pub skin: String,
+    /// Fingerprint of the skin's geometry, protocol and imaging.
+    pub skin_sha256: String,
+    /// What the input images are, in order.
+    pub inputs: Vec<String>,
+    /// Factors that the input images are multiplied by.
+    pub input_scale: Vec<f32>,
+    /// Names of the classes, in the order of the labels.
+    pub classes: Vec<String>,
+    /// Logits are divided by this.
+    pub temperature: f32,
+    /// How it was made.
+    pub training: TrainingRecord,
+}
+
+/// How a model was made, and the figures on frames held out.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainingRecord {
+    /// The command, as typed.
+    pub command: String,
+    /// Seed of the initial weights and of the order of samples.
+    pub seed: u64,
+    /// SHA-256 of the training set's manifest.
+    pub data_sha256: String,
+    /// Samples trained on and held out.
+    pub samples: [usize; 2],
+    /// Passes over the samples.
+    pub epochs: usize,
+    /// The pass that the weights are from.
+    pub best_epoch: usize,
+    /// Adam's step.
+    pub learning_rate: f64,
+    /// Samples a step.
+    pub batch: usize,
+    /// Time spent, all runs together.
+    pub duration_s: f64,
+    /// Mean cross-entropy on frames held out.
+    pub held_out_loss: f64,
+    /// Intersection over union of each class on frames held out; `null` where it does not occur.
+    pub held_out_iou: Vec<Option<f64>>,
+    /// Expected calibration error on frames held out that the temperature was not fitted to.
+    pub calibration_error: f64,
+}
+
+/// A model read from disk or about to be written.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// The card.
+    pub card: ModelCard,
+    /// Weights and novelty score.
+    pub tensors: Tensors,
+    file: PathBuf,
+}
+
+impl Model {
+    /// Brings card and weights together; size and hash in the card are set by [`Model::save`].
+    pub fn new(card: ModelCard, tensors: Tensors) -> Self {
+        let file = PathBuf::from(&card.weights);
+        Self { card, tensors, file }
+    }
+
+    /// Reads a model card and the weights that it names.
+    ///
+    /// # Errors
+    /// Files that cannot be read; a card with unknown keys or values that make no sense; weights of another size or hash
+    /// than the card says, of another architecture, or with values that are not finite.
+    pub fn load(card_file: &Path) -> Result<Self, LearnError> {
+        let content = read_bounded(card_file, LARGEST_CARD_BYTES)?;
+        let card: ModelCard = serde_json::from_slice(&content)
+            .map_err(|error| LearnError::content(card_file, "model card", error.to_string()))?;
+        check_card(&card, card_file)?;
+        let file = card_file.with_file_name(&card.weights);
+        let bytes = read_bounded(&file, LARGEST_WEIGHTS_BYTES)?;
+        Self::from_parts(card, &bytes, &file, card_file)
+    }
+
+    /// As [`Model::load`] from contents in memory (embedded ones).
+    ///
+    /// # Errors
+    /// As [`Model::load`].
+    pub fn from_contents(card: &str, weights: &[u8], name: &str) -> Result<Self, LearnError> {
+        let file = Path::new(name);
+        let card: ModelCard =
+            serde_json::from_str(card).map_err(|error| LearnError::content(file, "model card", error.to_string()))?;
+        check_card(&card, file)?;
+        let weights_file = PathBuf::from(&card.weights);
+        Self::from_parts(card, weights, &weights_file, file)
+    }
+
+    fn from_parts(card: ModelCard, bytes: &[u8], file: &Path, card_file: &Path) -> Result<Self, LearnError> {
+        if bytes.len() as u64 != card.weights_bytes {
+            let reason = format!("expected {} bytes, found {}", card.weights_bytes, bytes.len());
+            return Err(LearnError::content(file, "size", reason));
+        }
+        let found = sha256(bytes);
+        if found != card.weights_sha256 {
+            let reason = format!("expected SHA-256 {}, found {found}: changed since it was made", card.weights_sha256);
+            return Err(LearnError::content(file, "content", reason));
+        }
+        let tensors = Tensors::from_bytes(bytes, file)?;
+        tensors.check(&card.shape, file)?;
+        Ok(Self { card, tensors, file: card_file.to_path_buf() })
+    }
+
+    /// Writes weights and card; neither is left half-written under its name. The weights lie beside the card, under its
+    /// name with the ending `safetensors`.
+    ///
+    /// # Errors
+    /// Files that cannot be written.
+    pub fn save(&mut self, card_file: &Path) -> Result<(), LearnError> {
+        let bytes = self.tensors.to_bytes()?;
+        let weights_file = card_file.with_extension("safetensors");
+        let name = weights_file.file_name().and_then(|name| name.to_str());
+        let Some(name) = name else {
+            return Err(LearnError::content(card_file, "name", "expected a file name in UTF-8"));
+        };
+        self.card.weights = name.to_string();
+        self.card.weights_bytes = bytes.len() as u64;
+        self.card.weights_sha256 = sha256(&bytes);
+        check_card(&self.card, card_file)?;
+        let card = serde_json::to_vec_pretty(&self.card)
+            .map_err(|error| LearnError::content(card_file, "model card", error.to_string()))?;
+        write_whole(&weights_file, &bytes)?;
+        write_whole(card_file, &card)?;
+        self.file = card_file.to_path_buf();
+        Ok(())
+    }
+
+    /// Refuses a skin that the model was not made for.
+    ///
+    /// # Errors
+    /// [`LearnError::OtherSkin`].
+    pub fn check_skin(&self, name: &str, fingerprint: &str) -> Result<(), LearnError> {
+        if self.card.skin_sha256 == fingerprint {
+            return Ok(());
+        }
+        let short = |print: &str| print.chars().take(8).collect::<String>();
+        Err(LearnError::OtherSkin {
+            file: self.file.clone(),
+            model: self.card.skin.clone(),
+            model_print: short(&self.card.skin_sha256),
+            skin: name.to_string(),
+            skin_print: short(fingerprint),
+        })
+    }
+
+    /// The network, ready to run.
+    ///
+    /// # Errors
+    /// As [`Network::new`].
+    pub fn network(&self) -> Result<Network, LearnError> {
+        Network::new(self.card.shape, &self.tensors, self.card.rows, self.card.columns)
+    }
+
+    /// The novelty score, where the model has one.
+    pub fn novelty(&self) -> Option<Novelty> {
+        let shape = &self.card.shape;
+        Novelty::load(&self.tensors, shape.channels(shape.levels - 1))
+    }
+}
+
+fn check_card(card: &ModelCard, file: &Path) -> Result<(), LearnError> {
+    let refuse = |field: &str, reason: String| Err(LearnError::content(file, field, reason));
+    if card.format != CARD_FORMAT {
+        return refuse("format", format!("expected {CARD_FORMAT:?}, found {:?}", card.format));
+    }
+    let plain = Path::new(&card.weights).file_name().is_some_and(|name| name == card.weights.as_str());
+    if !plain {
+        return refuse("weights", format!("expected a file name without folders, found {:?}", card.weights));
+    }
+    card.shape.check()?;
+    card.shape.check_image(card.rows, card.columns)?;
+    for (field, expected, got) in [
+        ("classes", card.shape.classes, card.classes.len()),
+        ("inputs", card.shape.inputs, card.inputs.len()),
+        ("input_scale", card.shape.inputs, card.input_scale.len()),
+    ] {
+        if expected != got {
+            return refuse(field, format!("expected {expected} entries, found {got}"));
+        }
+    }
+    if let Some(scale) = card.input_scale.iter().find(|scale| !(scale.is_finite() && **scale > 0.0)) {
+        return refuse("input_scale", format!("{scale} is not positive and finite"));
+    }
+    if !(card.temperature.is_finite() && card.temperature > 0.0) {
+        return refuse("temperature", format!("{} is not positive and finite", card.temperature));
+    }
+    Ok(())
+}
+
+/// Hexadecimal SHA-256.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// Reads a file that must not be larger than `most` bytes.
+pub(crate) fn read_bounded(file: &Path, most: u64) -> Result<Vec<u8>, LearnError> {
+    let length = fs::metadata(file).map_err(LearnError::io(file))?.len();
+    if length > most {
+        return Err(LearnError::content(file, "size", format!("expected at most {most} bytes, found {length}")));
+    }
+    fs::read(file).map_err(LearnError::io(file))
+}
+
+/// Writes beside the file, then puts it in place: nobody sees half a file.
+pub(crate) fn write_whole(file: &Path, bytes: &[u8]) -> Result<(), LearnError> {
+    let mut name = file.file_name().map(|name| name.to_os_string()).unwrap_or_default();
+    name.push(".part");
+    let part = file.with_file_name(name);
+    let outcome = fs::write(&part, bytes).and_then(|()| fs::rename(&part, file));
+    outcome.map_err(|error| {
+        // What could not be finished is not left behind; that it may not be removable changes nothing.
+        let _ = fs::remove_file(&part);
+        LearnError::Io { file: file.to_path_buf(), source: error }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::network::tests::random_tensors;
+
+    pub(crate) fn some_model() -> Model {
+        let shape = UNetShape { inputs: 1, classes: 3, width: 4, levels: 2 };
+        let card = ModelCard {
+            format: CARD_FORMAT.into(),
+            weights: "x".into(),
+            weights_bytes: 0,
+            weights_sha256: String::new(),
+            shape,
+            rows: 8,
+            columns: 8,
+            skin: "healing-square".into(),
+            skin_sha256: "0123456789".into(),
+            inputs: vec!["first step".into()],
+            input_scale: vec![1.0],
+            classes: ["background", "damaged", "compressed"].map(String::from).to_vec(),
+            temperature: 1.2,
+            training: TrainingRecord::default(),
+        };
+        Model::new(card, random_tensors(&shape, 5))
+    }
+
+    #[test]
+    fn a_model_is_read_as_it_was_written_and_knows_its_skin() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("m.json");
+        let mut model = some_model();
+        model.save(&file).unwrap();
+        let read = Model::load(&file).unwrap();
+        assert_eq!(read, model);
+        read.check_skin("healing-square", "0123456789").unwrap();
+        let error = read.check_skin("ionic-disc", "abcdefghijkl").unwrap_err().to_string();
+        assert!(
+            error.ends_with("is for skin healing-square (01234567), not for ionic-disc (abcdefgh); train one for it")
+        );
+        read.network().unwrap();
+        assert!(read.novelty().is_none());
+    }
+
+    #[test]
+    fn changed_cut_and_foreign_files_are_refused_before_they_are_parsed() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("m.json");
+        some_model().save(&file).unwrap();
+        let weights = folder.path().join("m.safetensors");
+        let whole = fs::read(&weights).unwrap();
+        let message = || Model::load(&file).unwrap_err().to_string();
+
+        fs::write(&weights, &whole[..100]).unwrap();
+        assert!(message().contains(&format!("size: expected {} bytes, found 100", whole.len())), "{}", message());
+        let mut changed = whole.clone();
+        *changed.last_mut().unwrap() ^= 1;
+        fs::write(&weights, &changed).unwrap();
+        assert!(message().contains("content: expected SHA-256"), "{}", message());
+        fs::remove_file(&weights).unwrap();
+        assert!(matches!(Model::load(&file), Err(LearnError::Io { .. })));
+        fs::write(&weights, &whole).unwrap();
+
+        let card = fs::read_to_string(&file).unwrap();
+        for (from, to, expected) in [
+            ("dermis-model-1", "dermis-model-9", "format: expected \"dermis-model-1\""),
+            ("m.safetensors", "../m.safetensors", "weights: expected a file name without folders"),
+            ("\"width\": 4", "\"width\": 5", "down.0.conv1.weight: expected [5, 1, 3, 3]"),
+            ("\"temperature\": 1.2", "\"temperature\": -1.0", "temperature: -1 is not positive"),
+            ("\"rows\": 8", "\"rows\": 7", "rows of the images = 7: expected a multiple of 2"),
+            ("\"skin\":", "\"colour\": 1, \"skin\":", "unknown field `colour`"),
+        ] {
+            assert!(card.contains(from), "{from}");
+            fs::write(&file, card.replace(from, to)).unwrap();
+            assert!(message().contains(expected), "{} / {expected}", message());
+        }
+        // Cut anywhere, a card is no card.
+        for length in (0..card.len()).step_by(37) {
+            fs::write(&file, &card[..length]).unwrap();
+            assert!(message().contains("model card"), "{length}");
+        }
+    }
+}

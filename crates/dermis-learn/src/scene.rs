@@ -1,0 +1,388 @@
+//! Random scenes to train on: what lies where on a skin, as shapes with a factor on the conductivity and a class. Pure
+//! geometry in the plane of the sheet; the physics is elsewhere.
+
+use std::f64::consts::{PI, TAU};
+
+use rand::Rng;
+use rand::rngs::StdRng;
+use serde::{Deserialize, Serialize};
+
+/// Nothing there.
+pub const BACKGROUND: u8 = 0;
+/// Conductivity lowered: damaged, or a resistive inclusion.
+pub const LOWERED: u8 = 1;
+/// Conductivity raised: compressed, or a conductive inclusion.
+pub const RAISED: u8 = 2;
+
+/// An outline, closed on itself.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Figure {
+    /// A disc or ellipse: middle, half axes, turn of the first (radians).
+    Ellipse([f64; 2], [f64; 2], f64),
+    /// A polygon.
+    Polygon(Vec<[f64; 2]>),
+    /// All points nearer to a chain of points than half the width.
+    Stroke(Vec<[f64; 2]>, f64),
+}
+
+/// A figure with what it does.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Inclusion {
+    /// Where.
+    pub figure: Figure,
+    /// Factor on the conductivity.
+    pub factor: f64,
+    /// [`LOWERED`] or [`RAISED`].
+    pub class: u8,
+}
+
+/// What is on a skin at one time; later inclusions cover earlier ones.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    /// Touches, cuts, objects.
+    pub inclusions: Vec<Inclusion>,
+}
+
+/// What scenes are made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SceneKind {
+    /// A skin that is touched and cut: none to four touches, which raise conductivity a little, and cuts (lines, arcs,
+    /// holes), which interrupt it.
+    TouchesAndCuts,
+    /// A tank with one to four objects of any outline, insulating or metallic.
+    Objects,
+}
+
+impl Figure {
+    /// Lowest and highest coordinates of a box that holds it.
+    pub fn bounds(&self) -> ([f64; 2], [f64; 2]) {
+        let around = |points: &[[f64; 2]], margin: f64| {
+            let fold = |axis: usize, start: f64, choose: fn(f64, f64) -> f64| {
+                points.iter().map(|p| p[axis]).fold(start, choose)
+            };
+            let low = [0, 1].map(|axis| fold(axis, f64::INFINITY, f64::min) - margin);
+            let high = [0, 1].map(|axis| fold(axis, f64::NEG_INFINITY, f64::max) + margin);
+            (low, high)
+        };
+        match self {
+            Figure::Ellipse(middle, half, _) => around(&[*middle], half[0].max(half[1])),
+            Figure::Polygon(corners) => around(corners, 0.0),
+            Figure::Stroke(chain, width) => around(chain, 0.5 * width),
+        }
+    }
+
+    /// Is a point inside?
+    pub fn contains(&self, p: [f64; 2]) -> bool {
+        match self {
+            Figure::Ellipse(middle, half, turn) => {
+                let (sin, cos) = turn.sin_cos();
+                let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
+                let (u, v) = ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1]);
+                u * u + v * v <= 1.0
+            }
+            Figure::Polygon(corners) => {
+                let mut inside = false;
+                for (k, a) in corners.iter().enumerate() {
+                    let b = corners[(k + 1) % corners.len()];
+                    if (a[1] > p[1]) != (b[1] > p[1]) && p[0] < a[0] + (p[1] - a[1]) / (b[1] - a[1]) * (b[0] - a[0]) {
+                        inside = !inside;
+                    }
+                }
+                inside
+            }
+            Figure::Stroke(chain, width) => {
+                chain.windows(2).any(|ends| from_segment(p, ends[0], ends[1]) <= 0.5 * width)
+            }
+        }
+    }
+}
+
+fn from_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let (ab, ap) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
+    let square = ab[0] * ab[0] + ab[1] * ab[1];
+    let along = if square > 0.0 { ((ab[0] * ap[0] + ab[1] * ap[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
+    (ap[0] - along * ab[0]).hypot(ap[1] - along * ab[1])
+}
+
+/// A scene made ready to be asked at many points: figures are looked at only within their boxes.
+#[derive(Clone, Debug)]
+pub struct SceneLookup<'a> {
+    /// Lowest and highest coordinates; the last inclusion first.
+    boxed: Vec<([f64; 2], [f64; 2], &'a Inclusion)>,
+}
+
+impl SceneLookup<'_> {
+    /// Class and factor at a point.
+    pub fn at(&self, p: [f64; 2]) -> (u8, f64) {
+        for (low, high, inclusion) in &self.boxed {
+            let near = p[0] >= low[0] && p[0] <= high[0] && p[1] >= low[1] && p[1] <= high[1];
+            if near && inclusion.figure.contains(p) {
+                return (inclusion.class, inclusion.factor);
+            }
+        }
+        (BACKGROUND, 1.0)
+    }
+}
+
+impl Scene {
+    /// Class and factor at a point.
+    pub fn at(&self, p: [f64; 2]) -> (u8, f64) {
+        self.lookup().at(p)
+    }
+
+    /// Makes ready to be asked at many points.
+    pub fn lookup(&self) -> SceneLookup<'_> {
+        let boxed = self.inclusions.iter().rev().map(|inclusion| {
+            let (low, high) = inclusion.figure.bounds();
+            (low, high, inclusion)
+        });
+        SceneLookup { boxed: boxed.collect() }
+    }
+
+    /// Draws one. `size_m` is half the shorter side of the skin; `inside` says where there is skin, in metres from its
+    /// middle; `finest_m` is the width of the narrowest cut (that of a pixel or an element).
+    pub fn draw(
+        kind: SceneKind,
+        size_m: f64,
+        finest_m: f64,
+        inside: &dyn Fn([f64; 2]) -> bool,
+        random: &mut StdRng,
+    ) -> Self {
+        let painter = Painter { size_m, finest_m, inside };
+        match kind {
+            SceneKind::TouchesAndCuts => painter.touches_and_cuts(random),
+            SceneKind::Objects => painter.objects(random),
+        }
+    }
+}
+
+struct Painter<'a> {
+    size_m: f64,
+    finest_m: f64,
+    inside: &'a dyn Fn([f64; 2]) -> bool,
+}
+
+impl Painter<'_> {
+    /// A point of the skin within this share of the half width from the middle.
+    fn place(&self, share: f64, random: &mut StdRng) -> [f64; 2] {
+        for _ in 0..1000 {
+            let p = [0, 1].map(|_| share * self.size_m * random.random_range(-1.0..1.0));
+            if (self.inside)(p) {
+                return p;
+            }
+        }
+        [0.0, 0.0]
+    }
+
+    /// One of the five mixtures (touches; cuts; both; nothing), with weights that leave a tenth without anything.
+    fn touches_and_cuts(&self, random: &mut StdRng) -> Scene {
+        let kind: f64 = random.random();
+        let (touches, cuts) = match kind {
+            k if k < 0.40 => (random.random_range(1..=4), 0),
+            k if k < 0.65 => (0, random.random_range(1..=2)),
+            k if k < 0.92 => (random.random_range(1..=3), random.random_range(1..=2)),
+            _ => (0, 0),
+        };
+        let mut inclusions: Vec<Inclusion> = (0..cuts).map(|_| self.cut(random)).collect();
+        let mut taken: Vec<([f64; 2], f64)> = Vec::new();
+        for _ in 0..touches {
+            let radius = self.size_m * random.random_range(0.12..0.30);
+            let free = (0..50)
+                .map(|_| self.place(0.92, random))
+                .find(|p| taken.iter().all(|(q, r)| (p[0] - q[0]).hypot(p[1] - q[1]) > r + radius));
+            if let Some(middle) = free {
+                taken.push((middle, radius));
+                let figure = self.footprint(middle, radius, random);
+                let factor = 1.0 + random.random_range(0.2_f64.ln()..4.0_f64.ln()).exp();
+                inclusions.push(Inclusion { figure, factor, class: RAISED });
+            }
+        }
+        Scene { inclusions }
+    }
+
+    fn footprint(&self, middle: [f64; 2], radius: f64, random: &mut StdRng) -> Figure {
+        match random.random_range(0..4) {
+            0 => {
+                let turn = random.random_range(0.0..TAU);
+                Figure::Polygon(ring(middle, 4, turn, |_| radius))
+            }
+            1 => {
+                let half = [radius, radius * random.random_range(0.5..1.0)];
+                Figure::Ellipse(middle, half, random.random_range(0.0..PI))
+            }
+            _ => Figure::Ellipse(middle, [radius, radius], 0.0),
+        }
+    }
+
+    /// A line, an arc or a hole.
+    fn cut(&self, random: &mut StdRng) -> Inclusion {
+        let start = self.place(0.85, random);
+        let width = self.finest_m * random.random_range(1.0..1.6);
+        let length = self.size_m * random.random_range(0.2..0.7);
+        let direction = random.random_range(0.0..TAU);
+        let figure = match random.random_range(0..3) {
+            0 => {
+                let end = [start[0] + length * direction.cos(), start[1] + length * direction.sin()];
+                Figure::Stroke(vec![start, end], width)
+            }
+            1 => {
+                let radius = length / random.random_range(0.8..2.5);
+                let turn = length / radius;
+                let centre = [start[0] + radius * direction.cos(), start[1] + radius * direction.sin()];
+                let point = |k: u32| {
+                    let angle = direction + PI + turn * f64::from(k) / 8.0;
+                    [centre[0] + radius * angle.cos(), centre[1] + radius * angle.sin()]
+                };
+                Figure::Stroke((0..=8).map(point).collect(), width)
+            }
+            _ => {
+                let radius = self.size_m * random.random_range(0.05..0.15);
+                Figure::Ellipse(start, [radius, radius], 0.0)
+            }
+        };
+        Inclusion { figure, factor: random.random_range(0.005_f64.ln()..0.1_f64.ln()).exp(), class: LOWERED }
+    }
+
+    fn objects(&self, random: &mut StdRng) -> Scene {
+        let count = [1, 1, 2, 2, 2, 3, 3, 3, 4][random.random_range(0..9)];
+        let mut taken: Vec<([f64; 2], f64)> = Vec::new();
+        let mut inclusions = Vec::new();
+        for _ in 0..count {
+            let radius = self.size_m * random.random_range(0.13..0.42);
+            let free = (0..50).map(|_| self.place(0.97 - 0.9 * radius / self.size_m, random)).find(|p| {
+                let inside = p[0].hypot(p[1]) + 0.9 * radius < 0.99 * self.size_m;
+                inside && taken.iter().all(|(q, r)| (p[0] - q[0]).hypot(p[1] - q[1]) > 0.9 * (r + radius))
+            });
+            if let Some(middle) = free {
+                taken.push((middle, radius));
+                let raised = random.random_bool(0.5);
+                let contrast: f64 = random.random_range(5.0_f64.ln()..100.0_f64.ln()).exp();
+                let factor = if raised { contrast } else { 1.0 / contrast };
+                let class = if raised { RAISED } else { LOWERED };
+                inclusions.push(Inclusion { figure: self.object(middle, radius, random), factor, class });
+            }
+        }
+        Scene { inclusions }
+    }
+
+    /// Discs, ellipses, bars, regular and irregular polygons, angles, rings cut open.
+    fn object(&self, middle: [f64; 2], radius: f64, random: &mut StdRng) -> Figure {
+        let turn = random.random_range(0.0..TAU);
+        match random.random_range(0..10) {
+            0..=2 => Figure::Ellipse(middle, [radius, radius * random.random_range(0.6..1.0)], turn),
+            3 => Figure::Polygon(ring(middle, 3, turn, |_| radius)),
+            4 | 5 => {
+                let (long, short) = (radius, radius * random.random_range(0.25..0.9));
+                let angle = short.atan2(long);
+                let corner = |k: usize| [angle, PI - angle, PI + angle, TAU - angle][k] + turn;
+                let reach = long.hypot(short).min(1.15 * radius);
+                let point = |k: usize| [middle[0] + reach * corner(k).cos(), middle[1] + reach * corner(k).sin()];
+                Figure::Polygon((0..4).map(point).collect())
+            }
+            6 | 7 => {
+                let count = random.random_range(5..9);
+                let radii: Vec<f64> = (0..count).map(|_| radius * random.random_range(0.55..1.0)).collect();
+                Figure::Polygon(ring(middle, count, turn, |k| radii[k]))
+            }
+            8 => {
+                let thick = radius * random.random_range(0.35..0.6);
+                let end = |angle: f64| {
+                    let reach = radius - 0.5 * thick;
+                    [middle[0] + reach * angle.cos(), middle[1] + reach * angle.sin()]
+                };
+                let bend = random.random_range(0.4..0.8) * PI;
+                Figure::Stroke(vec![end(turn), end(turn + PI), end(turn + PI + bend)], thick)
+            }
+            _ => {
+                let thick = radius * random.random_range(0.3..0.5);
+                let sweep = random.random_range(0.8..1.6) * PI;
+                let reach = radius - 0.5 * thick;
+                let point = |k: u32| {
+                    let angle = turn + sweep * f64::from(k) / 10.0;
+                    [middle[0] + reach * angle.cos(), middle[1] + reach * angle.sin()]
+                };
+                Figure::Stroke((0..=10).map(point).collect(), thick)
+            }
+        }
+    }
+}
+
+fn ring(middle: [f64; 2], count: usize, turn: f64, radius: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
+    (0..count)
+        .map(|k| {
+            let angle = turn + TAU * k as f64 / count as f64;
+            [middle[0] + radius(k) * angle.cos(), middle[1] + radius(k) * angle.sin()]
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    /// Share of a square of side 2 that a figure covers.
+    fn area(figure: &Figure) -> f64 {
+        let side = 400;
+        let at = |k: usize| (2.0 * k as f64 + 1.0) / side as f64 - 1.0;
+        let (low, high) = figure.bounds();
+        let boxed = |p: [f64; 2]| (0..2).all(|axis| p[axis] >= low[axis] && p[axis] <= high[axis]);
+        let inside = |k: &usize| {
+            let p = [at(k % side), at(k / side)];
+            assert!(boxed(p) || !figure.contains(p), "{p:?} is outside the box of {figure:?}");
+            figure.contains(p)
+        };
+        let inside = (0..side * side).filter(inside).count();
+        4.0 * inside as f64 / (side * side) as f64
+    }
+
+    #[test]
+    fn areas_are_those_of_the_formulas() {
+        let ellipse = Figure::Ellipse([0.1, -0.1], [0.6, 0.3], 0.7);
+        // A grid of 160,000 points; the error of an area is that of its rim, a thousandth.
+        assert!((area(&ellipse) - PI * 0.18).abs() < 4e-3);
+        let square = Figure::Polygon(ring([0.0, 0.0], 4, 0.3, |_| 0.8));
+        assert!((area(&square) - 2.0 * 0.64).abs() < 4e-3);
+        let stroke = Figure::Stroke(vec![[-0.5, 0.0], [0.5, 0.2]], 0.2);
+        assert!((area(&stroke) - (1.04_f64.sqrt() * 0.2 + PI * 0.01)).abs() < 4e-3);
+    }
+
+    #[test]
+    fn later_inclusions_cover_earlier_ones() {
+        let disc = |radius: f64, factor: f64, class: u8| Inclusion {
+            figure: Figure::Ellipse([0.0, 0.0], [radius, radius], 0.0),
+            factor,
+            class,
+        };
+        let scene = Scene { inclusions: vec![disc(1.0, 0.1, LOWERED), disc(0.5, 2.0, RAISED)] };
+        assert_eq!(scene.at([0.2, 0.0]), (RAISED, 2.0));
+        assert_eq!(scene.at([0.7, 0.0]), (LOWERED, 0.1));
+        assert_eq!(scene.at([1.7, 0.0]), (BACKGROUND, 1.0));
+    }
+
+    #[test]
+    fn scenes_are_varied_and_repeatable() {
+        let draw = |kind: SceneKind, seed: u64| {
+            let mut random = StdRng::seed_from_u64(seed);
+            Scene::draw(kind, 0.05, 0.0016, &|p| p[0].abs().max(p[1].abs()) < 0.05, &mut random)
+        };
+        let has = |scene: &Scene, class: u8| scene.inclusions.iter().any(|i| i.class == class);
+        let scenes: Vec<Scene> = (0..400).map(|seed| draw(SceneKind::TouchesAndCuts, seed)).collect();
+        let count = |test: &dyn Fn(&Scene) -> bool| scenes.iter().filter(|scene| test(scene)).count();
+        // 0.40 touches only, 0.25 cuts only, 0.27 both, 0.08 nothing; four standard deviations of 400 draws.
+        let near = |found: usize, share: f64| {
+            (found as f64 / 400.0 - share).abs() < 4.0 * (share * (1.0 - share) / 400.0_f64).sqrt()
+        };
+        assert!(near(count(&|s| has(s, RAISED) && !has(s, LOWERED)), 0.40));
+        assert!(near(count(&|s| !has(s, RAISED) && has(s, LOWERED)), 0.25));
+        assert!(near(count(&|s| s.inclusions.is_empty()), 0.08));
+        assert_eq!(draw(SceneKind::Objects, 3), draw(SceneKind::Objects, 3));
+        assert_ne!(draw(SceneKind::Objects, 3), draw(SceneKind::Objects, 4));
+        for seed in 0..400 {
+            for inclusion in draw(SceneKind::Objects, seed).inclusions {
+                assert_eq!(inclusion.class == RAISED, inclusion.factor > 1.0);
+            }
+        }
+    }
+}

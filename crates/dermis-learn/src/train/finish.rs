@@ -1,0 +1,134 @@
+//! From the best weights to a model: temperature, novelty score, and the figures for the card.
+
+use super::{Split, TrainOptions, Training, scaled};
+use crate::LearnError;
+use crate::metrics::{Calibration, Confusion, HeldOut, most_likely};
+use crate::model::{CARD_FORMAT, Model, ModelCard, TrainingRecord};
+use crate::network::{Network, softmax};
+use crate::novelty::Novelty;
+use crate::shape::UNetShape;
+use crate::train::checkpoint::State;
+
+/// Most frames that features are gathered from.
+const MOST_FEATURE_FRAMES: usize = 2000;
+/// Most frames that the temperature is fitted to.
+const MOST_TEMPERATURE_FRAMES: usize = 200;
+
+/// Frames of some shards run through the network.
+struct Run<'a> {
+    training: &'a Training<'a>,
+    scale: &'a [f32],
+    network: Network,
+}
+
+impl Run<'_> {
+    /// Hands every frame's logits, truth and features to `each` until it returns false.
+    fn over(
+        &mut self,
+        shards: &[usize],
+        mut each: impl FnMut(&[f32], &[u8], &[f32]) -> Result<bool, LearnError>,
+    ) -> Result<(), LearnError> {
+        let manifest = self.training.set.manifest();
+        let pixels = manifest.pixels();
+        let mut logits = vec![0.0; manifest.classes.len() * pixels];
+        for &shard in shards {
+            let samples = scaled(self.training.set.read(shard)?, self.scale, pixels);
+            let inputs = samples.inputs.chunks_exact(manifest.input_len());
+            for (input, truth) in inputs.zip(samples.labels.chunks_exact(pixels)) {
+                self.network.logits(input, &mut logits)?;
+                if !each(&logits, truth, self.network.features())? {
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn model(
+    training: &Training<'_>,
+    shape: UNetShape,
+    split: &Split,
+    scale: &[f32],
+    state: &State,
+) -> Result<Model, LearnError> {
+    let manifest = training.set.manifest();
+    let mut tensors = state.best.clone();
+    let network = Network::new(shape, &tensors, manifest.rows, manifest.columns)?;
+    let mut run = Run { training, scale, network };
+    let mut features = Vec::new();
+    run.over(&split.training, |_, _, frame| {
+        features.push(frame.to_vec());
+        Ok(features.len() < MOST_FEATURE_FRAMES)
+    })?;
+    // Frames held out take turns: those of even number fit the temperature, the others say how good it is.
+    let mut held_out = HeldOut { classes: shape.classes, logits: Vec::new(), truth: Vec::new() };
+    let (mut held_out_features, mut number) = (Vec::new(), 0_usize);
+    run.over(&split.held_out, |logits, truth, frame| {
+        if number.is_multiple_of(2) && held_out.truth.len() < MOST_TEMPERATURE_FRAMES {
+            held_out.logits.push(logits.to_vec());
+            held_out.truth.push(truth.to_vec());
+        }
+        held_out_features.push(frame.to_vec());
+        number += 1;
+        Ok(true)
+    })?;
+    let temperature = held_out.temperature();
+    Novelty::fit(&features, &held_out_features)?.store(&mut tensors)?;
+    let (calibration, confusion) = judge(&mut run, split, shape.classes, temperature)?;
+    let options: &TrainOptions = training.options;
+    let card = ModelCard {
+        format: CARD_FORMAT.into(),
+        weights: "weights.safetensors".into(),
+        weights_bytes: 0,
+        weights_sha256: String::new(),
+        shape,
+        rows: manifest.rows,
+        columns: manifest.columns,
+        skin: manifest.skin.clone(),
+        skin_sha256: manifest.skin_sha256.clone(),
+        inputs: manifest.inputs.clone(),
+        input_scale: scale.to_vec(),
+        classes: manifest.classes.clone(),
+        temperature,
+        training: TrainingRecord {
+            command: training.command.into(),
+            seed: options.seed,
+            data_sha256: training.set.manifest_sha256().into(),
+            samples: [Split::samples(training.set, &split.training), Split::samples(training.set, &split.held_out)],
+            epochs: state.epoch,
+            best_epoch: state.best_epoch,
+            learning_rate: options.learning_rate,
+            batch: options.batch,
+            duration_s: state.duration_s.round(),
+            held_out_loss: state.best_loss,
+            held_out_iou: confusion.summary(0).0,
+            calibration_error: calibration.error(),
+        },
+    };
+    Ok(Model::new(card, tensors))
+}
+
+fn judge(
+    run: &mut Run<'_>,
+    split: &Split,
+    classes: usize,
+    temperature: f32,
+) -> Result<(Calibration, Confusion), LearnError> {
+    let (mut calibration, mut confusion, mut number) = (Calibration::default(), Confusion::new(classes), 0_usize);
+    let (mut values, mut found) = (Vec::new(), Vec::new());
+    run.over(&split.held_out, |logits, truth, _| {
+        values.clear();
+        values.extend_from_slice(logits);
+        softmax(&mut values, classes, temperature);
+        found.resize(truth.len(), 0);
+        most_likely(&values, classes, &mut found);
+        confusion.add(truth, &found)?;
+        if !number.is_multiple_of(2) {
+            calibration.add(&values, truth)?;
+        }
+        number += 1;
+        Ok(true)
+    })?;
+    Ok((calibration, confusion))
+}

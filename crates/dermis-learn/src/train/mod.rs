@@ -1,0 +1,318 @@
+//! Training: Adam on the cross-entropy of a training set's shards, with frames held out for early stopping, for the
+//! temperature and for the figures on the model card. Every pass over the samples ends in a checkpoint, from which an
+//! interrupted training goes on as if it had not been.
+
+mod checkpoint;
+mod finish;
+mod unet;
+
+use std::path::Path;
+use std::time::Instant;
+
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
+
+use crate::LearnError;
+use crate::metrics::{Confusion, most_likely};
+use crate::model::Model;
+use crate::network::{Network, softmax};
+use crate::shape::UNetShape;
+use crate::shards::{Shard, TrainingSet};
+use crate::weights::Tensors;
+use checkpoint::{Checkpoint, State};
+use unet::{Batch, TrainableUNet};
+
+pub use burn::tensor::Device;
+
+/// Shards whose samples are mixed: their number bounds the memory.
+const SHARDS_AT_ONCE: usize = 8;
+/// Share of the first step that the last one has; between them a half cosine.
+const LAST_RATE: f64 = 0.02;
+
+/// How to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainOptions {
+    /// Channels of the finest level.
+    pub width: usize,
+    /// Levels.
+    pub levels: usize,
+    /// Most passes over the samples.
+    pub epochs: usize,
+    /// Samples a step.
+    pub batch: usize,
+    /// Adam's first step; it falls to a fiftieth along a half cosine.
+    pub learning_rate: f64,
+    /// Passes without improvement on the frames held out after which training stops.
+    pub patience: usize,
+    /// Share of the shards that are held out, the last ones.
+    pub held_out: f64,
+    /// Seed of the initial weights and of the order of samples.
+    pub seed: u64,
+}
+
+impl Default for TrainOptions {
+    fn default() -> Self {
+        Self { width: 8, levels: 4, epochs: 40, batch: 64, learning_rate: 1e-3, patience: 8, held_out: 0.1, seed: 1 }
+    }
+}
+
+/// What training tells while it runs.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Progress {
+    /// A step was made: samples done in this pass, samples in a pass, mean loss so far in the pass.
+    Step(usize, usize, f64),
+    /// A pass was made.
+    Epoch(EpochReport),
+}
+
+/// One pass over the samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EpochReport {
+    /// Counted from 1.
+    pub epoch: usize,
+    /// Mean cross-entropy of the batches.
+    pub loss: f64,
+    /// Mean cross-entropy of the frames held out.
+    pub held_out_loss: f64,
+    /// Intersection over union of each class on frames held out; `None` where it does not occur.
+    pub held_out_iou: Vec<Option<f64>>,
+    /// True where this is the best pass so far.
+    pub best: bool,
+}
+
+/// What is trained, and where it is kept meanwhile.
+pub struct Training<'a> {
+    /// The samples.
+    pub set: &'a TrainingSet,
+    /// How.
+    pub options: &'a TrainOptions,
+    /// Folder of the checkpoint; training goes on from what is there.
+    pub checkpoint: &'a Path,
+    /// The command, for the card.
+    pub command: &'a str,
+}
+
+impl TrainOptions {
+    fn check(&self) -> Result<(), LearnError> {
+        let refuse = |what: &'static str, value: String, expected: &str| {
+            Err(LearnError::Value { what, value, expected: expected.into() })
+        };
+        if self.epochs == 0 || self.batch == 0 || self.patience == 0 {
+            let value = format!("{}, {}, {}", self.epochs, self.batch, self.patience);
+            return refuse("epochs, batch and patience", value, "at least 1 each");
+        }
+        if !(self.learning_rate > 0.0 && self.learning_rate < 1.0) {
+            return refuse("learning rate", self.learning_rate.to_string(), "between 0 and 1");
+        }
+        if !(self.held_out > 0.0 && self.held_out < 1.0) {
+            return refuse("share held out", self.held_out.to_string(), "between 0 and 1");
+        }
+        Ok(())
+    }
+
+    /// Adam's step in a pass counted from 0.
+    fn rate(&self, epoch: usize) -> f64 {
+        let along = epoch as f64 / self.epochs as f64;
+        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * along).cos());
+        self.learning_rate * (LAST_RATE + (1.0 - LAST_RATE) * cosine)
+    }
+}
+
+/// Trains, or goes on training, and returns the finished model (not yet saved).
+///
+/// # Errors
+/// Options or a training set that make no sense, shards that are missing or damaged, a checkpoint of another training, a
+/// checkpoint that cannot be written, a loss that is no longer finite.
+pub fn train(
+    training: &Training<'_>,
+    device: &Device,
+    mut progress: impl FnMut(&Progress),
+) -> Result<Model, LearnError> {
+    let (set, options) = (training.set, training.options);
+    options.check()?;
+    let manifest = set.manifest();
+    let shape = UNetShape {
+        inputs: manifest.inputs.len(),
+        classes: manifest.classes.len(),
+        width: options.width,
+        levels: options.levels,
+    };
+    shape.check()?;
+    shape.check_image(manifest.rows, manifest.columns)?;
+    let split = Split::of(set, options.held_out)?;
+    let scale = input_scale(set, &split)?;
+    let store = Checkpoint::new(training.checkpoint, set.manifest_sha256(), options);
+    let mut state = match store.read(&shape)? {
+        Some(state) => state,
+        None => State::fresh(unet::initial(&shape, &mut StdRng::seed_from_u64(options.seed))?),
+    };
+    let device = device.clone().autodiff();
+    let moments = (state.steps > 0).then_some((&state.moments, state.steps));
+    let mut network = TrainableUNet::new(shape, &state.tensors, moments, &device)?;
+    while state.epoch < options.epochs && state.epoch - state.best_epoch < options.patience {
+        let begun = Instant::now();
+        let mut pass = Pass { set, split: &split, options, scale: &scale, state: &mut state };
+        let loss = pass.run(&mut network, &mut progress)?;
+        state.tensors = network.tensors()?;
+        state.moments = network.moments()?;
+        let (held_out_loss, confusion) = held_out(set, &split, shape, &state.tensors, &scale)?;
+        state.epoch += 1;
+        let best = state.keep_if_best(held_out_loss);
+        state.duration_s += begun.elapsed().as_secs_f64();
+        store.write(&state)?;
+        let held_out_iou = confusion.summary(0).0;
+        progress(&Progress::Epoch(EpochReport { epoch: state.epoch, loss, held_out_loss, held_out_iou, best }));
+    }
+    finish::model(training, shape, &split, &scale, &state)
+}
+
+/// Shards to train on and shards held out.
+struct Split {
+    training: Vec<usize>,
+    held_out: Vec<usize>,
+}
+
+impl Split {
+    fn of(set: &TrainingSet, share: f64) -> Result<Self, LearnError> {
+        let shards = set.manifest().shards();
+        if shards < 2 {
+            let (what, expected) = ("shards of the training set", "at least 2, one of which is held out".into());
+            return Err(LearnError::Value { what, value: shards.to_string(), expected });
+        }
+        let held_out = ((shards as f64 * share).round() as usize).clamp(1, shards - 1);
+        Ok(Self { training: (0..shards - held_out).collect(), held_out: (shards - held_out..shards).collect() })
+    }
+
+    fn samples(set: &TrainingSet, shards: &[usize]) -> usize {
+        shards.iter().map(|&shard| set.manifest().samples_of(shard)).sum()
+    }
+}
+
+/// Factors that bring each input image to a root mean square of 1 over a few shards.
+fn input_scale(set: &TrainingSet, split: &Split) -> Result<Vec<f32>, LearnError> {
+    let manifest = set.manifest();
+    let (images, pixels) = (manifest.inputs.len(), manifest.pixels());
+    let (mut squares, mut count) = (vec![0.0_f64; images], 0_usize);
+    for &shard in split.training.iter().take(SHARDS_AT_ONCE) {
+        let samples = set.read(shard)?;
+        for (place, image) in samples.inputs.chunks_exact(pixels).enumerate() {
+            squares[place % images] += image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        }
+        count += samples.labels.len();
+    }
+    let scale = |square: &f64| {
+        let deviation = (square / count.max(1) as f64).sqrt();
+        if deviation > 1e-12 { (1.0 / deviation) as f32 } else { 1.0 }
+    };
+    Ok(squares.iter().map(scale).collect())
+}
+
+/// Multiplies every image of a shard by its factor.
+fn scaled(mut shard: Shard, scale: &[f32], pixels: usize) -> Shard {
+    for (place, image) in shard.inputs.chunks_exact_mut(pixels).enumerate() {
+        let factor = scale[place % scale.len()];
+        image.iter_mut().for_each(|value| *value *= factor);
+    }
+    shard
+}
+
+/// One pass over the samples.
+struct Pass<'a> {
+    set: &'a TrainingSet,
+    split: &'a Split,
+    options: &'a TrainOptions,
+    scale: &'a [f32],
+    state: &'a mut State,
+}
+
+impl Pass<'_> {
+    /// The mean loss.
+    fn run(&mut self, network: &mut TrainableUNet, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
+        let manifest = self.set.manifest();
+        let rate = self.options.rate(self.state.epoch);
+        let seed = self.options.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(self.state.epoch as u64 + 1);
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut shards = self.split.training.clone();
+        shards.shuffle(&mut random);
+        let all = Split::samples(self.set, &shards);
+        let (mut done, mut sum) = (0, 0.0);
+        for group in shards.chunks(SHARDS_AT_ONCE) {
+            let mut pool = Shard::default();
+            for &shard in group {
+                let read = scaled(self.set.read(shard)?, self.scale, manifest.pixels());
+                pool.inputs.extend(read.inputs);
+                pool.labels.extend(read.labels);
+            }
+            let mut order: Vec<usize> = (0..pool.labels.len() / manifest.pixels()).collect();
+            order.shuffle(&mut random);
+            for chosen in order.chunks(self.options.batch) {
+                let (inputs, labels) = gather(&pool, chosen, manifest.input_len(), manifest.pixels());
+                let batch = Batch {
+                    count: chosen.len(),
+                    rows: manifest.rows,
+                    columns: manifest.columns,
+                    inputs: &inputs,
+                    labels: &labels,
+                };
+                let loss = network.step(&batch, rate);
+                if !loss.is_finite() {
+                    let expected = "a finite one; lower the learning rate".into();
+                    return Err(LearnError::Value { what: "loss", value: loss.to_string(), expected });
+                }
+                self.state.steps += 1;
+                done += chosen.len();
+                sum += loss * chosen.len() as f64;
+                progress(&Progress::Step(done, all, sum / done as f64));
+            }
+        }
+        Ok(sum / done.max(1) as f64)
+    }
+}
+
+fn gather(pool: &Shard, chosen: &[usize], input_len: usize, pixels: usize) -> (Vec<f32>, Vec<u8>) {
+    let mut inputs = Vec::with_capacity(chosen.len() * input_len);
+    let mut labels = Vec::with_capacity(chosen.len() * pixels);
+    for &sample in chosen {
+        inputs.extend_from_slice(&pool.inputs[sample * input_len..(sample + 1) * input_len]);
+        labels.extend_from_slice(&pool.labels[sample * pixels..(sample + 1) * pixels]);
+    }
+    (inputs, labels)
+}
+
+/// Mean cross-entropy and counts of the frames held out, by the network that will run live.
+fn held_out(
+    set: &TrainingSet,
+    split: &Split,
+    shape: UNetShape,
+    tensors: &Tensors,
+    scale: &[f32],
+) -> Result<(f64, Confusion), LearnError> {
+    let manifest = set.manifest();
+    let pixels = manifest.pixels();
+    let mut network = Network::new(shape, tensors, manifest.rows, manifest.columns)?;
+    let mut confusion = Confusion::new(shape.classes);
+    let (mut sum, mut count) = (0.0, 0_usize);
+    let (mut values, mut found) = (vec![0.0; shape.classes * pixels], vec![0; pixels]);
+    for &shard in &split.held_out {
+        let samples = scaled(set.read(shard)?, scale, pixels);
+        for (input, truth) in samples.inputs.chunks_exact(manifest.input_len()).zip(samples.labels.chunks_exact(pixels))
+        {
+            network.logits(input, &mut values)?;
+            most_likely(&values, shape.classes, &mut found);
+            confusion.add(truth, &found)?;
+            softmax(&mut values, shape.classes, 1.0);
+            for (pixel, label) in truth.iter().enumerate() {
+                sum -= f64::from(values[usize::from(*label) * pixels + pixel].max(1e-12)).ln();
+            }
+            count += pixels;
+        }
+    }
+    Ok((sum / count.max(1) as f64, confusion))
+}
+
+#[cfg(test)]
+mod tests;

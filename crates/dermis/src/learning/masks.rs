@@ -1,0 +1,142 @@
+//! Labels from an image without a network: a threshold for each sign, in the manner of the challenge organisers' two
+//! thresholds, but relative to the image's own extremes, so that a weak inclusion keeps its size; and a sign whose extreme
+//! is no more than the side lobe of the other is left out.
+
+use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED};
+
+/// When a pixel belongs to an inclusion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaskRule {
+    /// A sign whose extreme is below this is absent.
+    pub least_extreme: f64,
+    /// As is one whose extreme is below this share of the other's: side lobes reach it.
+    pub side_lobe_share: f64,
+    /// Pixels above this share of their sign's extreme are inside,
+    pub inside_share: f64,
+    /// and above this.
+    pub least_value: f64,
+}
+
+impl MaskRule {
+    /// For images of log conductivity: thresholds where conductivity has doubled or halved. The shares were chosen on the
+    /// four training phantoms of the Kuopio challenge.
+    pub const LOG_CONDUCTIVITY: Self =
+        Self { least_extreme: 0.7, side_lobe_share: 0.3, inside_share: 0.35, least_value: 0.7 };
+
+    /// For linear images of relative changes, with the smallest amplitude that counts.
+    pub fn linear(smallest: f64) -> Self {
+        Self { least_extreme: smallest, side_lobe_share: 0.4, inside_share: 0.45, least_value: 0.0 }
+    }
+}
+
+/// Labels of an image (positive where conductivity is raised; `NaN` outside the skin is background).
+pub fn masks_of_image(image: &[f32], rule: &MaskRule) -> Vec<u8> {
+    let finite = || image.iter().filter(|value| value.is_finite()).map(|value| f64::from(*value));
+    let extremes = [(RAISED, 1.0, finite().fold(0.0, f64::max)), (LOWERED, -1.0, -finite().fold(0.0, f64::min))];
+    let strongest = extremes[0].2.max(extremes[1].2);
+    let mut labels = vec![BACKGROUND; image.len()];
+    for (class, sign, extreme) in extremes {
+        if extreme < rule.least_extreme.max(rule.side_lobe_share * strongest) || extreme == 0.0 {
+            continue;
+        }
+        let threshold = (rule.inside_share * extreme).max(rule.least_value);
+        for (label, value) in labels.iter_mut().zip(image) {
+            if sign * f64::from(*value) > threshold {
+                *label = class;
+            }
+        }
+    }
+    labels
+}
+
+/// An image of `from` = rows, columns at `to` = rows, columns, bilinear between pixel centres, edges repeated; pixels
+/// outside the skin (`NaN`) count as their neighbours of value, and become `NaN` again where `outside` says so of the new
+/// pixels (row-major; empty: nowhere).
+pub fn enlarge(image: &[f32], from: [usize; 2], to: [usize; 2], outside: &[bool]) -> Vec<f32> {
+    let ([rows, columns], [to_rows, to_columns]) = (from, to);
+    let filled = fill_outside(image, rows, columns);
+    let place = |k: usize, count: usize, to: usize| {
+        let at = ((k as f64 + 0.5) * count as f64 / to as f64 - 0.5).clamp(0.0, count as f64 - 1.0);
+        let low = at.floor() as usize;
+        (low, (low + 1).min(count - 1), (at - low as f64) as f32)
+    };
+    let across: Vec<_> = (0..to_columns).map(|k| place(k, columns, to_columns)).collect();
+    let mut out = Vec::with_capacity(to_rows * to_columns);
+    for row in 0..to_rows {
+        let (top, bottom, down) = place(row, rows, to_rows);
+        for (column, &(left, right, along)) in across.iter().enumerate() {
+            let mix = |row: usize| {
+                let run = &filled[row * columns..(row + 1) * columns];
+                run[left] + along * (run[right] - run[left])
+            };
+            let value = mix(top) + down * (mix(bottom) - mix(top));
+            out.push(if outside.get(row * to_columns + column) == Some(&true) { f32::NAN } else { value });
+        }
+    }
+    out
+}
+
+/// Grows the values outward, ring by ring, each new pixel the mean of its neighbours that have one.
+fn fill_outside(image: &[f32], rows: usize, columns: usize) -> Vec<f32> {
+    let mut filled = image.to_vec();
+    for _ in 0..rows.max(columns) {
+        let before = filled.clone();
+        let mut left = false;
+        for place in (0..filled.len()).filter(|&place| before[place].is_nan()) {
+            let (row, column) = ((place / columns) as isize, (place % columns) as isize);
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (down, along) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+                let (r, c) = (row + down, column + along);
+                let there = r >= 0 && c >= 0 && r < rows as isize && c < columns as isize;
+                let value = if there { before[r as usize * columns + c as usize] } else { f32::NAN };
+                if value.is_finite() {
+                    (sum, count) = (sum + value, count + 1.0);
+                }
+            }
+            if count > 0.0 {
+                filled[place] = sum / count;
+            } else {
+                left = true;
+            }
+        }
+        if !left {
+            break;
+        }
+    }
+    filled.iter_mut().filter(|value| value.is_nan()).for_each(|value| *value = 0.0);
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn side_lobes_are_no_inclusions_but_weak_ones_keep_their_size() {
+        let rule = MaskRule::LOG_CONDUCTIVITY;
+        // A strong resistive inclusion with a conductive side lobe of a fifth.
+        let labels = masks_of_image(&[-3.0, -2.0, -0.5, 0.6, f32::NAN], &rule);
+        assert_eq!(labels, [1, 1, 0, 0, 0]);
+        // A weak conductive one beside it: 0.35 of its own extreme.
+        let labels = masks_of_image(&[-3.0, 0.0, 1.2, 0.75, 0.65], &rule);
+        assert_eq!(labels, [1, 0, 2, 2, 0]);
+        assert_eq!(masks_of_image(&[0.3, -0.2, f32::NAN], &rule), [0, 0, 0]);
+    }
+
+    #[test]
+    fn a_plane_stays_a_plane_when_enlarged() {
+        let image: Vec<f32> = (0..64).map(|k| (k % 8) as f32 + 10.0 * (k / 8) as f32).collect();
+        let outside: Vec<bool> = (0..256).map(|k| k == 3).collect();
+        let large = enlarge(&image, [8, 8], [16, 16], &outside);
+        assert!(large[3].is_nan());
+        for row in 1..15 {
+            for column in 1..15 {
+                let expected = (column as f32 + 0.5) / 2.0 - 0.5 + 10.0 * ((row as f32 + 0.5) / 2.0 - 0.5);
+                assert!((large[row * 16 + column] - expected).abs() < 1e-4);
+            }
+        }
+        let mut hole = vec![f32::NAN; 64];
+        hole[27] = 4.0;
+        assert!(enlarge(&hole, [8, 8], [8, 8], &[]).iter().all(|value| *value == 4.0));
+    }
+}

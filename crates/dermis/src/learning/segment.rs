@@ -1,0 +1,295 @@
+//! Recorded frames to labels, offline: what `dermis segment` does. With a model, the network's probabilities decide; a frame
+//! unlike those that it was trained on, and every frame where there is no model, is labelled by thresholds on its image.
+
+use std::path::PathBuf;
+
+use dermis_device::instruments::npy;
+use dermis_device::{FileSpec, Format, FrameTable};
+use dermis_learn::metrics::most_likely;
+use dermis_learn::{Model, Network, Novelty};
+use dermis_tomo::mesh::{INSIDE_COVERAGE, PixelGrid, PixelMap};
+
+use super::masks::{MaskRule, enlarge, masks_of_image};
+use super::{FirstStep, InputImage};
+use crate::Error;
+use crate::channels::ChannelReader;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+use crate::skin::Skin;
+
+/// What to segment and where to put it.
+#[derive(Clone, Debug)]
+pub struct SegmentRequest {
+    /// The skin.
+    pub skin: Skin,
+    /// Frames of the untouched skin, which are averaged; missing channels are NaN.
+    pub reference: FileSpec,
+    /// The frames; missing channels are NaN.
+    pub frames: FileSpec,
+    /// Format of both files; detected where `None`.
+    pub format: Option<Format>,
+    /// A model card made by `dermis train`; thresholds alone where `None`.
+    pub model: Option<PathBuf>,
+    /// Pixels along the longer side of the label images.
+    pub size: usize,
+    /// Where the labels go: NPY, u8, rows x columns (frames x rows x columns for several frames), row 0 at the top.
+    pub labels: Option<PathBuf>,
+    /// Where the probabilities go: NPY, f32, frames x classes x rows x columns; needs a model.
+    pub probabilities: Option<PathBuf>,
+}
+
+/// How a frame was labelled.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Method {
+    /// By the network; its novelty score, where the model has one, was at most 1.
+    Network {
+        /// The score.
+        novelty: Option<f32>,
+    },
+    /// By thresholds, since the novelty score was above 1.
+    UnlikeTraining {
+        /// The score.
+        novelty: f32,
+    },
+    /// By thresholds, since there is no model.
+    Thresholds,
+}
+
+/// One labelled frame.
+#[derive(Clone, Debug)]
+pub struct Segmented {
+    /// Classes of the pixels, row 0 at the top, 0 outside the skin.
+    pub labels: Vec<u8>,
+    /// Classes x pixels; of frames that a network labelled.
+    pub probabilities: Option<Vec<f32>>,
+    /// How.
+    pub method: Method,
+}
+
+/// More pixels a side than this are a typing error.
+const MOST_PIXELS: usize = 4096;
+
+/// Labels all frames and writes what was asked for; `progress` is told how many of how many steps are done.
+///
+/// # Errors
+/// Files that cannot be read or do not fit the skin, a model of another skin or damaged, outputs that cannot be written.
+pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> Result<Vec<Segmented>, Error> {
+    let refuse = |what: &str, expected: &str, got: String| {
+        Err(Error::Frames { what: what.into(), expected: expected.into(), got })
+    };
+    if !(8..=MOST_PIXELS).contains(&request.size) {
+        return refuse("size of the labels", "8 to 4096 pixels", request.size.to_string());
+    }
+    if request.probabilities.is_some() && request.model.is_none() {
+        return refuse("probabilities", "a model, which gives them", "none".into());
+    }
+    let model = request.model.as_deref().map(Model::load).transpose()?;
+    let references = dermis_device::read(&request.reference, request.format)?;
+    let frames = dermis_device::read(&request.frames, request.format)?;
+    let prepared = Prepared::new(request.skin.clone())?;
+    let reads = prepared.skin.backend.reads;
+    let reader = |table: &FrameTable| {
+        ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
+    };
+    let mut reference_reader = reader(&references)?;
+    let references = reference_reader.read_table(&references)?;
+    let mut frame_reader = reader(&frames)?;
+    frame_reader.share_phase_of(&reference_reader);
+    let frames = frame_reader.read_table(&frames)?;
+    let reference = prepared.reference(&references)?;
+    let differences: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
+    let mut segmenter = Segmenter::new(&prepared, &reference, model.as_ref(), request.size)?;
+    let segmented = segmenter.label(&differences, progress)?;
+    write(request, segmenter.label_size(), &segmented)?;
+    Ok(segmented)
+}
+
+fn write(request: &SegmentRequest, [rows, columns]: [usize; 2], frames: &[Segmented]) -> Result<(), Error> {
+    if let Some(path) = &request.labels {
+        let labels: Vec<u8> = frames.iter().flat_map(|frame| frame.labels.iter().copied()).collect();
+        let shape: &[usize] = if frames.len() == 1 { &[rows, columns] } else { &[frames.len(), rows, columns] };
+        npy::write_u8(path, shape, &labels)?;
+    }
+    if let Some(path) = &request.probabilities {
+        let classes = super::CLASSES.len();
+        let absent = || vec![f32::NAN; classes * rows * columns];
+        let values: Vec<f32> =
+            frames.iter().flat_map(|frame| frame.probabilities.clone().unwrap_or_else(absent)).collect();
+        npy::write_f32(path, &[frames.len(), classes, rows, columns], &values)?;
+    }
+    Ok(())
+}
+
+/// Labels difference frames of one skin against one reference.
+pub struct Segmenter<'a> {
+    prepared: &'a Prepared,
+    reference: &'a Reference,
+    network: Option<SecondStep>,
+    label_size: [usize; 2],
+    outside: Vec<bool>,
+}
+
+/// A network with what it is shown.
+struct SecondStep {
+    first_step: FirstStep,
+    network: Network,
+    novelty: Option<Novelty>,
+    scale: Vec<f32>,
+    temperature: f32,
+    input: Vec<f32>,
+    probabilities: Vec<f32>,
+}
+
+impl<'a> Segmenter<'a> {
+    /// Prepares operators and network.
+    ///
+    /// # Errors
+    /// A model of another skin, or whose inputs are not known here.
+    pub fn new(
+        prepared: &'a Prepared,
+        reference: &'a Reference,
+        model: Option<&Model>,
+        size: usize,
+    ) -> Result<Self, Error> {
+        let network = model.map(|model| SecondStep::new(prepared, reference, model)).transpose()?;
+        let (low, high) = prepared.body.outline.bounds_m();
+        let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
+        let grid = PixelGrid::covering(low, high, size).map_err(named)?;
+        let label_size = [grid.rows, grid.columns];
+        let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(named)?;
+        let outside = map.coverage().iter().map(|share| *share < INSIDE_COVERAGE).collect();
+        Ok(Self { prepared, reference, network, label_size, outside })
+    }
+
+    /// Rows and columns of the labels.
+    pub fn label_size(&self) -> [usize; 2] {
+        self.label_size
+    }
+
+    /// Labels difference frames (model volts, `NaN` where missing).
+    ///
+    /// # Errors
+    /// Frames of another length, without any channel, or whose forward problem cannot be solved.
+    pub fn label(
+        &mut self,
+        differences: &[Vec<f64>],
+        mut progress: impl FnMut(usize, usize),
+    ) -> Result<Vec<Segmented>, Error> {
+        let mut segmented: Vec<Option<Segmented>> = Vec::with_capacity(differences.len());
+        let mut fallback = vec![Method::Thresholds; differences.len()];
+        for (difference, method) in differences.iter().zip(&mut fallback) {
+            segmented.push(self.by_network(difference, method)?);
+            progress(segmented.len(), differences.len());
+        }
+        let left: Vec<usize> = (0..differences.len()).filter(|&frame| segmented[frame].is_none()).collect();
+        let rest: Vec<Vec<f64>> = left.iter().map(|&frame| differences[frame].clone()).collect();
+        for (&frame, labels) in left.iter().zip(self.by_thresholds(&rest, &mut progress)?) {
+            segmented[frame] = Some(Segmented { labels, probabilities: None, method: fallback[frame] });
+        }
+        Ok(segmented.into_iter().flatten().collect())
+    }
+
+    fn by_network(&mut self, difference: &[f64], method: &mut Method) -> Result<Option<Segmented>, Error> {
+        let Some(step) = &mut self.network else { return Ok(None) };
+        let novelty = step.run(difference)?;
+        if let Some(novelty) = novelty.filter(|novelty| *novelty > 1.0) {
+            *method = Method::UnlikeTraining { novelty };
+            return Ok(None);
+        }
+        let (rows, columns) = step.network.image_size();
+        let classes = step.network.shape().classes;
+        let pixels = self.label_size[0] * self.label_size[1];
+        let mut probabilities = Vec::with_capacity(classes * pixels);
+        for class in step.probabilities.chunks_exact(rows * columns) {
+            probabilities.extend(enlarge(class, [rows, columns], self.label_size, &[]));
+        }
+        let mut labels = vec![0; pixels];
+        most_likely(&probabilities, classes, &mut labels);
+        self.clear_outside(&mut labels);
+        Ok(Some(Segmented { labels, probabilities: Some(probabilities), method: Method::Network { novelty } }))
+    }
+
+    fn by_thresholds(
+        &self,
+        differences: &[Vec<f64>],
+        progress: &mut impl FnMut(usize, usize),
+    ) -> Result<Vec<Vec<u8>>, Error> {
+        if differences.is_empty() {
+            return Ok(Vec::new());
+        }
+        let prepared = self.prepared;
+        let mut imager = prepared.imager(self.reference, differences)?;
+        let grid = prepared.map.grid();
+        let (images, rule) = match &prepared.skin.imaging.refinement {
+            Some(refinement) => {
+                let (mut done, all) = (0, refinement.steps * differences.len());
+                let images = prepared.refine(refinement, self.reference, &imager, differences, || {
+                    done += 1;
+                    progress(done, all);
+                })?;
+                (images, MaskRule::LOG_CONDUCTIVITY)
+            }
+            None => {
+                let mut images = Vec::with_capacity(differences.len());
+                for difference in differences {
+                    let mut image = vec![f32::NAN; grid.len()];
+                    imager.image(difference, &mut image)?;
+                    images.push(image);
+                }
+                (images, MaskRule::linear(prepared.skin.touch.smallest_amplitude))
+            }
+        };
+        let polarity = prepared.skin.imaging.polarity.sign() as f32;
+        let label = |mut image: Vec<f32>| {
+            image.iter_mut().for_each(|value| *value *= polarity);
+            let large = enlarge(&image, [grid.rows, grid.columns], self.label_size, &self.outside);
+            masks_of_image(&large, &rule)
+        };
+        Ok(images.into_iter().map(label).collect())
+    }
+
+    fn clear_outside(&self, labels: &mut [u8]) {
+        labels.iter_mut().zip(&self.outside).filter(|(_, outside)| **outside).for_each(|(label, _)| *label = 0);
+    }
+}
+
+impl SecondStep {
+    fn new(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
+        model.check_skin(&prepared.skin.name, &prepared.skin.imaging_sha256())?;
+        let card = &model.card;
+        let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
+        let inputs: Vec<InputImage> = card
+            .inputs
+            .iter()
+            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
+            .collect::<Result<_, Error>>()?;
+        if card.classes != super::CLASSES {
+            return Err(refuse(format!("classes {}", super::CLASSES.join(", ")), card.classes.join(", ")));
+        }
+        let grid = prepared.map.grid();
+        if (card.rows, card.columns) != (grid.rows, grid.columns) {
+            let expected = format!("images of {} x {}", grid.rows, grid.columns);
+            return Err(refuse(expected, format!("{} x {}", card.rows, card.columns)));
+        }
+        Ok(Self {
+            first_step: FirstStep::new(prepared, reference, &inputs)?,
+            network: model.network()?,
+            novelty: model.novelty(),
+            scale: card.input_scale.clone(),
+            temperature: card.temperature,
+            input: vec![0.0; inputs.len() * grid.len()],
+            probabilities: vec![0.0; card.classes.len() * grid.len()],
+        })
+    }
+
+    /// Fills the probabilities; the novelty score.
+    fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
+        self.first_step.images_of(difference, &mut self.input)?;
+        let pixels = self.input.len() / self.scale.len();
+        for (image, factor) in self.input.chunks_exact_mut(pixels).zip(&self.scale) {
+            image.iter_mut().for_each(|value| *value *= factor);
+        }
+        self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
+        Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
+    }
+}
