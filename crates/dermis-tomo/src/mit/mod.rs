@@ -7,6 +7,7 @@
 
 mod array;
 mod bodies;
+mod body;
 mod coil;
 pub mod edge;
 mod error;
@@ -22,7 +23,8 @@ pub mod sheet;
 mod sphere;
 
 pub use array::CoilArray;
-pub use bodies::{Bodies, Body, CoilTables, Coupling};
+pub use bodies::{Bodies, CoilTables, Coupling};
+pub use body::Body;
 pub use coil::{Coil, Filament};
 pub use error::MitError;
 pub use harmonics::{HARMONICS, MOST_DEGREE, expansion, regular, regular_gradients};
