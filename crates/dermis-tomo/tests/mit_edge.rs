@@ -94,14 +94,17 @@ fn errors_fall_with_the_order_of_the_elements() {
     }
 }
 
-/// Largest relative error of the diagonal of tau within each degree to 3, of a sphere of 5 mm.
+/// Largest relative error of the diagonal of tau within each degree, of a sphere of 5 mm.
 fn sphere_errors(material: Material, frequency_hz: f64) -> [f64; 3] {
     let depth = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz).unwrap();
     let grading = Grading { around: 8, ..Grading::for_body(depth, 0.005, 0.005) };
     let mesh = sphere_mesh(0.005, &grading).unwrap();
     let system = EddySystem::new(&mesh, &[material], frequency_hz, Order::Second).unwrap();
-    let harmonics: Vec<Harmonic> = (0..15).map(|i| Harmonic::new(i).unwrap()).collect();
-    let sources: Vec<&dyn Source> = harmonics.iter().map(|h| h as &dyn Source).collect();
+    // Two or three of each degree to 3, of different orders: eight go through one pass over the factor.
+    let chosen: [&[usize]; 3] = [&[0, 2], &[3, 5, 6], &[8, 11, 14]];
+    let harmonics: Vec<(usize, Harmonic)> =
+        chosen.into_iter().flatten().map(|&i| (i, Harmonic::new(i).unwrap())).collect();
+    let sources: Vec<&dyn Source> = harmonics.iter().map(|(_, h)| h as &dyn Source).collect();
     let fields = system.solve(&sources).unwrap();
     let sphere = Sphere {
         radius_m: 0.005,
@@ -109,9 +112,8 @@ fn sphere_errors(material: Material, frequency_hz: f64) -> [f64; 3] {
         relative_permeability: material.relative_permeability,
     };
     let exact = Body::sphere(&sphere, frequency_hz).unwrap();
-    [0..3, 3..8, 8..15].map(|range| {
-        range.map(|i| relative(fields.change_h(i, i).unwrap(), exact.tau()[i * (HARMONICS + 1)])).fold(0.0, f64::max)
-    })
+    let off = |k: usize| relative(fields.change_h(k, k).unwrap(), exact.tau()[harmonics[k].0 * (HARMONICS + 1)]);
+    [0..2, 2..5, 5..8].map(|range| range.map(off).fold(0.0, f64::max))
 }
 
 #[test]

@@ -362,27 +362,35 @@ impl Bodies {
             .map(|&[target, source]| translation(subtract(at(target), at(source)), degree))
             .collect();
         self.alone.copy_from_slice(&self.d);
-        let mut field = [Complex::new(0.0, 0.0); HARMONICS];
+        let mut field = vec![Complex::new(0.0, 0.0); self.tables.coils * count];
         for _ in 0..coupling.sweeps {
             self.next.copy_from_slice(&self.alone);
-            for (&[target, source], s) in self.neighbours.iter().zip(&matrices) {
-                for coil in 0..self.tables.coils {
-                    let d = &self.d[source * stride + coil * HARMONICS..][..count];
-                    field.fill(Complex::new(0.0, 0.0));
-                    for (field, row) in field.iter_mut().zip(s).take(count) {
-                        let (mut re, mut im) = (0.0, 0.0);
-                        for (d, s) in d.iter().zip(row) {
-                            re += d.re * s;
-                            im += d.im * s;
+            // Neighbours stand in the order of the body that they excite: one answer to all their fields.
+            let mut from = 0;
+            while from < self.neighbours.len() {
+                let target = self.neighbours[from][0];
+                let to = from + self.neighbours[from..].iter().take_while(|pair| pair[0] == target).count();
+                field.fill(Complex::new(0.0, 0.0));
+                for (&[_, source], s) in self.neighbours[from..to].iter().zip(&matrices[from..to]) {
+                    let answers = self.d[source * stride..(source + 1) * stride].chunks_exact(HARMONICS);
+                    for (field, d) in field.chunks_exact_mut(count).zip(answers) {
+                        for (field, row) in field.iter_mut().zip(s.chunks_exact(count)) {
+                            let (mut re, mut im) = (0.0, 0.0);
+                            for (d, s) in d.iter().zip(row) {
+                                re += d.re * s;
+                                im += d.im * s;
+                            }
+                            *field += Complex::new(re, im);
                         }
-                        *field = Complex::new(re, im);
                     }
-                    let out = &mut self.next[target * stride + coil * HARMONICS..][..HARMONICS];
-                    for (row, column, value) in &self.bodies[target].entries {
-                        // The field of degrees that are not passed on is zero.
+                }
+                let answers = self.next[target * stride..(target + 1) * stride].chunks_exact_mut(HARMONICS);
+                for (field, out) in field.chunks_exact(count).zip(answers) {
+                    for (row, column, value) in self.bodies[target].entries.iter().filter(|entry| entry.1 < count) {
                         out[*row] -= *value * field[*column] * (1.0 / FOUR_PI_MU0);
                     }
                 }
+                from = to;
             }
             std::mem::swap(&mut self.d, &mut self.next);
         }

@@ -47,16 +47,17 @@ struct Parts {
 }
 
 impl Parts {
-    fn new([x, y, z]: Vector) -> Self {
+    /// Up to a degree.
+    fn new([x, y, z]: Vector, degree: usize) -> Self {
         let squared = x * x + y * y + z * z;
         let (mut p, mut cosine, mut sine) = ([[0.0; SIZE]; SIZE], [0.0; SIZE], [0.0; SIZE]);
         (p[0][0], cosine[0]) = (1.0, 1.0);
-        for m in 1..SIZE {
+        for m in 1..=degree {
             p[m][m] = p[m - 1][m - 1] * (2 * m - 1) as f64;
             cosine[m] = x * cosine[m - 1] - y * sine[m - 1];
             sine[m] = x * sine[m - 1] + y * cosine[m - 1];
         }
-        for l in 1..SIZE {
+        for l in 1..=degree {
             for m in 0..l {
                 let before = if l >= m + 2 { (l + m - 1) as f64 * squared * p[l - 2][m] } else { 0.0 };
                 p[l][m] = ((2 * l - 1) as f64 * z * p[l - 1][m] - before) / (l - m) as f64;
@@ -75,9 +76,14 @@ static NORMALISATION: LazyLock<[[f64; SIZE]; SIZE]> = LazyLock::new(|| {
 
 /// Values of the regular harmonics at a point relative to their centre.
 pub fn regular(point_m: Vector) -> [f64; HARMONICS] {
-    let (parts, norms) = (Parts::new(point_m), &*NORMALISATION);
+    regular_to(point_m, MOST_DEGREE)
+}
+
+/// The same up to a degree; zero beyond.
+fn regular_to(point_m: Vector, degree: usize) -> [f64; HARMONICS] {
+    let (parts, norms) = (Parts::new(point_m, degree), &*NORMALISATION);
     let mut values = [0.0; HARMONICS];
-    for l in 1..SIZE {
+    for l in 1..=degree {
         for m in 0..=l {
             let (at, scale) = (index(l, m), norms[l][m] * parts.p[l][m]);
             values[at] = scale * parts.cosine[m];
@@ -91,7 +97,7 @@ pub fn regular(point_m: Vector) -> [f64; HARMONICS] {
 
 /// Gradients of the regular harmonics.
 pub fn regular_gradients(point_m: Vector) -> [Vector; HARMONICS] {
-    let (parts, norms, [x, y, _]) = (Parts::new(point_m), &*NORMALISATION, point_m);
+    let (parts, norms, [x, y, _]) = (Parts::new(point_m, MOST_DEGREE), &*NORMALISATION, point_m);
     let mut gradients = [[0.0; 3]; HARMONICS];
     for l in 1..SIZE {
         for m in 0..=l {
@@ -119,6 +125,10 @@ const GAUSS: [(f64, f64); 3] = [
 /// Points of a circle of the quadrature.
 const AROUND: usize = 12;
 
+/// Points of [`sphere_points`] with the harmonics there.
+static SPHERE: LazyLock<Vec<(Vector, f64, [f64; HARMONICS])>> =
+    LazyLock::new(|| sphere_points().map(|(direction, weight)| (direction, weight, regular(direction))).collect());
+
 /// Points on the unit sphere with weights that sum to 1, exact to degree 11.
 fn sphere_points() -> impl Iterator<Item = (Vector, f64)> {
     GAUSS.into_iter().flat_map(|(cosine, weight)| [(cosine, weight), (-cosine, weight)]).flat_map(|(cosine, weight)| {
@@ -136,9 +146,8 @@ fn sphere_points() -> impl Iterator<Item = (Vector, f64)> {
 /// 3 and below, 2e-7 of degree 4, 4e-4 of degree 5, whose share is small; rounding less.
 pub fn expansion(centre_m: Vector, radius_m: f64, flux_density: impl Fn(Vector) -> Vector) -> [f64; HARMONICS] {
     let mut sums = [0.0; HARMONICS];
-    for (direction, weight) in sphere_points() {
-        let radial = dot(flux_density(add(centre_m, scaled(direction, radius_m))), direction);
-        let harmonics = regular(direction);
+    for (direction, weight, harmonics) in SPHERE.iter() {
+        let radial = dot(flux_density(add(centre_m, scaled(*direction, radius_m))), *direction);
         sums.iter_mut().zip(harmonics).for_each(|(sum, y)| *sum += weight * radial * y);
     }
     std::array::from_fn(|i| {
@@ -154,28 +163,29 @@ pub(super) fn irregular(point_m: Vector) -> [f64; HARMONICS] {
     std::array::from_fn(|i| values[i] / r.powi(2 * DEGREES[i] as i32 + 1))
 }
 
-/// Matrix S (row: regular harmonic about a new centre, column: irregular harmonic about the old) of the re-expansion
+/// Matrix S up to a degree, row by row (row: regular harmonic about a new centre, column: irregular harmonic about the old), of the re-expansion
 /// `Y_j(p)/r^(l+1) = sum_i S_ij h_i(p - shift)` for points nearer to the new centre than that is to the old. Found
 /// by projection on a small sphere around the new centre, as [`expansion`], from values instead of radial derivatives.
-pub(super) fn translation(shift_m: Vector, degree: usize) -> [[f64; HARMONICS]; HARMONICS] {
+pub(super) fn translation(shift_m: Vector, degree: usize) -> Vec<f64> {
     let count = (degree + 1) * (degree + 1) - 1;
     let radius = 0.03 * norm(shift_m);
-    let mut sums = [[0.0; HARMONICS]; HARMONICS];
-    for (direction, weight) in sphere_points() {
-        let offset = scaled(direction, radius);
-        let harmonics = regular(direction);
-        let at = add(shift_m, offset);
-        let (values, r) = (regular(at), norm(at));
-        for j in 0..count {
-            let value = weight * values[j] / r.powi(2 * DEGREES[j] as i32 + 1);
-            for (i, y) in harmonics.iter().enumerate().take(count) {
-                sums[i][j] += value * y;
-            }
+    let mut sums = vec![0.0; count * count];
+    for (direction, weight, harmonics) in SPHERE.iter() {
+        let at = add(shift_m, scaled(*direction, radius));
+        let mut values = regular_to(at, degree);
+        let squared = dot(at, at);
+        let mut scale = weight / squared.sqrt();
+        for l in 1..=degree {
+            scale /= squared;
+            values[l * l - 1..(l + 1) * (l + 1) - 1].iter_mut().for_each(|value| *value *= scale);
+        }
+        for (row, y) in sums.chunks_exact_mut(count).zip(harmonics) {
+            row.iter_mut().zip(&values).for_each(|(sum, value)| *sum += value * y);
         }
     }
-    for (i, row) in sums.iter_mut().enumerate().take(count) {
-        let l = DEGREES[i] as f64;
-        row.iter_mut().for_each(|s| *s *= (2.0 * l + 1.0) / radius.powi(DEGREES[i] as i32));
+    for (row, l) in sums.chunks_exact_mut(count).zip(DEGREES) {
+        let scale = (2 * l + 1) as f64 / radius.powi(l as i32);
+        row.iter_mut().for_each(|s| *s *= scale);
     }
     sums
 }
@@ -234,7 +244,7 @@ mod tests {
         for j in 0..HARMONICS {
             // The monopole of each series is not in the matrix: compared against the centre.
             let centre = irregular(shift)[j];
-            let found: f64 = centre + (0..HARMONICS).map(|i| s[i][j] * h[i]).sum::<f64>();
+            let found: f64 = centre + (0..HARMONICS).map(|i| s[i * HARMONICS + j] * h[i]).sum::<f64>();
             // Degree 6 and beyond: (1.2/24)^6 of the value, times what grows with the degree.
             assert!((found - exact[j]).abs() < 2e-4 * exact[j].abs().max(centre.abs()), "{j}: {found} {}", exact[j]);
         }
