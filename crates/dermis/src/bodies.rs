@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use dermis_tomo::mit::edge::{Material, Shape, body_tau};
-use dermis_tomo::mit::{Body, Complex, HARMONICS, Sphere};
+use dermis_tomo::mit::{Body, Complex, HARMONICS, MOST_DEGREE, Sphere};
 use serde::{Deserialize, Serialize};
 use tracing::{info, warn};
 
@@ -44,6 +44,8 @@ pub struct BodyRecord {
     pub element: Element,
     /// At which frequency.
     pub frequency_hz: f64,
+    /// Highest degree of the harmonics; those of another are of no use here.
+    pub degree: usize,
     /// Row, column, real and imaginary part of the entries on and above the diagonal that are not zero; harmonics in the order
     /// of [`dermis_tomo::mit::regular`], counted from 0; entry (i, j) in H.m^(li + lj).
     pub tau: Vec<Entry>,
@@ -106,7 +108,7 @@ impl Element {
             .filter(|(.., value)| value.norm() > 0.0)
             .map(|(i, j, value)| (i, j, value.re, value.im))
             .collect();
-        Ok(BodyRecord { format: FORMAT.into(), element: *self, frequency_hz, tau })
+        Ok(BodyRecord { format: FORMAT.into(), element: *self, frequency_hz, degree: MOST_DEGREE, tau })
     }
 
     fn read(&self, frequency_hz: f64, file: &Path) -> Option<Body> {
@@ -120,7 +122,7 @@ impl Element {
         };
         let found = serde_json::from_str::<BodyRecord>(&text).map_err(|error| error.to_string()).and_then(|record| {
             if record.format != FORMAT || !record.is_of(self, frequency_hz) {
-                return Err("it is of another element, frequency or version".into());
+                return Err("it is of another element, frequency, degree or version".into());
             }
             record.body().map_err(|error| error.to_string())
         });
@@ -152,7 +154,7 @@ impl BodyRecord {
             [kind, a, b, e.conductivity_s_per_m, e.relative_permeability, f]
         };
         let (a, b) = (key(&self.element, self.frequency_hz), key(element, frequency_hz));
-        a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * b.abs())
+        self.degree == MOST_DEGREE && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= SAME * b.abs())
     }
 
     /// As a body over coils.
@@ -172,11 +174,23 @@ impl BodyRecord {
             tau[i * HARMONICS + j] = Complex::new(re, im);
             tau[j * HARMONICS + i] = Complex::new(re, im);
         }
-        Ok(Body::from_tau(self.element.name(), self.element.shape.solid().radius_m(), tau)?)
+        let shape = self.element.shape;
+        Ok(Body::from_tau(self.element.name(), shape.solid().radius_m(), tau)?
+            .with_inner_radius(shape.inner_radius_m()))
     }
 }
 
 impl ElementShape {
+    /// Radius of the largest ball within it, metres.
+    fn inner_radius_m(&self) -> f64 {
+        0.5 * MM
+            * match *self {
+                Self::Sphere { diameter_mm } => diameter_mm,
+                Self::Cylinder { diameter_mm, height_mm } => diameter_mm.min(height_mm),
+                Self::Plate { side_mm, height_mm } => side_mm.min(height_mm),
+            }
+    }
+
     /// The body, metres.
     pub fn solid(&self) -> Shape {
         match *self {
