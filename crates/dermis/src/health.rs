@@ -170,7 +170,12 @@ impl HealthStage {
             for (channel, _) in self.monitor.declared().iter().enumerate().filter(|(_, declared)| **declared) {
                 let value = raw[channel] - filled[channel] / scale[channel];
                 let agreeing = &mut self.agreeing[channel];
-                *agreeing = if agreeing.is_finite() { *agreeing + AGREEING * (value - *agreeing) } else { value };
+                // Of frames without fault only, of which there are many before a channel is taken back.
+                *agreeing = if agreeing.is_finite() && self.monitor.is_clean(channel) {
+                    *agreeing + AGREEING * (value - *agreeing)
+                } else {
+                    value
+                };
             }
         }
         let changed = self.monitor.judge(at, difference, residuals)?;

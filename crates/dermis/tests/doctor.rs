@@ -46,10 +46,10 @@ fn each_fault_gives_its_sentence() {
     let open = sentences("{ open_electrodes = [5] }");
     assert!(open.contains("electrode 5 is lost") && open.contains("fasten electrode 5"), "{open}");
     let several = "{ shorted_pairs = [[5, 12]], dropped_share = 0.2, from_s = 1.5 }, \
-                   { stuck_channels = [{ channel = 30, value_mv = 4.0 }] }";
+                   { stuck_channels = [{ channel = 31, value_mv = 4.0 }] }";
     let several = sentences(several);
     assert!(several.contains("electrodes 5 and 12 are shorted"), "{several}");
-    assert!(several.contains("channel 30 ") && several.contains("read the same"), "{several}");
+    assert!(several.contains("channel 31 ") && several.contains("read the same"), "{several}");
     assert!(several.contains("rate: ") && several.contains(" frames lost"), "{several}");
     let ends = "{ stuck_channels = [{ channel = 30, value_mv = 125.0 }, { channel = 40, value_mv = 125.0 }] }";
     let saturated = sentences(ends);

@@ -120,7 +120,9 @@ impl ChannelState {
             }
         }
         self.last = reading;
-        self.frozen = self.is_frozen(params);
+        // A channel that never moved is known from the baseline, and stays so until it does.
+        let known = matches!(self.bad, Some((ChannelFaultKind::Stuck | ChannelFaultKind::Saturated, ..)));
+        self.frozen = self.is_frozen(params) || (known && self.run as usize > HEALTH_WINDOW);
         let at_end = params.full_scale.is_some_and(|end| reading.abs() >= 0.999 * end);
         if at_end || (self.frozen && reading.abs() >= largest) {
             self.direct = Some(ChannelFaultKind::Saturated);
@@ -159,7 +161,8 @@ impl ChannelState {
         if self.bad.is_some() {
             self.offset += SETTLING * from_offset;
         }
-        (from_offset.abs() - tolerated).max(0.0) / deviation
+        // Back where it was, or settled where it is.
+        (from_offset.abs().min(apart.abs()) - tolerated).max(0.0) / deviation
     }
 
     pub fn expect_unexplained(&mut self, size: f64) {

@@ -96,6 +96,12 @@ impl HealthMonitor {
         self.excluded.iter().zip(&self.declared).any(|(excluded, declared)| *excluded && !*declared)
     }
 
+    /// True where the frame judged last shows no fault of a channel.
+    #[must_use]
+    pub fn is_clean(&self, channel: usize) -> bool {
+        self.channels.get(channel).is_some_and(|state| state.clean > 0)
+    }
+
     /// Channels that the last frame took back.
     #[must_use]
     pub fn recovered(&self) -> &[u32] {
