@@ -133,11 +133,12 @@ impl Scene {
 
     /// Makes ready to be asked at many points.
     pub fn lookup(&self) -> SceneLookup<'_> {
-        let boxed = self.inclusions.iter().rev().map(|inclusion| {
+        let mut boxed = Vec::with_capacity(self.inclusions.len());
+        for inclusion in self.inclusions.iter().rev() {
             let (low, high) = inclusion.figure.bounds();
-            (low, high, inclusion)
-        });
-        SceneLookup { boxed: boxed.collect() }
+            boxed.push((low, high, inclusion));
+        }
+        SceneLookup { boxed }
     }
 
     /// Draws one. `size_m` is half the shorter side of the skin; `inside` says where there is skin, in metres from its
