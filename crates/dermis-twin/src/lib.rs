@@ -22,6 +22,7 @@
 
 mod em;
 mod error;
+mod foil;
 mod healing_square;
 pub mod instrument;
 mod ionic;
@@ -33,6 +34,7 @@ mod twin;
 
 pub use em::{EmArray, EmElement, EmOptions, EmSkin, NearbyMetal};
 pub use error::TwinError;
+pub use foil::{FoilOptions, FoilSkin};
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
 pub use piezo::{PaperP, PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};

@@ -5,6 +5,7 @@
 //! (henries, complex) is negative in its real part where flux is pushed out of a coil's own loop, and in its imaginary
 //! part of a self term where power is lost. Positions are metres, x right, y up, z out of the skin toward the toucher.
 
+mod anywhere;
 mod array;
 mod bodies;
 mod body;
@@ -22,6 +23,7 @@ pub mod sensitivity;
 pub mod sheet;
 mod sphere;
 
+pub use anywhere::{Tier, changes_anywhere};
 pub use array::CoilArray;
 pub use bodies::{Bodies, CoilTables, Coupling};
 pub use body::Body;

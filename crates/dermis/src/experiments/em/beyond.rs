@@ -1,11 +1,13 @@
 //! What the paper could not do: the frequency that shows most, and metal that lies nearby.
 
 use dermis_tomo::mit::Sphere;
+use dermis_touch::measure::pearson;
 use dermis_twin::instrument::Instrument;
-use dermis_twin::{EmElement, EmOptions, EmSkin, Frontend, NearbyMetal};
+use dermis_twin::{EmElement, EmOptions, EmSkin, FoilOptions, FoilSkin, Frontend, NearbyMetal};
 
 use super::{Array, Bench, CIRCULAR, EIGHT, row};
 use crate::Error;
+use crate::experiments::rig::disc;
 use crate::experiments::{Curve, Figure, Kind, Report, Rig};
 use crate::skin::{Skin, Solve};
 use crate::twins::em_options;
@@ -61,6 +63,77 @@ pub(super) fn sweep() -> Result<Report, Error> {
         "Noise is taken as the same share of a reading at every frequency; an instrument's own noise decides between frequencies that differ little.".into(),
     ];
     Ok(Report { id: "E12", title: super::EXPERIMENTS[10].title, rows, figures, notes })
+}
+
+/// E14: the paper's first membrane, a foil of copper on sponge, which it set aside as a touch does not deform it locally: how
+/// alike the readings are when neighbouring places are pressed, and how far down the neighbour goes with the one pressed.
+pub(super) fn foil() -> Result<Report, Error> {
+    let skin = Skin::open(EIGHT.skin)?;
+    let elements = skin.magnetic()?.elements;
+    let places = elements.places_m();
+    let still = EmOptions { tolerance_m: 0.0, memory: None, ..em_options(&skin)? };
+    let mut cylinders = EmSkin::new(&still)?;
+    let mut foil = FoilSkin::new(FoilOptions::em_8())?;
+    let mut rows = Vec::new();
+    let mut add = |name: &str, responses: Vec<Vec<f64>>, neighbour: f64| -> Result<(), Error> {
+        let mut alike = Vec::new();
+        for k in (0..places.len()).filter(|k| (k + 1) % elements.per_side != 0) {
+            alike.push(pearson(&responses[k], &responses[k + 1])?);
+        }
+        alike.sort_by(f64::total_cmp);
+        let median = alike[alike.len() / 2];
+        rows.push(row(
+            format!("{name}: correlation of neighbours' readings, median"),
+            "",
+            None,
+            median,
+            Kind::Predicted,
+        ));
+        rows.push(row(
+            format!("{name}: way of the neighbour over that of the pressed"),
+            "",
+            None,
+            neighbour,
+            Kind::Predicted,
+        ));
+        Ok(())
+    };
+    let (middle, beside) = (places.len() / 2, places.len() / 2 + 1);
+    let mut neighbour = 0.0;
+    let responses = responses(&mut cylinders, &places, |skin: &EmSkin, k| {
+        if k == middle {
+            neighbour = skin.travel_m()[beside] / skin.travel_m()[middle];
+        }
+    })?;
+    add("cylinders", responses, neighbour)?;
+    let responses = self::responses(&mut foil, &places, |skin: &FoilSkin, k| {
+        if k == middle {
+            neighbour = skin.way_m(places[beside]) / skin.way_m(places[middle]);
+        }
+    })?;
+    add("copper foil", responses, neighbour)?;
+    let notes = vec![
+        "35 um of copper under an assumed tension of 300 N/m on the sponge of the cylinders; readings without noise, 2 N on discs of 10 mm.".into(),
+    ];
+    Ok(Report { id: "E14", title: super::EXPERIMENTS[12].title, rows, figures: Vec::new(), notes })
+}
+
+/// Relative changes of the readings by 2 N at each place in turn; `look` sees the skin under each.
+fn responses<F: Frontend>(
+    skin: &mut F,
+    places: &[[f64; 2]],
+    mut look: impl FnMut(&F, usize),
+) -> Result<Vec<Vec<f64>>, Error> {
+    let mut rest = vec![0.0; skin.channel_count()];
+    skin.voltages(&[], 1.0, &mut rest)?;
+    let mut all = Vec::with_capacity(places.len());
+    for (k, place) in places.iter().enumerate() {
+        let mut pressed = vec![0.0; rest.len()];
+        skin.voltages(&[disc(*place, 10.0, EIGHT.press_n)], 1.0, &mut pressed)?;
+        look(skin, k);
+        all.push(pressed.iter().zip(&rest).map(|(p, r)| p / r - 1.0).collect());
+    }
+    Ok(all)
 }
 
 /// What lies nearby.

@@ -16,7 +16,7 @@ use crate::skin::{Skin, Solve};
 use crate::twins::TwinKit;
 
 /// All of them.
-pub(super) const EXPERIMENTS: [Experiment; 12] = [
+pub(super) const EXPERIMENTS: [Experiment; 13] = [
     Experiment { id: "E1", title: "single touch at every element, eight and sixteen coils", run: touches::single },
     Experiment { id: "E2", title: "two adjacent elements", run: touches::adjacent },
     Experiment { id: "E3", title: "three and four touches", run: touches::several },
@@ -33,6 +33,7 @@ pub(super) const EXPERIMENTS: [Experiment; 12] = [
     Experiment { id: "E11", title: "smallest force: 120 mN on one element", run: force::smallest },
     Experiment { id: "E12", title: "which frequency is best, 1 to 100 kHz", run: beyond::sweep },
     Experiment { id: "E13", title: "metal under and beside the array", run: beyond::metal },
+    Experiment { id: "E14", title: "a copper foil in place of the elements", run: beyond::foil },
 ];
 
 /// The skins that are compared.

@@ -7,7 +7,7 @@ use super::{Bench, CIRCULAR, EIGHT, SQUARE, row, solve_name};
 use crate::Error;
 use crate::experiments::rig::distance_mm;
 use crate::experiments::{Figure, Kind, Report, Row};
-use crate::skin::Solve;
+use crate::skin::{ELEMENT_WIDTH, Solve};
 
 /// E1: every element pressed, one frame each after the mechanics settled; the eight coils for 100 frames each as well.
 pub(super) fn single() -> Result<Report, Error> {
@@ -59,8 +59,35 @@ pub(super) fn single() -> Result<Report, Error> {
         };
         figures.push(Figure::Images { name: file, title, columns, panels });
     }
+    rows.extend(jacobians()?);
     let notes = vec!["The paper shows images; that all elements are located is its statement.".into()];
     Ok(Report { id: "E1", title: super::EXPERIMENTS[0].title, rows, figures, notes })
+}
+
+/// How close the Jacobian of the images is to the one that is measured as published, by poking each element once: correlation
+/// over the channels, element by element.
+fn jacobians() -> Result<Vec<Row>, Error> {
+    let mut bench = EIGHT.bench(Solve::Pixels)?;
+    let pitch_m = bench.rig.prepared().skin.magnetic()?.elements.pitch_mm * 1e-3;
+    let mut alike = Vec::new();
+    for element in 0..bench.places.len() {
+        let frame = bench.settled(&[element], 10)?;
+        let measured = bench.rig.reference().difference(&frame, None);
+        let prepared = bench.rig.prepared();
+        let [x, y] = bench.places[element];
+        let weight =
+            |p: &[f64; 3]| (-0.5 * ((p[0] - x).powi(2) + (p[1] - y).powi(2)) / (ELEMENT_WIDTH * pitch_m).powi(2)).exp();
+        let weights: Vec<f64> = prepared.basis.positions.iter().map(weight).collect();
+        let reading = |channel| prepared.jacobian.row(channel).iter().zip(&weights).map(|(j, w)| j * w).sum();
+        let modelled: Vec<f64> = (0..prepared.channels()).map(reading).collect();
+        alike.push(pearson(&measured, &modelled)?);
+    }
+    alike.sort_by(f64::total_cmp);
+    let quantity = |which: &str| format!("8 coils: model's against measured Jacobian, correlation, {which} of 25");
+    Ok(vec![
+        row(quantity("median"), "", None, alike[alike.len() / 2], Kind::Predicted),
+        row(quantity("least"), "", None, alike[0], Kind::Predicted),
+    ])
 }
 
 /// E2: every pair of elements side by side in a row.

@@ -1,0 +1,50 @@
+//! One body anywhere near coils, by whichever tier holds there: its multipoles where all wire lies outside the sphere around
+//! it, edge elements where some does not.
+
+use super::edge::{Material, Order, Shape, Source, SymmetricBody};
+use super::{Body, CoilArray, Complex, MitError, expansion, scaled, skin_depth_m};
+
+/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
+const PROBE: f64 = 0.02;
+
+/// How a change was computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tier {
+    /// By [`Body::change_h`]: microseconds.
+    Multipoles,
+    /// By edge elements of second order on a mesh of its own: seconds.
+    EdgeElements,
+}
+
+/// Changes of mutual inductance, henries, of all pairs of an array by one body with its middle at `centre_m`, and how they were
+/// computed. `body` is the body's tau at this frequency, of [`super::edge::body_tau`]; where wire reaches into the sphere around it, the
+/// body is solved anew as `shape` and `material` say.
+///
+/// # Errors
+/// Materials, sizes or frequencies that make no sense. Wire inside the body itself is for the caller to exclude.
+pub fn changes_anywhere(
+    array: &CoilArray,
+    body: &Body,
+    (shape, material): (&Shape, &Material),
+    centre_m: [f64; 3],
+    frequency_hz: f64,
+) -> Result<(Vec<Complex>, Tier), MitError> {
+    let distances: Vec<f64> = array.coils().iter().map(|coil| coil.distance_m(centre_m)).collect();
+    if distances.iter().all(|distance_m| *distance_m > body.radius_m) {
+        let fields: Vec<_> = array
+            .coils()
+            .iter()
+            .zip(&distances)
+            .map(|(coil, distance_m)| expansion(centre_m, PROBE * distance_m, |p| coil.flux_density(p)))
+            .collect();
+        let changes = array.pairs().iter().map(|&[m, n]| body.change_h(&fields[m], &fields[n])).collect();
+        return Ok((changes, Tier::Multipoles));
+    }
+    let depth_m = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz)?;
+    let mesh = shape.mesh(&shape.grading(depth_m))?.octant()?;
+    let system = SymmetricBody::new(&mesh, &[*material], frequency_hz, Order::Second)?;
+    let coils: Vec<_> = array.coils().iter().map(|coil| coil.clone().moved(scaled(centre_m, -1.0))).collect();
+    let sources: Vec<&dyn Source> = coils.iter().map(|coil| coil as &dyn Source).collect();
+    let changes = system.changes_h(&sources)?;
+    Ok((array.pairs().iter().map(|&[m, n]| changes[m * coils.len() + n]).collect(), Tier::EdgeElements))
+}
