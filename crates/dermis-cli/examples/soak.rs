@@ -70,7 +70,7 @@ fn frames() -> Result<Vec<Vec<f64>>, Failure> {
         match k {
             _ if k == LOOP / 2 => kit.twin.scene_mut().press(0, 0.02 * x, 0.02 * y, 0.01, 80e3)?,
             _ if k == LOOP - 20 => kit.twin.scene_mut().release_all(),
-            _ if k > LOOP / 2 => kit.twin.scene_mut().move_to(0, 0.02 * x, 0.02 * y)?,
+            _ if k > LOOP / 2 && k < LOOP - 20 => kit.twin.scene_mut().move_to(0, 0.02 * x, 0.02 * y)?,
             _ => {}
         }
         kit.twin.step(TWIN_S * k as f64, &mut values)?;
