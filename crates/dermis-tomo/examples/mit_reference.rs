@@ -7,7 +7,7 @@ use std::time::Instant;
 use dermis_tomo::mit::edge::{
     EddySystem, EdgeMesh, Grading, Material, Order, Shape, Source, SymmetricBody, body_tau, tau,
 };
-use dermis_tomo::mit::{Body, Coil, Complex, HARMONICS, Sphere, expansion, skin_depth_m};
+use dermis_tomo::mit::{Body, Coil, Complex, HARMONICS, Sphere, skin_depth_m};
 use serde_json::Value;
 
 const ALUMINIUM: Material = Material { conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
@@ -90,10 +90,7 @@ fn pairs(name: &str, shape: &Shape, case: &Value) -> Result<(), Box<dyn Error>> 
     println!("  {} sources in {:.2} s", sources.len(), start.elapsed().as_secs_f64());
     for (k, pose) in poses.iter().enumerate() {
         let (m, n, count) = (2 * k, 2 * k + 1, sources.len());
-        let c = [m, n].map(|m| {
-            let distance = sources[m].distance_m([0.0; 3]);
-            expansion([0.0; 3], 0.02 * distance, |p| sources[m].flux_density(p))
-        });
+        let c = [m, n].map(|m| sources[m].expansion([0.0; 3]));
         let report = |label: &str, found: Complex, by_tau: Complex| {
             let expected = complex(&pose[label]);
             let off = |found: Complex| 100.0 * (found - expected).norm() / expected.norm();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use dermis_tomo::mit::{
     Bodies, Body, Coil, CoilArray, CoilTables, Complex, Coupling, Filament, HARMONICS, MU0, MitError, Ring, Sphere,
-    complete_elliptic, expansion, skin_depth_m,
+    complete_elliptic, skin_depth_m,
 };
 use serde_json::Value;
 
@@ -42,7 +42,7 @@ fn spiral(x_m: f64) -> Coil {
 }
 
 fn expand(coil: &Coil, centre_m: [f64; 3]) -> [f64; HARMONICS] {
-    expansion(centre_m, 0.02 * coil.distance_m(centre_m), |p| coil.flux_density(p))
+    coil.expansion(centre_m)
 }
 
 #[test]

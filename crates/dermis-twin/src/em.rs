@@ -7,7 +7,7 @@
 //! ([`EmElement`]).
 
 use dermis_tomo::mesh::Outline;
-use dermis_tomo::mit::{Bodies, Body, CoilArray, CoilTables, Complex, Coupling, Sphere, expansion};
+use dermis_tomo::mit::{Bodies, Body, CoilArray, CoilTables, Complex, Coupling, Sphere};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -70,7 +70,6 @@ impl NearbyMetal {
     /// What it does to every pair of coils, henries.
     fn changes_h(&self, coils: &CoilArray, frequency_hz: f64) -> Result<Vec<Complex>, TwinError> {
         let body = Body::sphere(&self.sphere, frequency_hz)?;
-        let mut expansions = Vec::with_capacity(coils.coils().len());
         for coil in coils.coils() {
             let distance_m = coil.distance_m(self.centre_m);
             let expected = "outside the nearby metal";
@@ -81,14 +80,10 @@ impl NearbyMetal {
                     expected,
                 });
             }
-            expansions.push(expansion(self.centre_m, PROBE * distance_m, |p| coil.flux_density(p)));
         }
-        Ok(coils.pairs().iter().map(|&[m, n]| body.change_h(&expansions[m], &expansions[n])).collect())
+        Ok(body.changes_h(coils, self.centre_m))
     }
 }
-
-/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
-const PROBE: f64 = 0.02;
 
 /// Parameters of the twin. Paper E gives coils, frequencies, frame rates, signal-to-noise ratios, the number of elements
 /// and their size; heights, stiffness, travel and current are assumed.

@@ -3,17 +3,15 @@
 
 use std::time::Instant;
 
+use dermis::bodies::SWEEP_HZ;
 use dermis::skin::Skin;
-
-/// Frequencies of the sweep, in Hz: the published band and the two frequencies of the skins.
-const FREQUENCIES_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("[");
-    let last = FREQUENCIES_HZ.len() - 1;
+    let last = SWEEP_HZ.len() - 1;
     for (name, end) in [("em-8", ","), ("em-16-circular", "")] {
         let element = Skin::open(name)?.element().ok_or("a skin without elements")?;
-        for (k, frequency_hz) in FREQUENCIES_HZ.into_iter().enumerate() {
+        for (k, frequency_hz) in SWEEP_HZ.into_iter().enumerate() {
             let start = Instant::now();
             let record = element.compute(frequency_hz)?;
             let comma = if k == last { end } else { "," };

@@ -13,6 +13,9 @@ use tracing::{info, warn};
 use crate::Error;
 use crate::skin::ElementShape;
 
+/// Frequencies of the program's own records, in Hz: the published band and the drives of the published skins.
+pub const SWEEP_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
+
 /// What [`BodyRecord::format`] says.
 const FORMAT: &str = "dermis-body-1";
 /// Relative differences of keys that count as none.

@@ -2,10 +2,7 @@
 //! it, edge elements where some does not.
 
 use super::edge::{Material, Order, Shape, Source, SymmetricBody};
-use super::{Body, CoilArray, Complex, MitError, expansion, scaled, skin_depth_m};
-
-/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
-const PROBE: f64 = 0.02;
+use super::{Body, CoilArray, Complex, MitError, scaled, skin_depth_m};
 
 /// How a change was computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,16 +26,8 @@ pub fn changes_anywhere(
     centre_m: [f64; 3],
     frequency_hz: f64,
 ) -> Result<(Vec<Complex>, Tier), MitError> {
-    let distances: Vec<f64> = array.coils().iter().map(|coil| coil.distance_m(centre_m)).collect();
-    if distances.iter().all(|distance_m| *distance_m > body.radius_m) {
-        let fields: Vec<_> = array
-            .coils()
-            .iter()
-            .zip(&distances)
-            .map(|(coil, distance_m)| expansion(centre_m, PROBE * distance_m, |p| coil.flux_density(p)))
-            .collect();
-        let changes = array.pairs().iter().map(|&[m, n]| body.change_h(&fields[m], &fields[n])).collect();
-        return Ok((changes, Tier::Multipoles));
+    if array.coils().iter().all(|coil| coil.distance_m(centre_m) > body.radius_m) {
+        return Ok((body.changes_h(array, centre_m), Tier::Multipoles));
     }
     let depth_m = skin_depth_m(material.conductivity_s_per_m, material.relative_permeability, frequency_hz)?;
     let mesh = shape.mesh(&shape.grading(depth_m))?.octant()?;

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 use super::body::{Body, FOUR_PI_MU0};
 use super::error::positive;
-use super::harmonics::{HARMONICS, MOST_DEGREE, expansion, index, translation};
+use super::harmonics::{HARMONICS, MOST_DEGREE, index, translation};
 use super::{Coil, CoilArray, Complex, MitError, Vector, norm, subtract};
 
 /// How neighbours excite each other.
@@ -40,8 +40,6 @@ pub struct CoilTables {
 
 /// Chebyshev polynomials of a table.
 const NODES: usize = 16;
-/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
-const PROBE: f64 = 0.02;
 
 impl CoilTables {
     /// Tabulates all coils at bodies of these places (x, y) between two heights of their centres.
@@ -153,8 +151,7 @@ fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<
     let samples: Vec<[f64; HARMONICS]> = (0..NODES)
         .map(|k| {
             let z = 0.5 * (low_m + high_m) + 0.5 * (high_m - low_m) * angle(k).cos();
-            let centre = [coil.centre_m[0] + dx, coil.centre_m[1] + dy, z];
-            expansion(centre, PROBE * coil.distance_m(centre), |p| coil.flux_density(p))
+            coil.expansion([coil.centre_m[0] + dx, coil.centre_m[1] + dy, z])
         })
         .collect();
     let coefficient = |n: usize, i: usize| {

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use super::error::positive;
 use super::harmonics::{DEGREES, HARMONICS, MOST_DEGREE};
-use super::{Complex, MU0, MitError, Sphere};
+use super::{CoilArray, Complex, MU0, MitError, Sphere};
 
 /// `4 pi mu0`, henries per metre.
 pub(super) const FOUR_PI_MU0: f64 = 4.0 * PI * MU0;
@@ -115,6 +115,12 @@ impl Body {
         let mut answer = [Complex::new(0.0, 0.0); HARMONICS];
         self.answer(c_n, &mut answer);
         answer.iter().zip(c_m).map(|(a, c)| *a * *c).sum()
+    }
+
+    /// The same for all pairs of an array, with the body's middle at a place. All wire has to be outside the sphere around it.
+    pub fn changes_h(&self, array: &CoilArray, centre_m: [f64; 3]) -> Vec<Complex> {
+        let fields: Vec<_> = array.coils().iter().map(|coil| coil.expansion(centre_m)).collect();
+        array.pairs().iter().map(|&[m, n]| self.change_h(&fields[m], &fields[n])).collect()
     }
 
     /// `tau c` for a real c.

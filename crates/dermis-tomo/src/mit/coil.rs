@@ -2,7 +2,10 @@
 //! calibration to a measured inductance, and images in a shield.
 
 use super::error::positive;
-use super::{MitError, Ring, Segment, Vector, add, scaled};
+use super::{HARMONICS, MitError, Ring, Segment, Vector, add, expansion, scaled};
+
+/// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
+const PROBE: f64 = 0.02;
 
 /// One piece of a winding.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -239,6 +242,11 @@ impl Coil {
     /// Least distance of the wire from a point, metres.
     pub fn distance_m(&self, point_m: Vector) -> f64 {
         self.filaments.iter().map(|filament| filament.distance_m(point_m)).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Expansion of its field around a point off the wire, per ampere: see [`super::expansion`].
+    pub fn expansion(&self, centre_m: Vector) -> [f64; HARMONICS] {
+        expansion(centre_m, PROBE * self.distance_m(centre_m), |p| self.flux_density(p))
     }
 
     /// Mutual inductance, henries: the flux of the other coil, and of its images, through this one's wire.

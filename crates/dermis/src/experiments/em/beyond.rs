@@ -7,13 +7,11 @@ use dermis_twin::{EmElement, EmOptions, EmSkin, FoilOptions, FoilSkin, Frontend,
 
 use super::{Array, Bench, CIRCULAR, EIGHT, row};
 use crate::Error;
+use crate::bodies::SWEEP_HZ;
 use crate::experiments::rig::disc;
 use crate::experiments::{Curve, Figure, Kind, Report, Rig};
 use crate::skin::{Skin, Solve};
 use crate::twins::em_options;
-
-/// Of the sweep.
-const FREQUENCIES_HZ: [f64; 8] = [1e3, 2e3, 5e3, 10e3, 20e3, 30e3, 55e3, 100e3];
 
 /// E12: how much one element in the middle, pressed by half its travel, changes the readings, as the root mean square over
 /// channels of their relative change, which is signal over noise where noise is a share of the reading.
@@ -23,7 +21,7 @@ pub(super) fn sweep() -> Result<Report, Error> {
         let skin = Skin::open(array.skin)?;
         let element = skin.magnetic()?.element;
         let mut points = Vec::new();
-        for frequency_hz in FREQUENCIES_HZ {
+        for frequency_hz in SWEEP_HZ {
             let body = EmElement::Body(element.body(frequency_hz)?);
             let options =
                 EmOptions { frequency_hz, element: body, tolerance_m: 0.0, memory: None, ..em_options(&skin)? };
