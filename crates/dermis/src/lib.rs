@@ -24,6 +24,7 @@ pub mod imager;
 pub mod latency;
 pub mod learning;
 pub mod measured_list;
+mod patches;
 pub mod pipeline;
 pub mod prepare;
 pub mod reconstruct;

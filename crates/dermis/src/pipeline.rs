@@ -18,6 +18,7 @@ use crate::clock::FrameClock;
 use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
 use crate::latency::LatencyHistogram;
+use crate::patches::PatchStage;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::sink::Output;
@@ -80,6 +81,8 @@ pub struct Pipeline {
     prebuilt: Option<Imager>,
     /// What touches are refined by, until the noise is known.
     spots: Option<SpotModel>,
+    /// The same of a sandwich.
+    patches: Option<PatchStage>,
     hyperparameter: Option<f64>,
     forces: Option<ForceCalibration>,
     channels: Vec<f64>,
@@ -119,7 +122,10 @@ impl Pipeline {
         };
         let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
         let refines = prepared.refines_touches(calibration.as_ref());
-        let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
+        let sandwich = prepared.is_sandwich();
+        let spots = if refines && !sandwich { Some(prepared.assumed_spot_model()?) } else { None };
+        let patches =
+            if refines && sandwich { Some(prepared.patch_stage(&vec![0.0; prepared.channels()])?) } else { None };
         Ok(Self {
             reader,
             baseline,
@@ -127,6 +133,7 @@ impl Pipeline {
             ready: None,
             prebuilt,
             spots,
+            patches,
             hyperparameter: None,
             forces: None,
             channels: Vec::new(),
@@ -255,6 +262,9 @@ impl Pipeline {
         }
         ready.imager.leave_out(left_out, noise)?;
         ready.touches.set_noise(ready.imager.noise_image());
+        if let Some(patches) = ready.touches.patches_mut() {
+            patches.leave_out(left_out);
+        }
         if let Some(model) = &ready.spots {
             ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
         }
@@ -278,6 +288,9 @@ impl Pipeline {
         if let Some(ready) = &mut self.ready {
             ready.imager.set_noise(&reference.noise)?;
             ready.touches.set_noise(ready.imager.noise_image());
+            if let Some(patches) = ready.touches.patches_mut() {
+                patches.set_noise(&reference.noise);
+            }
             ready.reference = reference;
         } else {
             self.ready = Some(self.begin(reference)?);
@@ -305,6 +318,10 @@ impl Pipeline {
         }
         let mut touches = TouchStage::new(&self.prepared, imager.noise_image())?;
         touches.set_forces(self.forces.clone());
+        if let Some(mut patches) = self.patches.take() {
+            patches.set_noise(&reference.noise);
+            touches.set_patches(Some(patches));
+        }
         let spots = self.spots.take();
         if let Some(model) = &spots {
             let model = spots_at(model, &[], &reference.noise)?;

@@ -618,6 +618,8 @@ pub struct TouchSettings {
     pub relative_size: f64,
     /// Error of positions that noise does not explain, mm.
     pub position_floor_mm: f64,
+    /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
+    pub contact_s_per_m2: f64,
     /// Refine touches by fitting place, amplitude and radius to the forward model.
     pub refine: bool,
     /// Time constant of the drift compensation, seconds; 0 switches it off. It stands still under touch.
@@ -635,6 +637,7 @@ impl Default for TouchSettings {
             both_signs: false,
             assumed_noise_share: 1e-4,
             relative_size: 0.1,
+            contact_s_per_m2: 700.0,
             position_floor_mm: 2.0,
             refine: false,
             drift_time_constant_s: 60.0,
@@ -724,9 +727,11 @@ impl Skin {
             let value = format!("{} with hold_sigma = {}", touch.begin_sigma, touch.hold_sigma);
             return Err(refused(file, "touch.begin_sigma", value, "begin_sigma >= hold_sigma > 0"));
         }
-        for (field, value) in
-            [("touch.relative_size", touch.relative_size), ("touch.position_floor_mm", touch.position_floor_mm)]
-        {
+        for (field, value) in [
+            ("touch.relative_size", touch.relative_size),
+            ("touch.position_floor_mm", touch.position_floor_mm),
+            ("touch.contact_s_per_m2", touch.contact_s_per_m2),
+        ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(refused(file, field, value, "a positive number"));
             }
