@@ -23,7 +23,10 @@ const PLACES: usize = 10;
 const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
 /// Standard deviations of the logarithms of radius and conductance before anything is measured.
-const LOG_DEVIATIONS: [f64; 2] = [0.5, 1.0];
+const LOG_DEVIATIONS: [f64; 2] = [0.5, 0.5];
+/// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a fit may
+/// settle beside the best pair.
+const RADII: [f64; 2] = [1.0, 0.75];
 /// A fit that goes on from the frame before is believed up to this misfit, or so many times the one before.
 const BELIEVED: f64 = 2.0;
 const WORSENED: f64 = 1.5;
@@ -197,13 +200,22 @@ impl PatchStage {
         let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
         let mut best: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
         for start in starts {
-            let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
-            let worth = best.as_ref().is_none_or(|(_, before, _)| summary.misfit < WORTH * before.misfit);
-            if !worth {
+            let mut found: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
+            for share in RADII {
+                let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
+                let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
+                let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
+                if found.as_ref().is_none_or(|(_, before, _)| summary.misfit < before.misfit) {
+                    found = Some((fits, summary, self.left.clone()));
+                }
+            }
+            let Some(found) = found else { continue };
+            if best.as_ref().is_some_and(|(_, before, _)| found.1.misfit > WORTH * before.misfit) {
                 break;
             }
-            best = Some((fits, summary, self.left.clone()));
-            if summary.misfit < GOOD {
+            let good = found.1.misfit < GOOD;
+            best = Some(found);
+            if good {
                 break;
             }
         }

@@ -36,6 +36,8 @@ pub struct ContactPatch {
 
 /// Nodes of which less than this share is covered by a patch are not touched.
 const LEAST_COVERAGE: f64 = 1e-3;
+/// The edge of a patch is blurred over so many distances between nodes, that what it does changes smoothly with its place.
+const EDGE: f64 = 3.0;
 
 /// The bare sheet, ready for any contacts.
 #[derive(Debug)]
@@ -43,8 +45,8 @@ pub struct ContactSheet {
     positions_m: Vec<[f64; 2]>,
     /// Area of the sheet that goes with each node, m^2.
     areas_m2: Vec<f64>,
-    /// Width over which the edge of a patch is blurred: the distance between nodes, metres.
-    edge_m: f64,
+    /// Distance between nodes, metres.
+    spacing_m: f64,
     /// Nodes x nodes, ohm.
     green: Mat<f32>,
     /// Patterns x nodes: potentials for the stimulations, volts, then for the measuring patterns, ohm.
@@ -95,7 +97,7 @@ impl ContactSheet {
         let area: f64 = areas_m2.iter().sum();
         Ok(Self {
             positions_m: mesh.nodes().iter().map(|p| [p[0], p[1]]).collect(),
-            edge_m: (area / nodes as f64).sqrt(),
+            spacing_m: (area / nodes as f64).sqrt(),
             areas_m2,
             green,
             fields: Mat::from_fn(columns.len(), nodes, |pattern, node| columns[pattern][node]),
@@ -130,13 +132,14 @@ impl ContactSheet {
 
     /// Share of a node that a patch covers, and its derivative with the distance from the middle (1/m).
     fn coverage(&self, radius_m: f64, distance_m: f64) -> (f64, f64) {
-        let share = (radius_m - distance_m) / self.edge_m + 0.5;
-        if share <= 0.0 {
+        let width_m = EDGE * self.spacing_m;
+        let x = (radius_m - distance_m) / width_m + 0.5;
+        if x <= 0.0 {
             (0.0, 0.0)
-        } else if share >= 1.0 {
+        } else if x >= 1.0 {
             (1.0, 0.0)
         } else {
-            (share, -1.0 / self.edge_m)
+            (x * x * (3.0 - 2.0 * x), -6.0 * x * (1.0 - x) / width_m)
         }
     }
 
