@@ -38,6 +38,10 @@ const GOOD: f64 = 0.5;
 /// half the shorter side, are not touches.
 const LEAST_SHARE: f64 = 0.02;
 const LEAST_CERTAIN: f64 = 0.1;
+/// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
+const APART: f64 = 0.8;
+/// Patches that leave more than this share of a frame do not explain it.
+const EXPLAINED: f64 = 0.3;
 /// Steps of a fit, from the frame before and from a search.
 const STEPS: [usize; 2] = [4, 25];
 
@@ -133,7 +137,7 @@ impl PatchStage {
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         self.left.clear();
         self.left.extend_from_slice(difference);
-        if contacts.is_empty() {
+        if contacts.is_empty() || difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
             self.fits.clear();
             return;
         }
@@ -188,7 +192,7 @@ impl PatchStage {
         let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
         let before = self.misfit;
         let Some((fits, summary)) = self.fit(&start, STEPS[0]) else { return false };
-        let believed = summary.misfit <= BELIEVED.max(WORSENED * before);
+        let believed = summary.misfit <= BELIEVED.max(WORSENED * before) && is_plausible(&fits, &summary);
         (self.fits, self.misfit) = (fits, summary.misfit);
         let strongest = self.strongest();
         believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
@@ -205,7 +209,9 @@ impl PatchStage {
                 let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
                 let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
                 let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
-                if found.as_ref().is_none_or(|(_, before, _)| summary.misfit < before.misfit) {
+                if is_plausible(&fits, &summary)
+                    && found.as_ref().is_none_or(|(_, before, _)| summary.misfit < before.misfit)
+                {
                     found = Some((fits, summary, self.left.clone()));
                 }
             }
@@ -239,6 +245,16 @@ impl PatchStage {
             && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
             && self.grid.pixel_at(fit.patch.position_m).is_some_and(|pixel| self.inside[pixel])
     }
+}
+
+/// Whether patches explain a frame and lie apart.
+fn is_plausible(fits: &[ContactFit], summary: &FitSummary) -> bool {
+    let near = |a: &ContactPatch, b: &ContactPatch| {
+        let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+        distance < APART * (a.radius_m + b.radius_m)
+    };
+    let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
+    !overlap && summary.misfit <= EXPLAINED * summary.energy
 }
 
 /// What a patch conducts altogether, siemens.
