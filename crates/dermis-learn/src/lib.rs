@@ -3,6 +3,7 @@
 //! (feature `train`) runs on `burn`.
 
 mod error;
+mod kernels;
 pub mod metrics;
 mod model;
 mod network;
