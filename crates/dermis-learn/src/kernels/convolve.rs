@@ -40,6 +40,19 @@ impl Taps {
             }
         }
     }
+
+    /// Takes the kernel that brings slopes back: that of inputs x outputs x 3 x 3, turned by half a turn, its channels
+    /// exchanged.
+    pub(crate) fn set_turned(&mut self, kernel: &[f32]) {
+        for (input, kernel) in kernel.chunks_exact(9 * self.outputs).enumerate() {
+            for (output, kernel) in kernel.chunks_exact(9).enumerate() {
+                let block = &mut self.values[output / BLOCK * 9 * self.inputs..][9 * input..9 * input + 9];
+                for (taps, value) in block.iter_mut().zip(kernel.iter().rev()) {
+                    taps[output % BLOCK] = *value;
+                }
+            }
+        }
+    }
 }
 
 /// What is done with the sums.
@@ -47,6 +60,8 @@ impl Taps {
 pub(crate) enum Finish<'a> {
     /// Softsign of the sum and each output channel's offset.
     Softsign(&'a [f32]),
+    /// Nothing.
+    Plain,
 }
 
 /// Convolves `from` (inputs channels) into `to` (outputs channels), both of the same layout. What was in `to` is lost.
@@ -120,6 +135,7 @@ impl Pass<'_> {
             let (to, _) = S::as_mut_simd_f32s(to);
             for (to, sum) in to.iter_mut().zip(sums) {
                 *to = match self.finish {
+                    Finish::Plain => *sum,
                     Finish::Softsign(offsets) => {
                         let sum = simd.add_f32s(*sum, simd.splat_f32s(offsets[output]));
                         simd.div_f32s(sum, simd.add_f32s(simd.splat_f32s(1.0), simd.abs_f32s(sum)))

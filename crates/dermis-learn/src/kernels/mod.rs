@@ -4,6 +4,8 @@
 
 mod convolve;
 mod plane;
+mod slopes;
 
 pub(crate) use convolve::{Finish, Taps, convolve};
-pub(crate) use plane::{Layout, pool, repeat};
+pub(crate) use plane::{Layout, pool, pool_back, repeat, repeat_back};
+pub(crate) use slopes::add_kernel_slopes;

@@ -72,6 +72,25 @@ pub(crate) fn pool(layout: Layout, from: &[f32], to: &mut [f32]) {
     }
 }
 
+/// Slopes of [`pool`]: those of `to` are added to the first largest of each four pixels.
+pub(crate) fn pool_back(layout: Layout, from: &[f32], to: &[f32], to_slope: &[f32], from_slope: &mut [f32]) {
+    let finer = layout.finer();
+    let channels = from.chunks_exact(finer.pitch()).zip(from_slope.chunks_exact_mut(finer.pitch()));
+    let coarse = to.chunks_exact(layout.pitch()).zip(to_slope.chunks_exact(layout.pitch()));
+    for ((from, from_slope), (to, to_slope)) in channels.zip(coarse) {
+        for row in 0..layout.rows {
+            let (start, upper, lower) = (layout.row(row).start, finer.row(2 * row).start, finer.row(2 * row + 1).start);
+            for column in 0..layout.columns {
+                let four = [upper, upper + 1, lower, lower + 1].map(|place| place + 2 * column);
+                let largest = to[start + column];
+                if let Some(place) = four.into_iter().find(|&place| from[place] == largest) {
+                    from_slope[place] += to_slope[start + column];
+                }
+            }
+        }
+    }
+}
+
 /// Every pixel four times; `from`, whose layout is given, has half the rows and columns of `to`.
 pub(crate) fn repeat(layout: Layout, from: &[f32], to: &mut [f32]) {
     let finer = layout.finer();
@@ -82,6 +101,20 @@ pub(crate) fn repeat(layout: Layout, from: &[f32], to: &mut [f32]) {
                 *pair = [*value; 2];
             }
             to.copy_within(upper, finer.row(2 * row + 1).start);
+        }
+    }
+}
+
+/// Slopes of [`repeat`]: of every pixel the sum of its four, replacing what was in `from_slope`.
+pub(crate) fn repeat_back(layout: Layout, to_slope: &[f32], from_slope: &mut [f32]) {
+    let finer = layout.finer();
+    for (from, to) in from_slope.chunks_exact_mut(layout.pitch()).zip(to_slope.chunks_exact(finer.pitch())) {
+        for row in 0..layout.rows {
+            let (upper, lower) = (&to[finer.row(2 * row)], &to[finer.row(2 * row + 1)]);
+            let pairs = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+            for (value, (a, b)) in from[layout.row(row)].iter_mut().zip(pairs) {
+                *value = a[0] + a[1] + b[0] + b[1];
+            }
         }
     }
 }
