@@ -16,7 +16,7 @@ pub use health::HealthSettings;
 pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
-pub use twin::{StuckChannel, TwinFaults, TwinSettings};
+pub use twin::{StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
 
 use std::path::Path;
 
@@ -714,7 +714,7 @@ impl Skin {
         };
         let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
         let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
-        self.twin.check(electrodes, channels, file)?;
+        self.twin.check(electrodes, channels, &self.frontend.layer.kind, file)?;
         self.health.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
