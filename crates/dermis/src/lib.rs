@@ -13,6 +13,7 @@ pub mod bodies;
 pub mod calibrate;
 pub mod case;
 pub mod channels;
+mod classes;
 mod clock;
 pub mod design;
 pub mod doctor;

@@ -4,6 +4,7 @@
 use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, Layout};
+use dermis_learn::Model;
 use dermis_tomo::inverse::SpotModel;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
@@ -14,6 +15,7 @@ use dermis_touch::{
 use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
+use crate::classes::ClassStage;
 use crate::clock::FrameClock;
 use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
@@ -83,6 +85,8 @@ pub struct Pipeline {
     spots: Option<SpotModel>,
     /// The same of a sandwich.
     patches: Option<PatchStage>,
+    /// A network that classifies pixels, where there is one.
+    classes: Option<ClassStage>,
     hyperparameter: Option<f64>,
     forces: Option<ForceCalibration>,
     channels: Vec<f64>,
@@ -134,6 +138,7 @@ impl Pipeline {
             prebuilt,
             spots,
             patches,
+            classes: None,
             hyperparameter: None,
             forces: None,
             channels: Vec::new(),
@@ -204,6 +209,7 @@ impl Pipeline {
             rows: grid.rows,
             touches,
             events,
+            classes: self.classes.as_ref().and_then(ClassStage::classes),
             health: self.health(),
             marks,
         })
@@ -231,6 +237,9 @@ impl Pipeline {
         if judgement.blind {
             // Nothing that could be seen: no image, and what was touched is let go.
             self.image.fill(f32::NAN);
+            if let Some(classes) = &mut self.classes {
+                classes.forget();
+            }
             ready.touches.forget(time_ns);
             return Ok(false);
         }
@@ -240,6 +249,9 @@ impl Pipeline {
             return Ok(true);
         }
         ready.imager.image(&self.difference, &mut self.image)?;
+        if let Some(classes) = &mut self.classes {
+            classes.see(&self.difference)?;
+        }
         let imaged = Instant::now();
         self.latencies.image.record(imaged - conditioned);
         let placement = match &mut ready.placement {
@@ -368,6 +380,15 @@ impl Pipeline {
             }
         }
         self.hyperparameter = Some(lambda);
+        Ok(())
+    }
+
+    /// Classifies the pixels of every frame by a network from now on, or no longer.
+    ///
+    /// # Errors
+    /// A model of another skin.
+    pub fn set_classifier(&mut self, model: Option<&Model>) -> Result<(), Error> {
+        self.classes = model.map(|model| ClassStage::new(&self.prepared, model)).transpose()?;
         Ok(())
     }
 
