@@ -14,6 +14,7 @@ pub mod calibrate;
 pub mod case;
 pub mod channels;
 mod clock;
+pub mod damage;
 pub mod design;
 pub mod doctor;
 mod error;

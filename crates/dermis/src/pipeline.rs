@@ -15,6 +15,7 @@ use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
+use crate::damage::{DamageInput, DamageStage, DamageView};
 use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
 use crate::latency::LatencyHistogram;
@@ -75,6 +76,8 @@ pub struct Pipeline {
     baseline: Baseline,
     /// `None` where the skin file wants channels not to be watched.
     health: Option<HealthStage>,
+    /// `None` where the skin file does not ask for damage to be watched.
+    damage: Option<DamageStage>,
     ready: Option<Ready>,
     /// The operator, until there is a baseline to use it with.
     prebuilt: Option<Imager>,
@@ -85,6 +88,8 @@ pub struct Pipeline {
     channels: Vec<f64>,
     difference: Vec<f64>,
     image: Vec<f32>,
+    /// The image is of this frame, and to be believed.
+    believed: bool,
     latencies: StageLatencies,
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
@@ -102,10 +107,14 @@ impl Pipeline {
     pub fn new(prepared: Prepared, layout: &Layout, calibration: Option<Calibration>) -> Result<Self, Error> {
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let settings = &prepared.skin.touch;
-        let drift = if settings.drift_time_constant_s > 0.0 {
-            DriftCompensation::Exponential { time_constant_s: settings.drift_time_constant_s, settle_s: 2.0 }
-        } else {
-            DriftCompensation::Off
+        let drift = match settings.drift_time_constant_s {
+            time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
+                DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }
+            }
+            time_constant_s if time_constant_s > 0.0 => {
+                DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 }
+            }
+            _ => DriftCompensation::Off,
         };
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;
         if let Some(calibration) = &calibration {
@@ -118,12 +127,14 @@ impl Pipeline {
             None
         };
         let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
+        let damage = if prepared.skin.damage.watch { Some(DamageStage::new(&prepared)?) } else { None };
         let refines = prepared.refines_touches(calibration.as_ref());
         let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
         Ok(Self {
             reader,
             baseline,
             health,
+            damage,
             ready: None,
             prebuilt,
             spots,
@@ -132,6 +143,7 @@ impl Pipeline {
             channels: Vec::new(),
             difference: Vec::new(),
             image: vec![f32::NAN; prepared.map.grid().len()],
+            believed: false,
             latencies: StageLatencies::default(),
             timed_from_ns: 0,
             frames: 0,
@@ -170,6 +182,7 @@ impl Pipeline {
         }
         let at = (frame.host_monotonic_ns, frame.sequence);
         let load = if self.ready.is_some() && self.follow(time_ns, at, start)? { Load::Touched } else { Load::Free };
+        self.watch_damage(time_ns, at, load)?;
         let change = self.baseline.learn(load);
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.renew(at)?;
@@ -198,6 +211,7 @@ impl Pipeline {
             touches,
             events,
             health: self.health(),
+            damage: self.damage(),
             marks,
         })
     }
@@ -222,11 +236,13 @@ impl Pipeline {
         let conditioned = Instant::now();
         self.latencies.condition.record(conditioned - start);
         if judgement.blind {
+            self.believed = false;
             // Nothing that could be seen: no image, and what was touched is let go.
             self.image.fill(f32::NAN);
             ready.touches.forget(time_ns);
             return Ok(false);
         }
+        self.believed = !judgement.doubtful;
         if judgement.doubtful {
             // The last image and its contacts stay until it is known what is wrong, a few frames at most.
             ready.touches.repeat(time_ns)?;
@@ -239,9 +255,41 @@ impl Pipeline {
             Some(finder) => finder.place(&self.difference)?,
             None => None,
         };
+        if self.damage.is_some() {
+            ready.touches.set_floor(DamageStage::floor(&self.image));
+        }
         ready.touches.process(time_ns, &self.image, ready.imager.filled(), placement)?;
         self.latencies.touches.record(imaged.elapsed());
         Ok(ready.touches.is_loaded())
+    }
+
+    /// Looks for damage in the frame just followed; a damage that is believed is taken into the baseline of touches.
+    fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), load: Load) -> Result<(), Error> {
+        let (Some(damage), Some(ready)) = (&mut self.damage, &mut self.ready) else { return Ok(()) };
+        // What is not to be believed says nothing of damage either.
+        if !std::mem::take(&mut self.believed) {
+            return Ok(());
+        }
+        let input = DamageInput {
+            time_ns,
+            difference: &self.difference,
+            scale: &ready.reference.scale,
+            noise: &ready.reference.noise,
+            touches: ready.touches.touches(),
+            loaded: load == Load::Touched,
+            classes: None,
+        };
+        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline)?;
+        self.baseline.hold_drift(verdict.suspicious);
+        if verdict.adopted {
+            self.renew(at)?;
+        }
+        Ok(())
+    }
+
+    /// Damage, the baselines that were in use, and a new one where that is proposed.
+    pub fn damage(&self) -> DamageView<'_> {
+        self.damage.as_ref().map_or_else(DamageView::default, |damage| damage.view(&self.baseline))
     }
 
     /// Brings operator, image noise and refinement to the channels that are left.
@@ -255,6 +303,9 @@ impl Pipeline {
         }
         ready.imager.leave_out(left_out, noise)?;
         ready.touches.set_noise(ready.imager.noise_image());
+        if let Some(damage) = &mut self.damage {
+            damage.set_noise(ready.imager.noise_image());
+        }
         if let Some(model) = &ready.spots {
             ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
         }
@@ -287,6 +338,9 @@ impl Pipeline {
         }
         if let (Some(health), Some(ready)) = (&mut self.health, &self.ready) {
             health.begin(&ready.reference, &ready.imager)?;
+        }
+        if let (Some(damage), Some(ready)) = (&mut self.damage, &self.ready) {
+            damage.renew(&self.baseline, ready.imager.noise_image());
         }
         Ok(())
     }
@@ -323,6 +377,15 @@ impl Pipeline {
         Ok(TARE_FRAMES)
     }
 
+    /// Takes up a baseline that was in use before, by its place in [`Pipeline::baseline_records`].
+    ///
+    /// # Errors
+    /// A number without a baseline whose values are kept.
+    pub fn reuse_baseline(&mut self, record: usize, reason: &str) -> Result<(), Error> {
+        self.baseline.reuse(self.clock.time_ns(), record, reason)?;
+        self.renew((0, self.frames))
+    }
+
     /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the channels
     /// at rest, in place of learning one from the first frames.
     ///
@@ -348,6 +411,9 @@ impl Pipeline {
             ready.touches.set_noise(ready.imager.noise_image());
             if let Some(health) = &mut self.health {
                 health.begin(&ready.reference, &ready.imager)?;
+            }
+            if let Some(damage) = &mut self.damage {
+                damage.set_noise(ready.imager.noise_image());
             }
         }
         self.hyperparameter = Some(lambda);

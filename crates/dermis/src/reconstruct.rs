@@ -164,6 +164,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             touches: &touches,
             events: stage.events(),
             health: Health::default(),
+            damage: crate::damage::DamageView::default(),
             marks: crate::Marks::default(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;

@@ -37,6 +37,8 @@ pub struct TouchStage {
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
     spots: Option<SpotStage>,
+    /// Contacts of a smaller amplitude in the next image are none.
+    floor: f64,
 }
 
 impl TouchStage {
@@ -81,12 +83,18 @@ impl TouchStage {
             noise,
             forces: None,
             spots: None,
+            floor: 0.0,
         })
     }
 
     /// Reads the force of every contact by a calibration from now on.
     pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
         self.forces = forces;
+    }
+
+    /// Contacts of a smaller amplitude in the next image are lobes of something else.
+    pub fn set_floor(&mut self, amplitude: f64) {
+        self.floor = amplitude;
     }
 
     /// Replaces the image noise (after a new baseline or hyperparameter).
@@ -126,6 +134,7 @@ impl TouchStage {
         placement: Option<Placement>,
     ) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
+        self.contacts.retain(|contact| contact.amplitude >= self.floor);
         let several = self.contacts.len() > 1;
         if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
             self.contacts.truncate(1);
