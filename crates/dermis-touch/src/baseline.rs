@@ -2,7 +2,11 @@
 //!
 //! It is set at the start from the median of the first frames, later by an explicit tare or by the caller, and may follow
 //! slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches the skin: under
-//! contact it stands still, so that a held touch keeps its value however long it is held.
+//! contact it stands still, so that a held touch keeps its value however long it is held. Where touch and damage may come
+//! on as slowly as drift, only the part of the change that is alike everywhere is followed, b += (1 - exp(-dt/tau)) a b
+//! with a the least-squares share of (raw - b) along b: a sheet that grows warmer under a constant current changes all its
+//! voltages by the same share, a touch or a cut does not.
+//! Every baseline that was in use is kept with its time and reason, and can be taken up again.
 
 use crate::error::{TouchError, require, require_length};
 use serde::{Deserialize, Serialize};
@@ -21,7 +25,21 @@ pub enum DriftCompensation {
         /// The baseline stays frozen for so long after a load has gone, seconds, at least 0: the material relaxes.
         settle_s: f64,
     },
+    /// The baseline follows a change of all channels by the same share, and nothing else, while the skin is free.
+    Uniform {
+        /// Time constant tau, seconds, above 0.
+        time_constant_s: f64,
+        /// As for [`DriftCompensation::Exponential`].
+        settle_s: f64,
+    },
 }
+
+/// A change counts as alike everywhere where its uniform part has this share of its energy.
+const UNIFORM_SHARE: f64 = 0.9;
+/// Or where what is left without it is below so many standard deviations of the noise (root mean square).
+const UNIFORM_REST: f64 = 3.0;
+/// Values of so many baselines are kept; of older ones only the first.
+const MOST_KEPT: usize = 64;
 
 /// Rules of a [`Baseline`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -105,6 +123,8 @@ pub enum ReferenceOrigin {
     ForcedTare,
     /// Values given by the caller.
     Given,
+    /// The skin at rest with a damage that was found, so that touches are found beside it.
+    Damage,
 }
 
 /// When and why the baseline was set.
@@ -149,6 +169,11 @@ pub struct Baseline {
     tare_sum: Vec<f64>,
     tare_count: Vec<u32>,
     records: Vec<ReferenceRecord>,
+    /// Values of each record; empty where they are no longer kept.
+    kept: Vec<Vec<f64>>,
+    /// Product of the shares that uniform drift was followed by.
+    drift_factor: f64,
+    drift_held: bool,
     time_ns: Option<u64>,
     learned_time_ns: Option<u64>,
     load: Load,
@@ -176,6 +201,9 @@ impl Baseline {
             tare_sum: vec![0.0; channels],
             tare_count: vec![0; channels],
             records: Vec::new(),
+            kept: Vec::new(),
+            drift_factor: 1.0,
+            drift_held: false,
             time_ns: None,
             learned_time_ns: None,
             load: Load::Free,
@@ -218,6 +246,25 @@ impl Baseline {
     #[must_use]
     pub fn records(&self) -> &[ReferenceRecord] {
         &self.records
+    }
+
+    /// The values of a baseline that was in use, as they were set, by its place in [`Baseline::records`]; none where there is
+    /// no such record, or where its values are no longer kept (the first and the last 64 are).
+    #[must_use]
+    pub fn kept(&self, record: usize) -> Option<&[f64]> {
+        self.kept.get(record).map(Vec::as_slice).filter(|values| !values.is_empty())
+    }
+
+    /// By what factor uniform drift has changed the baseline since the start, tares left aside: a baseline of then, times
+    /// the ratio of the factors of now and then, is what it would be now.
+    #[must_use]
+    pub fn drift_factor(&self) -> f64 {
+        self.drift_factor
+    }
+
+    /// Holds drift compensation still, or lets it go on, whatever the load: something is suspected that is no drift.
+    pub fn hold_drift(&mut self, held: bool) {
+        self.drift_held = held;
     }
 
     /// How far the baseline is.
@@ -326,8 +373,30 @@ impl Baseline {
         self.started = true;
         self.tare = None;
         self.startup.clear();
-        self.records.push(record);
+        self.keep(record);
         Ok(())
+    }
+
+    /// Takes a mean of frames at rest, made by the caller, as the baseline that includes a damage. A tare under way goes on.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn adopt(&mut self, time_ns: u64, values: &[f64], frames: usize, reason: &str) -> Result<(), TouchError> {
+        require_length("baseline", self.channels(), values.len())?;
+        self.baseline.copy_from_slice(values);
+        self.record(time_ns, frames, ReferenceOrigin::Damage, reason.to_owned());
+        Ok(())
+    }
+
+    /// Takes up a baseline that was in use before, by its place in [`Baseline::records`], as it was then.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] where its values are not kept.
+    pub fn reuse(&mut self, time_ns: u64, record: usize, reason: &str) -> Result<(), TouchError> {
+        let values = self.kept(record).map(<[f64]>::to_vec);
+        let kept = "the number of a baseline whose values are kept";
+        let values = values.ok_or(TouchError::Parameter { name: "baseline", value: record as f64, expected: kept })?;
+        self.set_baseline(time_ns, &values, reason)
     }
 
     /// Moves the baseline of one channel, which was left out for a while, to a value at which it agrees with the others;
@@ -339,7 +408,17 @@ impl Baseline {
     }
 
     fn record(&mut self, time_ns: u64, frames: usize, origin: ReferenceOrigin, reason: String) {
-        self.records.push(ReferenceRecord { time_ns, frames, origin, reason });
+        self.keep(ReferenceRecord { time_ns, frames, origin, reason });
+    }
+
+    fn keep(&mut self, record: ReferenceRecord) {
+        self.records.push(record);
+        self.kept.push(self.baseline.clone());
+        // The first stays: it is what the skin was when it was new.
+        if self.kept.len() > MOST_KEPT + 1 {
+            let oldest = self.kept.len() - MOST_KEPT - 1;
+            self.kept[oldest.max(1)] = Vec::new();
+        }
     }
 
     fn learn_startup(&mut self, time_ns: u64) -> BaselineChange {
@@ -387,26 +466,64 @@ impl Baseline {
     }
 
     fn follow_drift(&mut self, time_ns: u64, elapsed_s: f64, load: Load) {
-        let DriftCompensation::Exponential { time_constant_s, settle_s } = self.params.drift else { return };
+        let (time_constant_s, settle_s) = match self.params.drift {
+            DriftCompensation::Off => return,
+            DriftCompensation::Exponential { time_constant_s, settle_s }
+            | DriftCompensation::Uniform { time_constant_s, settle_s } => (time_constant_s, settle_s),
+        };
         if load == Load::Touched {
             // Casting saturates.
             self.frozen_until_ns = time_ns.saturating_add((settle_s * 1e9) as u64);
             return;
         }
-        if time_ns < self.frozen_until_ns {
+        if time_ns < self.frozen_until_ns || self.drift_held {
             return;
         }
         let gain = -(-elapsed_s / time_constant_s).exp_m1();
+        if matches!(self.params.drift, DriftCompensation::Uniform { .. }) {
+            if let Some(share) = self.uniform_share() {
+                let factor = 1.0 + gain * share;
+                self.baseline.iter_mut().for_each(|baseline| *baseline *= factor);
+                self.drift_factor *= factor;
+            }
+            return;
+        }
         for (baseline, raw) in self.baseline.iter_mut().zip(&self.raw) {
             if raw.is_finite() {
                 *baseline += gain * (raw - *baseline);
             }
         }
     }
+
+    /// By which share the last frame is off the baseline as a whole, where it is so alike everywhere.
+    fn uniform_share(&self) -> Option<f64> {
+        let (mut cross, mut square, mut change, mut noise, mut count) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for ((raw, baseline), sigma) in self.raw.iter().zip(&self.baseline).zip(&self.noise_std) {
+            let difference = raw - baseline;
+            if difference.is_finite() {
+                cross += difference * baseline;
+                square += baseline * baseline;
+                change += difference * difference;
+                noise += if sigma.is_finite() { sigma * sigma } else { 0.0 };
+                count += 1.0;
+            }
+        }
+        if count == 0.0 || square == 0.0 || change == 0.0 {
+            return None;
+        }
+        let (share, uniform) = (cross / square, cross * cross / square);
+        let rest = change - uniform;
+        let alike = uniform >= UNIFORM_SHARE * change || rest <= UNIFORM_REST * UNIFORM_REST * noise;
+        alike.then_some(share)
+    }
 }
 
 fn check_drift(drift: DriftCompensation) -> Result<(), TouchError> {
-    let DriftCompensation::Exponential { time_constant_s, settle_s } = drift else { return Ok(()) };
+    let (time_constant_s, settle_s) = match drift {
+        DriftCompensation::Off => return Ok(()),
+        DriftCompensation::Exponential { time_constant_s, settle_s }
+        | DriftCompensation::Uniform { time_constant_s, settle_s } => (time_constant_s, settle_s),
+    };
     let tau = time_constant_s;
     require(tau.is_finite() && tau > 0.0, "time_constant_s", tau, "finite and above 0")?;
     require(settle_s.is_finite() && settle_s >= 0.0, "settle_s", settle_s, "finite and at least 0")

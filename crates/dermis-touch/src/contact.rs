@@ -93,14 +93,14 @@ pub enum PixelNoise<'a> {
 }
 
 impl PixelNoise<'_> {
-    fn at(&self, index: usize) -> f32 {
+    pub(crate) fn at(&self, index: usize) -> f32 {
         match self {
             Self::Uniform(sigma) => *sigma,
             Self::PerPixel(sigma) => sigma[index],
         }
     }
 
-    fn validate(&self, pixels: usize) -> Result<(), TouchError> {
+    pub(crate) fn validate(&self, pixels: usize) -> Result<(), TouchError> {
         match self {
             Self::Uniform(sigma) => {
                 require(sigma.is_finite() && *sigma >= 0.0, "noise sigma", f64::from(*sigma), "finite and at least 0")

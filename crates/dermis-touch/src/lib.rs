@@ -14,6 +14,7 @@ mod assignment;
 mod baseline;
 mod blob;
 mod contact;
+pub mod damage;
 mod error;
 pub mod force;
 mod geometry;

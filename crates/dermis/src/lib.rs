@@ -15,6 +15,7 @@ pub mod case;
 pub mod channels;
 mod classes;
 mod clock;
+pub mod damage;
 pub mod design;
 pub mod doctor;
 mod error;

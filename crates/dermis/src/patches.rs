@@ -16,7 +16,7 @@ use crate::prepare::Prepared;
 /// Elements of the mesh that contacts are worked out on: about 2.5 mm on a skin of 100 mm.
 const ELEMENTS: usize = 4000;
 /// Patches at most.
-const MOST_PATCHES: usize = 5;
+const MOST_PATCHES: usize = 4;
 /// Places that are searched, along the shorter side.
 const PLACES: usize = 10;
 /// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
@@ -30,18 +30,22 @@ const RADII: [f64; 2] = [1.0, 0.75];
 /// A fit that goes on from the frame before is believed up to this misfit, or so many times the one before.
 const BELIEVED: f64 = 2.0;
 const WORSENED: f64 = 1.5;
-/// One more patch must leave less than this share of the misfit.
-const WORTH: f64 = 0.6;
+/// One more patch must lower the cost of a fit (squared standard deviations) by this and to this share.
+const WORTH: (f64, f64) = (20.0, 0.5);
 /// Misfit at which no further patch is looked for.
-const GOOD: f64 = 0.5;
-/// Patches of less than this share of the strongest one's conductance, or less certain of their place than this, relative to
-/// half the shorter side, are not touches.
-const LEAST_SHARE: f64 = 0.02;
+const GOOD: f64 = 0.2;
+/// Patches larger than this, relative to half the shorter side, are several that are taken for one.
+const LARGEST: f64 = 0.5;
+/// Patches of less than this share of the strongest one's effect, or less certain of their place than this, relative to half
+/// the shorter side, are not touches.
+const LEAST_SHARE: f64 = 0.05;
 const LEAST_CERTAIN: f64 = 0.1;
 /// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
-const APART: f64 = 0.8;
+const APART: f64 = 1.3;
 /// Patches that leave more than this share of a frame do not explain it.
 const EXPLAINED: f64 = 0.3;
+/// After a search in vain so many frames are shown as the image has them before the next.
+const REST: u32 = 4;
 /// Steps of a fit, from the frame before and from a search.
 const STEPS: [usize; 2] = [4, 25];
 
@@ -60,6 +64,9 @@ pub(crate) struct PatchStage {
     left: Vec<f64>,
     fits: Vec<ContactFit>,
     misfit: f64,
+    sheet_s: f64,
+    smallest_amplitude: f64,
+    rest: u32,
 }
 
 impl Prepared {
@@ -110,6 +117,9 @@ impl Prepared {
             left: Vec::new(),
             fits: Vec::new(),
             misfit: f64::INFINITY,
+            sheet_s: self.skin.sheet_conductance_s(),
+            smallest_amplitude: touch.smallest_amplitude,
+            rest: 0,
         })
     }
 }
@@ -127,13 +137,19 @@ impl PatchStage {
         channels.iter().for_each(|&channel| self.absent[channel as usize] = true);
     }
 
+    /// The next frame has nothing to do with the last.
+    pub(crate) fn forget(&mut self) {
+        self.fits.clear();
+        self.rest = 0;
+    }
+
     /// What the last frame's patches do not explain: model volts, the whole frame where there were none.
     pub(crate) fn left(&self) -> &[f64] {
         &self.left
     }
 
-    /// Replaces the contacts of an image by the patches of its frame (model volts); those of a frame that cannot be fitted
-    /// stay as the image has them.
+    /// Replaces the contacts of an image by the patches of its frame (model volts). Those of a frame that patches do not explain
+    /// stay as the image has them, but begin no touch.
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         self.left.clear();
         self.left.extend_from_slice(difference);
@@ -141,20 +157,26 @@ impl PatchStage {
             self.fits.clear();
             return;
         }
-        let significance = contacts[0].significance;
-        self.weigh(difference);
-        if !self.follow() && !self.search() {
-            self.fits.clear();
+        // Too weak to begin a touch, and none there that it could be.
+        let Contact { significance, strength, .. } = contacts[0];
+        if self.fits.is_empty() && strength != ContactStrength::Strong {
             return;
         }
-        let (typical, strongest) = (self.options, self.strongest());
+        self.weigh(difference);
+        if !self.follow() && !self.search() {
+            // Lobes of damage look like this, and touches that are only beginning: nothing begins, what is there may stay.
+            self.fits.clear();
+            contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+            return;
+        }
+        let strongest = self.strongest();
         contacts.clear();
         let area = |radius_m: f64| PI * radius_m * radius_m;
-        let unit = typical.conductance_s_per_m2 * area(typical.radius_m);
+        let unit = self.options.radius_m * self.options.radius_m;
         let fits = self.fits.iter().filter(|fit| self.is_touch(fit, strongest));
         contacts.extend(fits.map(|fit| {
             let (patch, c) = (&fit.patch, &fit.covariance);
-            let amplitude = conductance_s(patch) / unit;
+            let amplitude = self.effect_m2(patch) / unit;
             Contact {
                 peak_m: patch.position_m,
                 peak_value: amplitude,
@@ -163,13 +185,14 @@ impl PatchStage {
                 amplitude,
                 volume: amplitude * area(patch.radius_m),
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
-                significance: significance * conductance_s(patch) / strongest,
+                significance: significance * self.effect_m2(patch) / strongest,
                 sign: ContactSign::Positive,
-                strength: ContactStrength::Strong,
+                strength,
                 force: None,
                 radius_m: Some(patch.radius_m),
             }
         }));
+        contacts.retain(|contact| contact.amplitude >= self.smallest_amplitude);
         contacts.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
     }
 
@@ -192,14 +215,24 @@ impl PatchStage {
         let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
         let before = self.misfit;
         let Some((fits, summary)) = self.fit(&start, STEPS[0]) else { return false };
-        let believed = summary.misfit <= BELIEVED.max(WORSENED * before) && is_plausible(&fits, &summary);
+        let believed = summary.misfit <= BELIEVED.max(WORSENED * before) && self.is_plausible(&fits, &summary);
         (self.fits, self.misfit) = (fits, summary.misfit);
         let strongest = self.strongest();
         believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
     }
 
-    /// Looks for one patch, two, and so on, until one more explains little.
+    /// Looks for one patch, two, and so on, until one more explains little. Not in every frame that nothing explains.
     fn search(&mut self) -> bool {
+        if self.rest > 0 {
+            self.rest -= 1;
+            return false;
+        }
+        let found = self.search_now();
+        self.rest = if found { 0 } else { REST };
+        found
+    }
+
+    fn search_now(&mut self) -> bool {
         let (sheet, search) = &*self.model;
         let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
         let mut best: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
@@ -209,15 +242,16 @@ impl PatchStage {
                 let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
                 let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
                 let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
-                if is_plausible(&fits, &summary)
-                    && found.as_ref().is_none_or(|(_, before, _)| summary.misfit < before.misfit)
+                if self.is_plausible(&fits, &summary)
+                    && found.as_ref().is_none_or(|(_, before, _)| summary.cost < before.cost)
                 {
                     found = Some((fits, summary, self.left.clone()));
                 }
             }
             let Some(found) = found else { continue };
-            if best.as_ref().is_some_and(|(_, before, _)| found.1.misfit > WORTH * before.misfit) {
-                break;
+            let worth = |before: f64, now: f64| now < WORTH.1 * before && now < before - WORTH.0;
+            if best.as_ref().is_some_and(|(_, before, _)| !worth(before.cost, found.1.cost)) {
+                continue;
             }
             let good = found.1.misfit < GOOD;
             best = Some(found);
@@ -236,28 +270,72 @@ impl PatchStage {
     }
 
     fn strongest(&self) -> f64 {
-        self.fits.iter().map(|fit| conductance_s(&fit.patch)).fold(f64::MIN_POSITIVE, f64::max)
+        self.fits.iter().map(|fit| self.effect_m2(&fit.patch)).fold(f64::MIN_POSITIVE, f64::max)
+    }
+
+    /// Whether patches explain a frame, lie apart, and are no larger than a touch.
+    fn is_plausible(&self, fits: &[ContactFit], summary: &FitSummary) -> bool {
+        let near = |a: &ContactPatch, b: &ContactPatch| {
+            let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+            distance < APART * (a.radius_m + b.radius_m)
+        };
+        let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
+        let large = fits.iter().any(|fit| fit.patch.radius_m > LARGEST * self.half_width_m);
+        !overlap && !large && summary.misfit <= EXPLAINED * summary.energy
+    }
+
+    /// What a patch does to a uniform current, as the square of the radius of a short circuit that does the same:
+    /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is at the
+    /// mean potential of its rim by symmetry.
+    fn effect_m2(&self, patch: &ContactPatch) -> f64 {
+        let x = (patch.conductance_s_per_m2 / self.sheet_s).sqrt() * patch.radius_m;
+        let [zeroth, second] = bessel_i0_i2(x);
+        patch.radius_m * patch.radius_m * second / zeroth
     }
 
     fn is_touch(&self, fit: &ContactFit, strongest: f64) -> bool {
         let variance = fit.covariance[0][0] + fit.covariance[1][1];
-        conductance_s(&fit.patch) >= LEAST_SHARE * strongest
+        self.effect_m2(&fit.patch) >= LEAST_SHARE * strongest
             && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
             && self.grid.pixel_at(fit.patch.position_m).is_some_and(|pixel| self.inside[pixel])
     }
 }
 
-/// Whether patches explain a frame and lie apart.
-fn is_plausible(fits: &[ContactFit], summary: &FitSummary) -> bool {
-    let near = |a: &ContactPatch, b: &ContactPatch| {
-        let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
-        distance < APART * (a.radius_m + b.radius_m)
+/// Modified Bessel functions I0 and I2, both over I0's leading growth where that is large: the ratio is what matters.
+fn bessel_i0_i2(x: f64) -> [f64; 2] {
+    if x > 50.0 {
+        // Hankel's expansion (Abramowitz and Stegun 9.7.1), to the second order.
+        let by = |mu: f64| 1.0 - (mu - 1.0) / (8.0 * x) + (mu - 1.0) * (mu - 9.0) / (128.0 * x * x);
+        return [by(0.0), by(16.0)];
+    }
+    // Power series (9.6.10).
+    let quarter = 0.25 * x * x;
+    let series = |first: f64, order: f64| {
+        let (mut term, mut sum, mut k) = (first, first, 0.0);
+        while term > 1e-17 * sum {
+            k += 1.0;
+            term *= quarter / (k * (k + order));
+            sum += term;
+        }
+        sum
     };
-    let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
-    !overlap && summary.misfit <= EXPLAINED * summary.energy
+    [series(1.0, 0.0), series(0.5 * quarter, 2.0)]
 }
 
-/// What a patch conducts altogether, siemens.
-fn conductance_s(patch: &ContactPatch) -> f64 {
-    PI * patch.radius_m * patch.radius_m * patch.conductance_s_per_m2
+#[cfg(test)]
+mod tests {
+    use super::bessel_i0_i2;
+
+    #[test]
+    fn bessel_functions_are_those_of_the_tables() {
+        // Abramowitz and Stegun, table 9.8: exp(-x) I0 and x^-2 I2 at 2 and 5.
+        let [zeroth, second] = bessel_i0_i2(2.0);
+        assert!((zeroth - 2.279_585_302_336_067).abs() < 1e-12 && (second - 0.688_948_447_698_738_2).abs() < 1e-12);
+        let [zeroth, second] = bessel_i0_i2(5.0);
+        assert!((zeroth - 27.239_871_823_604_44).abs() < 1e-10 && (second - 17.505_614_966_624_236).abs() < 1e-10);
+        // Both ways agree where they meet.
+        let ratio = |x: f64| bessel_i0_i2(x)[1] / bessel_i0_i2(x)[0];
+        assert!((ratio(49.999) - ratio(50.001)).abs() < 1e-5, "{} {}", ratio(49.999), ratio(50.001));
+        assert!(bessel_i0_i2(0.0)[1] == 0.0);
+    }
 }

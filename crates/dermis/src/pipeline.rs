@@ -17,6 +17,7 @@ use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
 use crate::classes::ClassStage;
 use crate::clock::FrameClock;
+use crate::damage::{DamageInput, DamageStage, DamageView};
 use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
 use crate::latency::LatencyHistogram;
@@ -78,6 +79,8 @@ pub struct Pipeline {
     baseline: Baseline,
     /// `None` where the skin file wants channels not to be watched.
     health: Option<HealthStage>,
+    /// `None` where the skin file does not ask for damage to be watched.
+    damage: Option<DamageStage>,
     ready: Option<Ready>,
     /// The operator, until there is a baseline to use it with.
     prebuilt: Option<Imager>,
@@ -92,6 +95,8 @@ pub struct Pipeline {
     channels: Vec<f64>,
     difference: Vec<f64>,
     image: Vec<f32>,
+    /// The image is of this frame, and to be believed.
+    believed: bool,
     latencies: StageLatencies,
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
@@ -109,10 +114,14 @@ impl Pipeline {
     pub fn new(prepared: Prepared, layout: &Layout, calibration: Option<Calibration>) -> Result<Self, Error> {
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let settings = &prepared.skin.touch;
-        let drift = if settings.drift_time_constant_s > 0.0 {
-            DriftCompensation::Exponential { time_constant_s: settings.drift_time_constant_s, settle_s: 2.0 }
-        } else {
-            DriftCompensation::Off
+        let drift = match settings.drift_time_constant_s {
+            time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
+                DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }
+            }
+            time_constant_s if time_constant_s > 0.0 => {
+                DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 }
+            }
+            _ => DriftCompensation::Off,
         };
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;
         if let Some(calibration) = &calibration {
@@ -125,6 +134,7 @@ impl Pipeline {
             None
         };
         let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
+        let damage = if prepared.skin.damage.watch { Some(DamageStage::new(&prepared)?) } else { None };
         let refines = prepared.refines_touches(calibration.as_ref());
         let sandwich = prepared.is_sandwich();
         let spots = if refines && !sandwich { Some(prepared.assumed_spot_model()?) } else { None };
@@ -134,6 +144,7 @@ impl Pipeline {
             reader,
             baseline,
             health,
+            damage,
             ready: None,
             prebuilt,
             spots,
@@ -144,6 +155,7 @@ impl Pipeline {
             channels: Vec::new(),
             difference: Vec::new(),
             image: vec![f32::NAN; prepared.map.grid().len()],
+            believed: false,
             latencies: StageLatencies::default(),
             timed_from_ns: 0,
             frames: 0,
@@ -182,6 +194,7 @@ impl Pipeline {
         }
         let at = (frame.host_monotonic_ns, frame.sequence);
         let load = if self.ready.is_some() && self.follow(time_ns, at, start)? { Load::Touched } else { Load::Free };
+        self.watch_damage(time_ns, at, load)?;
         let change = self.baseline.learn(load);
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.renew(at)?;
@@ -211,6 +224,7 @@ impl Pipeline {
             events,
             classes: self.classes.as_ref().and_then(ClassStage::classes),
             health: self.health(),
+            damage: self.damage(),
             marks,
         })
     }
@@ -235,6 +249,7 @@ impl Pipeline {
         let conditioned = Instant::now();
         self.latencies.condition.record(conditioned - start);
         if judgement.blind {
+            self.believed = false;
             // Nothing that could be seen: no image, and what was touched is let go.
             self.image.fill(f32::NAN);
             if let Some(classes) = &mut self.classes {
@@ -243,6 +258,7 @@ impl Pipeline {
             ready.touches.forget(time_ns);
             return Ok(false);
         }
+        self.believed = !judgement.doubtful;
         if judgement.doubtful {
             // The last image and its contacts stay until it is known what is wrong, a few frames at most.
             ready.touches.repeat(time_ns)?;
@@ -258,9 +274,43 @@ impl Pipeline {
             Some(finder) => finder.place(&self.difference)?,
             None => None,
         };
+        if self.damage.is_some() {
+            ready.touches.set_floor(DamageStage::floor(&self.image));
+        }
         ready.touches.process(time_ns, &self.image, ready.imager.filled(), placement)?;
         self.latencies.touches.record(imaged.elapsed());
         Ok(ready.touches.is_loaded())
+    }
+
+    /// Looks for damage in the frame just followed; a damage that is believed is taken into the baseline of touches.
+    fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), load: Load) -> Result<(), Error> {
+        let (Some(damage), Some(ready)) = (&mut self.damage, &mut self.ready) else { return Ok(()) };
+        // What is not to be believed says nothing of damage either.
+        if !std::mem::take(&mut self.believed) {
+            return Ok(());
+        }
+        let input = DamageInput {
+            time_ns,
+            difference: &self.difference,
+            scale: &ready.reference.scale,
+            noise: &ready.reference.noise,
+            touches: ready.touches.touches(),
+            loaded: load == Load::Touched,
+            classes: None,
+        };
+        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline)?;
+        self.baseline.hold_drift(verdict.suspicious);
+        if verdict.adopted {
+            self.renew(at)?;
+        }
+        Ok(())
+    }
+
+    /// Damage, the baselines that were in use, and a new one where that is proposed.
+    pub fn damage(&self) -> DamageView<'_> {
+        let now_ns = self.clock.time_ns();
+        let Some(damage) = &self.damage else { return DamageView::default() };
+        DamageView { now_ns, ..damage.view(&self.baseline) }
     }
 
     /// Brings operator, image noise and refinement to the channels that are left.
@@ -276,6 +326,9 @@ impl Pipeline {
         ready.touches.set_noise(ready.imager.noise_image());
         if let Some(patches) = ready.touches.patches_mut() {
             patches.leave_out(left_out);
+        }
+        if let Some(damage) = &mut self.damage {
+            damage.set_noise(ready.imager.noise_image());
         }
         if let Some(model) = &ready.spots {
             ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
@@ -312,6 +365,9 @@ impl Pipeline {
         }
         if let (Some(health), Some(ready)) = (&mut self.health, &self.ready) {
             health.begin(&ready.reference, &ready.imager)?;
+        }
+        if let (Some(damage), Some(ready)) = (&mut self.damage, &self.ready) {
+            damage.renew(&self.baseline, ready.imager.noise_image());
         }
         Ok(())
     }
@@ -352,6 +408,15 @@ impl Pipeline {
         Ok(TARE_FRAMES)
     }
 
+    /// Takes up a baseline that was in use before, by its place in [`Pipeline::baseline_records`].
+    ///
+    /// # Errors
+    /// A number without a baseline whose values are kept.
+    pub fn reuse_baseline(&mut self, record: usize, reason: &str) -> Result<(), Error> {
+        self.baseline.reuse(self.clock.time_ns(), record, reason)?;
+        self.renew((0, self.frames))
+    }
+
     /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the channels
     /// at rest, in place of learning one from the first frames.
     ///
@@ -377,6 +442,9 @@ impl Pipeline {
             ready.touches.set_noise(ready.imager.noise_image());
             if let Some(health) = &mut self.health {
                 health.begin(&ready.reference, &ready.imager)?;
+            }
+            if let Some(damage) = &mut self.damage {
+                damage.set_noise(ready.imager.noise_image());
             }
         }
         self.hyperparameter = Some(lambda);

@@ -165,6 +165,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             events: stage.events(),
             classes: None,
             health: Health::default(),
+            damage: crate::damage::DamageView::default(),
             marks: crate::Marks::default(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;

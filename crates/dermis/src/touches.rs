@@ -39,6 +39,8 @@ pub struct TouchStage {
     forces: Option<ForceCalibration>,
     spots: Option<SpotStage>,
     patches: Option<PatchStage>,
+    /// Contacts of a smaller amplitude in the next image are none.
+    floor: f64,
 }
 
 impl TouchStage {
@@ -84,12 +86,18 @@ impl TouchStage {
             forces: None,
             spots: None,
             patches: None,
+            floor: 0.0,
         })
     }
 
     /// Reads the force of every contact by a calibration from now on.
     pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
         self.forces = forces;
+    }
+
+    /// Contacts of a smaller amplitude in the next image are lobes of something else.
+    pub fn set_floor(&mut self, amplitude: f64) {
+        self.floor = amplitude;
     }
 
     /// Replaces the image noise (after a new baseline or hyperparameter).
@@ -148,6 +156,7 @@ impl TouchStage {
         placement: Option<Placement>,
     ) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
+        self.contacts.retain(|contact| contact.amplitude >= self.floor);
         let several = self.contacts.len() > 1;
         if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
             self.contacts.truncate(1);
@@ -236,6 +245,9 @@ impl TouchStage {
     /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end, and what
     /// that frame shows begins anew. The ends are among its events.
     pub fn interrupt(&mut self, time_ns: u64) {
+        if let Some(patches) = &mut self.patches {
+            patches.forget();
+        }
         self.tracker.end_all(time_ns, &mut self.ended);
     }
 
@@ -247,6 +259,9 @@ impl TouchStage {
 
     /// Ends all touches: the next frame has nothing to do with this one.
     pub fn forget(&mut self, time_ns: u64) {
+        if let Some(patches) = &mut self.patches {
+            patches.forget();
+        }
         self.tracker.end_all(time_ns, &mut self.events);
     }
 }

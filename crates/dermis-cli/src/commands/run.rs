@@ -235,6 +235,11 @@ impl Run {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
+        for event in output.damage.events {
+            let text = dermis::damage::told(event);
+            tracing::warn!(frame = output.sequence, "{text}");
+            self.hub.announce(Level::Warning, text);
+        }
         if output.marks.clock_jump_ns != 0 || output.marks.renumbered {
             let jump_s = output.marks.clock_jump_ns as f64 * 1e-9;
             let reset = if output.marks.renumbered { ", and its frames are numbered anew: it was reset" } else { "" };

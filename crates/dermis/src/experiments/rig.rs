@@ -176,15 +176,7 @@ impl Rig {
 
     /// Image, with the indenters' places marked.
     pub fn panel(&self, name: impl Into<String>, values: &[f32], places_m: &[[f64; 2]]) -> ImagePanel {
-        let grid = self.prepared.map.grid();
-        let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
-        let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
-        let bend = match self.prepared.skin.surface() {
-            Surface::Cylinder { radius_m } => Some(radius_m / width),
-            Surface::Flat => None,
-        };
-        let marks = places_m.iter().map(share).collect();
-        ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
+        panel_of(&self.prepared, name, values, places_m)
     }
 
     /// Pixels in a row of an image.
@@ -219,6 +211,24 @@ impl Rig {
         }
         values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len().max(1) as f64
     }
+}
+
+/// Image of a skin, with places marked.
+pub(super) fn panel_of(
+    prepared: &Prepared,
+    name: impl Into<String>,
+    values: &[f32],
+    places_m: &[[f64; 2]],
+) -> ImagePanel {
+    let grid = prepared.map.grid();
+    let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
+    let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
+    let bend = match prepared.skin.surface() {
+        Surface::Cylinder { radius_m } => Some(radius_m / width),
+        Surface::Flat => None,
+    };
+    let marks = places_m.iter().map(share).collect();
+    ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
 }
 
 /// A round weight or indenter.

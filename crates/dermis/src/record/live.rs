@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use dermis_device::{Frame, HostStamp};
+use dermis_touch::damage::DamageEvent;
 
 use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, SkinView};
 use crate::Error;
@@ -84,6 +85,10 @@ impl LiveRecording {
     /// Takes what was made of the frame.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
+        for event in output.damage.events {
+            let (name, detail, values) = damage_event(event);
+            self.handle.offer_event(output.wall_ns, name, &detail, &values);
+        }
     }
 
     /// Takes the baseline in use, if there is one.
@@ -127,4 +132,21 @@ impl LiveRecording {
             }
         }
     }
+}
+
+/// What happened to a damage: the event, the same for people, and id, x, y, length (metres), direction (radians), depth and
+/// share that is left.
+fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
+    let damage = event.damage();
+    let shape = &damage.shape;
+    let [x, y] = shape.centre_m;
+    let name = match event {
+        DamageEvent::Begin(_) => "damage-begin",
+        DamageEvent::Update(_) => "damage-update",
+        DamageEvent::Covered(_) => "damage-covered",
+        DamageEvent::Uncovered(_) => "damage-uncovered",
+        DamageEvent::Healed(_) => "damage-healed",
+    };
+    let values = [damage.id as f64, x, y, shape.length_m, shape.direction_rad, damage.depth, damage.share];
+    (name, crate::damage::told(event), values)
 }

@@ -183,8 +183,13 @@ pub(super) fn read_event(bytes: &[u8]) -> Option<EventEntry> {
     Some(entry)
 }
 
-const ORIGINS: [ReferenceOrigin; 4] =
-    [ReferenceOrigin::Startup, ReferenceOrigin::Tare, ReferenceOrigin::ForcedTare, ReferenceOrigin::Given];
+const ORIGINS: [ReferenceOrigin; 5] = [
+    ReferenceOrigin::Startup,
+    ReferenceOrigin::Tare,
+    ReferenceOrigin::ForcedTare,
+    ReferenceOrigin::Given,
+    ReferenceOrigin::Damage,
+];
 
 /// A baseline's origin in a word.
 pub(super) fn origin_name(origin: ReferenceOrigin) -> &'static str {
@@ -193,6 +198,7 @@ pub(super) fn origin_name(origin: ReferenceOrigin) -> &'static str {
         ReferenceOrigin::Tare => "tare",
         ReferenceOrigin::ForcedTare => "forced-tare",
         ReferenceOrigin::Given => "given",
+        ReferenceOrigin::Damage => "damage",
     }
 }
 

@@ -1,5 +1,7 @@
 //! One JSON object a line and frame, for pipes and logs.
 
+mod damage;
+
 use std::fmt::{self, Write as _};
 use std::io::Write;
 use std::path::PathBuf;
@@ -15,7 +17,7 @@ use crate::{Error, Marks};
 pub enum LinesFor {
     /// Every frame.
     EveryFrame,
-    /// Frames with a touch, or in which one ended.
+    /// Frames with a touch, in which one ended, or in which something happened to a damage.
     Touches,
 }
 
@@ -28,7 +30,11 @@ pub enum LinesFor {
 /// it, the fitted `radius_mm`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
 /// number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted` `with` another, `since_s`) and
 /// `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from 1; where a frame's number or time is
-/// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`Marks`]). Numbers have as many digits as it
+/// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`Marks`]). Where there is damage, or something to
+/// tell of it, there is `damage`: `list` (`id`, `state`, `x_mm`, `y_mm`, `length_mm`, `width_mm`, `direction_deg`, `depth`,
+/// `share` that is left, `significance`, `since_s`, `confirmed_s`, and `sigma_mm`: of x, y and length, where a model was
+/// fitted), `events` (`id`, `event`), the number of `baselines` so far and which of them is the `intact` one (from 1), and a
+/// `proposal` of a new one (`reason`, `since_s`, `offset_sigma`); its times are those of the pipeline's clock. Numbers have as many digits as it
 /// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
 /// that is kept: nothing is allocated once the longest line has been seen.
 #[derive(Debug)]
@@ -57,7 +63,8 @@ impl<W> JsonLines<W> {
 impl<W: Write + Send> Sink for JsonLines<W> {
     fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
         self.summary.frames += 1;
-        let silent = output.touches.is_empty() && ended(output.events).next().is_none();
+        let quiet = output.damage.events.is_empty();
+        let silent = output.touches.is_empty() && ended(output.events).next().is_none() && quiet;
         if silent && self.lines_for == LinesFor::Touches {
             return Ok(());
         }
@@ -65,6 +72,7 @@ impl<W: Write + Send> Sink for JsonLines<W> {
         push_open(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
         push_health(&mut self.line, output.health);
         push_marks(&mut self.line, output.marks);
+        damage::push_damage(&mut self.line, &output.damage);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;

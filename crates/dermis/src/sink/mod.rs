@@ -9,6 +9,7 @@ mod touch_table;
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
+use crate::damage::DamageView;
 use crate::learning::Classes;
 use crate::{Error, Marks};
 
@@ -44,6 +45,8 @@ pub struct Output<'a> {
     pub classes: Option<&'a Classes>,
     /// Channels left out, and electrodes blamed.
     pub health: Health<'a>,
+    /// Damage, baselines and proposals, where damage is watched.
+    pub damage: DamageView<'a>,
     /// What is odd about the frame's number or time.
     pub marks: Marks,
 }
@@ -134,7 +137,7 @@ pub(crate) mod testing {
     ) -> Output<'a> {
         let (time_ns, wall_ns) = (12_000_000_345 + sequence, 1_700_000_000_000_000_000 + sequence);
         let (raw, compensated) = (&[1.0, 2.0], &[0.0, 0.5]);
-        let (health, marks) = (Health::default(), Marks::default());
+        let (health, damage, marks) = (Health::default(), DamageView::default(), Marks::default());
         Output {
             sequence,
             time_ns,
@@ -148,6 +151,7 @@ pub(crate) mod testing {
             events,
             classes: None,
             health,
+            damage,
             marks,
         }
     }

@@ -4,6 +4,7 @@
 mod build;
 mod builtin;
 mod choice;
+mod damage;
 mod health;
 mod magnetic;
 mod parts;
@@ -12,6 +13,7 @@ mod twin;
 
 pub use build::SkinBody;
 pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use damage::DamageSettings;
 pub use health::HealthSettings;
 pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
@@ -51,6 +53,9 @@ pub struct Skin {
     /// How its channels are watched.
     #[serde(default, skip_serializing_if = "HealthSettings::is_default")]
     pub health: HealthSettings,
+    /// How damage is told from touch.
+    #[serde(default, skip_serializing_if = "DamageSettings::is_default")]
+    pub damage: DamageSettings,
     /// Its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
@@ -716,6 +721,7 @@ impl Skin {
         let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
         self.twin.check(electrodes, channels, &self.frontend.layer.kind, file)?;
         self.health.check(file)?;
+        self.damage.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
         }

@@ -10,7 +10,9 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{DeserializeOwned, Deserializer, MapAccess, Visitor};
 
 use super::builtin::builtin_part;
-use super::{Backend, Frontend, HealthSettings, Imaging, Modality, Skin, TouchSettings, TwinSettings, refused};
+use super::{
+    Backend, DamageSettings, Frontend, HealthSettings, Imaging, Modality, Skin, TouchSettings, TwinSettings, refused,
+};
 use crate::Error;
 
 /// A skin file as written: its parts may be elsewhere.
@@ -29,6 +31,8 @@ pub(super) struct Written {
     touch: TouchSettings,
     #[serde(default)]
     health: HealthSettings,
+    #[serde(default)]
+    damage: DamageSettings,
     #[serde(default)]
     twin: TwinSettings,
 }
@@ -78,6 +82,7 @@ impl Written {
             imaging: self.imaging,
             touch: self.touch,
             health: self.health,
+            damage: self.damage,
             twin: self.twin,
         })
     }

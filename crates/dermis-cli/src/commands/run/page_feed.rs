@@ -1,5 +1,7 @@
 //! From what the pipeline knows to what the page shows.
 
+mod damage;
+
 use std::borrow::Cow;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -88,6 +90,7 @@ impl PageFeed {
         }
         self.take_health(output);
         self.take_classes(output);
+        damage::take(&output.damage, &mut self.update.damage);
     }
 
     fn take_classes(&mut self, output: &Output<'_>) {
@@ -234,7 +237,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         skin: prepared.skin.name.clone(),
         modality: prepared.skin.modality.name().into(),
         is_twin: press.is_some(),
-        watches_damage: false,
+        watches_damage: prepared.skin.damage.watch,
         is_treatable: press.is_some() && prepared.skin.frontend.layer.kind == "sandwich",
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
         bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),

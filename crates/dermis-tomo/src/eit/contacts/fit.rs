@@ -48,6 +48,9 @@ pub struct FitSummary {
     pub misfit: f64,
     /// The same before anything was explained.
     pub energy: f64,
+    /// Sum over the channels of the squared residual over its variance, and over the patches of how far radius and conductance
+    /// are from what is expected, in squared standard deviations: what a fit makes small.
+    pub cost: f64,
     /// Steps taken.
     pub steps: usize,
 }
@@ -92,7 +95,12 @@ impl ContactSheet {
         }
         left_v.clear();
         left_v.extend(change_v.iter().zip(&state.change).map(|(change, model)| change - model));
-        let summary = FitSummary { misfit: state.misfit, energy: fit.misfit(&vec![0.0; change_v.len()]), steps };
+        let summary = FitSummary {
+            misfit: state.misfit,
+            cost: 2.0 * state.cost,
+            energy: fit.misfit(&vec![0.0; change_v.len()]),
+            steps,
+        };
         let covariance = inverse(&normal);
         let block = |k: usize| {
             let mut values = [[f64::NAN; OF_PATCH]; OF_PATCH];

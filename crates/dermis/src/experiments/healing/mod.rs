@@ -1,6 +1,8 @@
 //! Experiments H1 to H6 of the self-healing sandwich (paper H: two-step imaging, touch told from damage) on its twin, whose
 //! two sheets, mesh and noise are not the reconstruction's. Every case is read off one frame at the published noise.
 
+mod damage;
+mod live;
 mod touches;
 
 use dermis_tomo::mesh::PixelGrid;
@@ -12,10 +14,13 @@ use super::{Experiment, Kind, Rig, Row};
 use crate::Error;
 
 /// All of them.
-pub(super) const EXPERIMENTS: [Experiment; 3] = [
+pub(super) const EXPERIMENTS: [Experiment; 6] = [
     Experiment { id: "H1", title: "single touches of 20 and 25 mm at 80 kPa", run: touches::single },
     Experiment { id: "H2", title: "position error at nine places of the first quadrant", run: touches::positions },
     Experiment { id: "H3", title: "two and three touches at once", run: touches::several },
+    Experiment { id: "H4", title: "a cut of 20 mm, and touches beside it", run: damage::cut_and_touches },
+    Experiment { id: "H5", title: "healing: heat, two days, a new baseline", run: damage::healing },
+    Experiment { id: "H6", title: "pressing on the cut", run: damage::on_the_cut },
 ];
 
 const SKIN: &str = "healing-square";

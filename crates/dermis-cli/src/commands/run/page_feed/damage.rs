@@ -1,0 +1,48 @@
+//! Damage and baselines as the page lists them.
+
+use dermis::damage::DamageView as Known;
+use dermis_cli::page::{BaselineRow, DamageRow, DamageView, ProposalView};
+use dermis_touch::ReferenceOrigin;
+
+use super::MM;
+
+/// Refills what the page shows of damage; `None` where it is not looked for.
+pub(super) fn take(known: &Known<'_>, shown: &mut Option<DamageView>) {
+    if !known.watched {
+        *shown = None;
+        return;
+    }
+    let for_s = |since_ns: u64| known.now_ns.saturating_sub(since_ns) as f64 * 1e-9;
+    let shown = shown.get_or_insert_default();
+    shown.list.clear();
+    shown.list.extend(known.damages.iter().map(|damage| DamageRow {
+        id: damage.id,
+        state: damage.state.name(),
+        x_mm: damage.shape.centre_m[0] * MM,
+        y_mm: damage.shape.centre_m[1] * MM,
+        length_mm: damage.shape.length_m * MM,
+        direction_deg: damage.shape.direction_rad.to_degrees(),
+        ends_mm: damage.shape.ends_m().map(|end| end.map(|v| v * MM)),
+        depth: damage.depth,
+        healed: (1.0 - damage.share).clamp(0.0, 1.0),
+        for_s: for_s(damage.since_ns),
+    }));
+    shown.baselines.clear();
+    shown.baselines.extend(known.baselines.iter().map(|record| BaselineRow {
+        origin: match record.origin {
+            ReferenceOrigin::Startup => "start",
+            ReferenceOrigin::Tare => "tare",
+            ReferenceOrigin::ForcedTare => "forced tare",
+            ReferenceOrigin::Given => "given",
+            ReferenceOrigin::Damage => "damage taken in",
+        },
+        reason: record.reason.clone(),
+        age_s: for_s(record.time_ns),
+    }));
+    shown.intact = known.intact;
+    shown.proposal = known.proposal.map(|proposal| ProposalView {
+        reason: proposal.reason.name(),
+        for_s: for_s(proposal.since_ns),
+        offset_sigma: proposal.offset_sigma,
+    });
+}

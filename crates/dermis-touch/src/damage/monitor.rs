@@ -1,0 +1,424 @@
+//! The monitor itself: a mean over free frames, low regions in it, and the life of each damage.
+
+use super::region::{Region, RegionFinder};
+use super::{Damage, DamageEvent, DamageParams, DamageShape, DamageState};
+use crate::blob::seconds_between;
+use crate::contact::PixelNoise;
+use crate::error::{TouchError, require_length};
+use crate::geometry::ImageGeometry;
+use crate::track::Touch;
+
+/// A suspicion that is not seen for so long is dropped, seconds.
+const DROP_S: f64 = 0.3;
+/// A damage that measures so much more than its worst so far has grown.
+const GROWN: f64 = 1.25;
+/// A healed place with this much of its worst again has opened.
+const REOPENED: f64 = 0.6;
+
+/// What a network says of each pixel, row-major like the image, 0 to 1; NaN outside the skin.
+#[derive(Debug, Clone, Copy)]
+pub struct ClassProbabilities<'a> {
+    /// Damaged.
+    pub damaged: &'a [f32],
+    /// Compressed.
+    pub compressed: &'a [f32],
+}
+
+/// What is known of one frame.
+#[derive(Debug, Clone, Copy)]
+pub struct DamageFrame<'a> {
+    /// Its time, nanoseconds; not before the last one's.
+    pub time_ns: u64,
+    /// The image against the intact reference: below zero is damage. Row-major, NaN outside the skin.
+    pub image: &'a [f32],
+    /// Standard deviation of that image's noise.
+    pub noise: PixelNoise<'a>,
+    /// The touches on the skin.
+    pub touches: &'a [Touch],
+    /// True while anything touches the skin, contacts that are not yet touches included.
+    pub loaded: bool,
+    /// The classes of the pixels, where a network gives them: a damage begins only where most of its place is called
+    /// damaged, and is covered where most is called compressed.
+    pub classes: Option<ClassProbabilities<'a>>,
+}
+
+/// A damage with what only the monitor knows.
+#[derive(Debug, Clone, Copy)]
+struct Record {
+    damage: Damage,
+    seen_ns: u64,
+    /// Since when `share` asks for another state.
+    leaning_ns: Option<u64>,
+    /// Share that a model has found, in place of the image's.
+    modelled: bool,
+    bit: u16,
+    /// Since when no touch has been on it.
+    clear_ns: Option<u64>,
+}
+
+/// Tells damage from touch, frame by frame, in memory of its own.
+///
+/// Damage is looked for in the mean of frames in which nothing touches the skin, from a while after the last touch on, so
+/// that neither the lobes of a touch nor what it leaves behind become damage. Nothing here changes the reference: what
+/// the image is taken against is the caller's, and must be the intact skin.
+#[derive(Debug, Clone)]
+pub struct DamageMonitor {
+    geometry: ImageGeometry,
+    params: DamageParams,
+    finder: RegionFinder,
+    mean: Vec<f32>,
+    /// Weight of the mean's noise: variance over that of one frame; none before the first free frame.
+    variance: f64,
+    free_since_ns: Option<u64>,
+    loaded_ns: Option<u64>,
+    time_ns: Option<u64>,
+    records: Vec<Record>,
+    damages: Vec<Damage>,
+    events: Vec<DamageEvent>,
+    /// Bits of the records that each pixel belongs to.
+    masks: Vec<u16>,
+    next_id: u64,
+}
+
+impl DamageMonitor {
+    /// A monitor for images on `geometry`.
+    ///
+    /// # Errors
+    /// [`TouchError::Parameter`] when the geometry or a parameter is out of range.
+    pub fn new(geometry: ImageGeometry, params: DamageParams) -> Result<Self, TouchError> {
+        geometry.validate()?;
+        params.validate()?;
+        let pixels = geometry.len();
+        Ok(Self {
+            geometry,
+            params,
+            finder: RegionFinder::new(pixels, params.most),
+            mean: vec![f32::NAN; pixels],
+            variance: 1.0,
+            free_since_ns: None,
+            loaded_ns: None,
+            time_ns: None,
+            records: Vec::with_capacity(params.most),
+            damages: Vec::with_capacity(params.most),
+            // At most two things happen to a damage in one frame, and one by a model's word.
+            events: Vec::with_capacity(3 * params.most),
+            masks: vec![0; pixels],
+            next_id: 1,
+        })
+    }
+
+    /// The thresholds and times.
+    #[must_use]
+    pub fn params(&self) -> &DamageParams {
+        &self.params
+    }
+
+    /// All damages, suspected and healed ones included, oldest first.
+    #[must_use]
+    pub fn damages(&self) -> &[Damage] {
+        &self.damages
+    }
+
+    /// What happened in the last frame, and since.
+    #[must_use]
+    pub fn events(&self) -> &[DamageEvent] {
+        &self.events
+    }
+
+    /// True where neither damage nor suspicion stands: what the skin is now may serve as its intact reference.
+    #[must_use]
+    pub fn is_intact(&self) -> bool {
+        self.damages.iter().all(|damage| damage.state == DamageState::Healed)
+    }
+
+    /// True while something is suspected.
+    #[must_use]
+    pub fn is_suspicious(&self) -> bool {
+        self.damages.iter().any(|damage| damage.state == DamageState::Suspected)
+    }
+
+    /// Mean image over the last free frames, NaN outside the skin and before there were any.
+    #[must_use]
+    pub fn mean_image(&self) -> &[f32] {
+        &self.mean
+    }
+
+    /// Takes in one frame. Allocates nothing.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`], [`TouchError::TimeReversed`]; nothing has then changed.
+    pub fn process(&mut self, frame: &DamageFrame<'_>) -> Result<(), TouchError> {
+        self.check(frame)?;
+        self.events.clear();
+        let elapsed_s = self.time_ns.map_or(0.0, |before| seconds_between(before, frame.time_ns));
+        self.time_ns = Some(frame.time_ns);
+        if frame.loaded || !frame.touches.is_empty() {
+            self.loaded_ns = Some(frame.time_ns);
+            self.free_since_ns = None;
+        }
+        self.cover(frame);
+        let settled = self.loaded_ns.is_none_or(|last| seconds_between(last, frame.time_ns) >= self.params.settle_s);
+        if settled {
+            self.average(frame, elapsed_s);
+            let since_ns = *self.free_since_ns.get_or_insert(frame.time_ns);
+            if seconds_between(since_ns, frame.time_ns) >= self.params.average_s {
+                self.judge(frame);
+            }
+        }
+        self.publish();
+        Ok(())
+    }
+
+    /// Takes over what a model has found of a damage: its shape, and the share of its worst that is left, if the model
+    /// can tell.
+    pub fn refine(&mut self, id: u64, shape: DamageShape, share: Option<f64>) {
+        if let Some(record) = self.records.iter_mut().find(|record| record.damage.id == id) {
+            record.damage.shape = shape;
+            if let Some(share) = share.filter(|share| share.is_finite()) {
+                record.damage.share = share.clamp(0.0, 1.0);
+                record.modelled = true;
+            }
+        }
+        let renewed = self.records.iter().find(|record| record.damage.id == id).map(|record| record.damage);
+        for event in &mut self.events {
+            if let (DamageEvent::Begin(damage) | DamageEvent::Update(damage), Some(renewed)) = (event, renewed)
+                && damage.id == id
+            {
+                *damage = renewed;
+            }
+        }
+        self.publish();
+    }
+
+    /// The intact reference was replaced by the skin as it is: what is healed is part of it from now on, and is forgotten.
+    pub fn renew(&mut self) {
+        let freed = |record: &Record| if record.damage.state == DamageState::Healed { record.bit } else { 0 };
+        let bits = self.records.iter().map(freed).fold(0, |all, bit| all | bit);
+        self.masks.iter_mut().for_each(|mask| *mask &= !bits);
+        self.records.retain(|record| record.damage.state != DamageState::Healed);
+        self.restart();
+        self.publish();
+    }
+
+    /// The image is made otherwise from now on (another operator): the mean begins anew.
+    pub fn restart(&mut self) {
+        self.free_since_ns = None;
+        self.mean.fill(f32::NAN);
+    }
+
+    fn check(&self, frame: &DamageFrame<'_>) -> Result<(), TouchError> {
+        require_length("image", self.geometry.len(), frame.image.len())?;
+        frame.noise.validate(self.geometry.len())?;
+        if let Some(classes) = &frame.classes {
+            require_length("probabilities of damage", self.geometry.len(), classes.damaged.len())?;
+            require_length("probabilities of compression", self.geometry.len(), classes.compressed.len())?;
+        }
+        match self.time_ns.filter(|previous| frame.time_ns < *previous) {
+            Some(previous_ns) => Err(TouchError::TimeReversed { time_ns: frame.time_ns, previous_ns }),
+            None => Ok(()),
+        }
+    }
+
+    fn average(&mut self, frame: &DamageFrame<'_>, elapsed_s: f64) {
+        let first = self.free_since_ns.is_none();
+        let follow = -(-elapsed_s / self.params.average_s).exp_m1();
+        // A plain mean until that is as good as the exponential one.
+        let gain = if first { 1.0 } else { follow.max(self.variance / (1.0 + self.variance)) };
+        self.variance = gain * gain + (1.0 - gain) * (1.0 - gain) * if first { 0.0 } else { self.variance };
+        for (mean, &value) in self.mean.iter_mut().zip(frame.image) {
+            *mean = if first || !mean.is_finite() { value } else { *mean + gain as f32 * (value - *mean) };
+        }
+    }
+
+    /// What presses on which damage.
+    fn cover(&mut self, frame: &DamageFrame<'_>) {
+        let DamageParams { reach_m, settle_s, .. } = self.params;
+        for index in 0..self.records.len() {
+            let Record { damage, bit, .. } = self.records[index];
+            if !damage.is_open() {
+                continue;
+            }
+            let over = |touch: &Touch| {
+                let radius_m = touch.radius_m.unwrap_or_else(|| (touch.area_m2 / std::f64::consts::PI).sqrt());
+                damage.shape.distance_m(touch.position_m) <= radius_m + reach_m
+            };
+            let called =
+                frame.loaded && frame.classes.is_some_and(|c| mean_within(&self.masks, bit, c.compressed) > 0.5);
+            let record = &mut self.records[index];
+            if called || frame.touches.iter().any(over) {
+                record.clear_ns = None;
+                if damage.state != DamageState::Covered {
+                    record.damage.state = DamageState::Covered;
+                    self.events.push(DamageEvent::Covered(record.damage));
+                }
+            } else if damage.state == DamageState::Covered {
+                let since_ns = *record.clear_ns.get_or_insert(frame.time_ns);
+                // A touch elsewhere does not make it covered; seen again it is only once all have gone.
+                if frame.loaded && seconds_between(since_ns, frame.time_ns) >= settle_s {
+                    record.damage.state = DamageState::Confirmed;
+                    self.events.push(DamageEvent::Uncovered(record.damage));
+                }
+            }
+        }
+    }
+
+    fn judge(&mut self, frame: &DamageFrame<'_>) {
+        let highest = self.mean.iter().copied().filter(|v| v.is_finite()).fold(0.0_f32, f32::max);
+        let least = self.params.smallest_depth.max(self.params.lobe_share * f64::from(highest));
+        let averaged = self.variance.sqrt();
+        let sigma = |pixel: usize| averaged * f64::from(frame.noise.at(pixel));
+        self.finder.find(&self.mean, &self.geometry, &self.params, sigma, least);
+        for index in 0..self.finder.regions().len() {
+            let region = self.finder.regions()[index];
+            match self.record_of(&region) {
+                Some(record) => self.measure(record, &region, frame.time_ns),
+                None => self.suspect(&region, frame.time_ns),
+            }
+        }
+        for index in 0..self.records.len() {
+            self.follow(index, frame);
+        }
+        self.drop_unseen(frame.time_ns);
+    }
+
+    /// The record whose place a region is: most of its pixels, or the nearest within both extents.
+    fn record_of(&self, region: &Region) -> Option<usize> {
+        let distance = |record: &Record| {
+            let own = record.damage.shape.distance_m(region.shape.centre_m);
+            let other = region.shape.distance_m(record.damage.shape.centre_m);
+            own.min(other)
+        };
+        let shares = |record: &Record| {
+            let common = self.finder.labels().iter().zip(&self.masks);
+            common.filter(|(label, mask)| **label & region.bit != 0 && **mask & record.bit != 0).count() > 0
+        };
+        let near = self.params.reach_m + 2.0 * self.params.point_spread_m;
+        let candidates = self.records.iter().enumerate().filter(|(_, r)| shares(r) || distance(r) <= near);
+        candidates.min_by(|a, b| distance(a.1).total_cmp(&distance(b.1))).map(|(index, _)| index)
+    }
+
+    fn suspect(&mut self, region: &Region, time_ns: u64) {
+        let used = self.records.iter().fold(0_u16, |all, record| all | record.bit);
+        if self.records.len() >= self.params.most {
+            return;
+        }
+        let bit = 1 << (!used).trailing_zeros();
+        let damage = Damage {
+            id: self.next_id,
+            state: DamageState::Suspected,
+            shape: region.shape,
+            depth: region.depth,
+            volume_m2: region.volume_m2,
+            share: 1.0,
+            significance: region.depth / region.sigma,
+            since_ns: time_ns,
+            confirmed_ns: time_ns,
+        };
+        self.next_id += 1;
+        self.records.push(Record { damage, seen_ns: time_ns, leaning_ns: None, modelled: false, bit, clear_ns: None });
+        self.paint(bit, region.bit);
+    }
+
+    /// Gives a record the pixels of a region.
+    fn paint(&mut self, bit: u16, region_bit: u16) {
+        for (mask, label) in self.masks.iter_mut().zip(self.finder.labels()) {
+            *mask = if label & region_bit != 0 { *mask | bit } else { *mask & !bit };
+        }
+    }
+
+    /// A record is seen in a region: it is as bad as it ever was, or worse.
+    fn measure(&mut self, index: usize, region: &Region, time_ns: u64) {
+        let Record { damage, bit, seen_ns, .. } = &mut self.records[index];
+        *seen_ns = time_ns;
+        damage.significance = region.depth / region.sigma;
+        let suspected = damage.state == DamageState::Suspected;
+        let grown = region.volume_m2 > GROWN * damage.volume_m2 && region.depth >= damage.depth;
+        if suspected || grown {
+            (damage.shape, damage.depth, damage.volume_m2) = (region.shape, region.depth, region.volume_m2);
+            let (bit, region_bit) = (*bit, region.bit);
+            if grown && damage.is_open() {
+                damage.share = 1.0;
+                let damage = *damage;
+                self.events.push(DamageEvent::Update(damage));
+            }
+            self.paint(bit, region_bit);
+        }
+    }
+
+    /// One free frame in the life of a record.
+    fn follow(&mut self, index: usize, frame: &DamageFrame<'_>) {
+        let time_ns = frame.time_ns;
+        let (pixel_m2, mean, masks) = (self.geometry.pixel_m * self.geometry.pixel_m, &self.mean, &self.masks);
+        let params = self.params;
+        let record = &mut self.records[index];
+        if !record.modelled && record.damage.state != DamageState::Suspected {
+            let left: f64 = within(masks, record.bit, mean).map(|value| -f64::from(value)).sum::<f64>() * pixel_m2;
+            record.damage.share = (left / record.damage.volume_m2).clamp(0.0, 1.0);
+        }
+        let share = record.damage.share;
+        if share >= params.healed_share && record.damage.state != DamageState::Healed {
+            record.damage.confirmed_ns = time_ns;
+        }
+        let wanted = match record.damage.state {
+            DamageState::Suspected => DamageState::Confirmed,
+            DamageState::Confirmed if share < params.healing_share => DamageState::Healing,
+            DamageState::Healing if share < params.healed_share => DamageState::Healed,
+            DamageState::Healing if share > 0.5 + 0.5 * params.healing_share => DamageState::Confirmed,
+            DamageState::Healed if share > REOPENED => DamageState::Confirmed,
+            DamageState::Covered if share >= params.healing_share => DamageState::Confirmed,
+            DamageState::Covered => DamageState::Healing,
+            same => same,
+        };
+        if wanted == record.damage.state {
+            record.leaning_ns = None;
+            return;
+        }
+        let from = record.damage.state;
+        let waits = if from == DamageState::Covered { 0.0 } else { params.confirm_s };
+        let since_ns = match from {
+            DamageState::Suspected => record.damage.since_ns,
+            _ => *record.leaning_ns.get_or_insert(time_ns),
+        };
+        let called = |classes: super::ClassProbabilities<'_>| mean_within(masks, record.bit, classes.damaged) > 0.5;
+        let doubted = from == DamageState::Suspected && !frame.classes.is_none_or(called);
+        if seconds_between(since_ns, time_ns) < waits || doubted {
+            return;
+        }
+        record.leaning_ns = None;
+        record.damage.state = wanted;
+        let damage = record.damage;
+        self.events.push(match (from, wanted) {
+            (DamageState::Suspected, _) => DamageEvent::Begin(damage),
+            (DamageState::Covered, _) => DamageEvent::Uncovered(damage),
+            (_, DamageState::Healed) => DamageEvent::Healed(damage),
+            _ => DamageEvent::Update(damage),
+        });
+    }
+
+    fn drop_unseen(&mut self, time_ns: u64) {
+        let gone = |record: &Record| {
+            record.damage.state == DamageState::Suspected && seconds_between(record.seen_ns, time_ns) > DROP_S
+        };
+        let bits = self.records.iter().filter(|record| gone(record)).fold(0, |all, record| all | record.bit);
+        if bits != 0 {
+            self.masks.iter_mut().for_each(|mask| *mask &= !bits);
+            self.records.retain(|record| !gone(record));
+        }
+    }
+
+    fn publish(&mut self) {
+        self.damages.clear();
+        self.damages.extend(self.records.iter().map(|record| record.damage));
+    }
+}
+
+/// The finite values of the pixels of a mask.
+fn within<'a>(masks: &'a [u16], bit: u16, values: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
+    let inside = masks.iter().zip(values).filter(move |(mask, value)| **mask & bit != 0 && value.is_finite());
+    inside.map(|(_, value)| *value)
+}
+
+fn mean_within(masks: &[u16], bit: u16, values: &[f32]) -> f64 {
+    let (sum, count) = within(masks, bit, values).fold((0.0, 0u32), |(sum, n), v| (sum + f64::from(v), n + 1));
+    if count > 0 { sum / f64::from(count) } else { f64::NAN }
+}

@@ -1,0 +1,152 @@
+//! Low regions of an image: the pixels connected to a minimum that lie below half of it, with their moments. The extent of
+//! a line in them follows from the larger second moment, less that of a point: a line of length L has the variance L^2/12.
+
+use super::{DamageParams, DamageShape};
+use crate::geometry::ImageGeometry;
+
+/// One low region.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Region {
+    pub shape: DamageShape,
+    /// Depth of its minimum.
+    pub depth: f64,
+    /// Noise there.
+    pub sigma: f64,
+    pub volume_m2: f64,
+    /// Its bit in the label image.
+    pub bit: u16,
+}
+
+/// Finds them, in memory of its own.
+#[derive(Debug, Clone)]
+pub(super) struct RegionFinder {
+    /// Bit of the region that each pixel belongs to.
+    labels: Vec<u16>,
+    stack: Vec<u32>,
+    regions: Vec<Region>,
+    /// Bits of what lies too near to a region to be one of its own.
+    taken: Vec<bool>,
+}
+
+/// Sums over the pixels of a region.
+#[derive(Debug, Clone, Copy, Default)]
+struct Moments {
+    weight: f64,
+    first: [f64; 2],
+    second: [f64; 3],
+    volume: f64,
+}
+
+impl Moments {
+    fn add(&mut self, [x, y]: [f64; 2], value: f64, weight: f64) {
+        self.volume += value;
+        self.weight += weight;
+        self.first[0] += weight * x;
+        self.first[1] += weight * y;
+        self.second[0] += weight * x * x;
+        self.second[1] += weight * x * y;
+        self.second[2] += weight * y * y;
+    }
+
+    fn shape(&self, point_spread_m: f64) -> DamageShape {
+        let [x, y] = self.first.map(|sum| sum / self.weight);
+        let [xx, xy, yy] = self.second.map(|sum| sum / self.weight);
+        let (xx, xy, yy) = (xx - x * x, xy - x * y, yy - y * y);
+        let (mean, half) = (0.5 * (xx + yy), (0.25 * (xx - yy).powi(2) + xy * xy).sqrt());
+        let extent = |variance: f64| (12.0 * (variance - point_spread_m * point_spread_m).max(0.0)).sqrt();
+        let direction = 0.5 * (2.0 * xy).atan2(xx - yy);
+        DamageShape {
+            centre_m: [x, y],
+            length_m: extent(mean + half),
+            width_m: extent(mean - half),
+            direction_rad: direction,
+            deviations: None,
+        }
+    }
+}
+
+impl RegionFinder {
+    pub fn new(pixels: usize, most: usize) -> Self {
+        Self {
+            labels: vec![0; pixels],
+            stack: Vec::with_capacity(pixels),
+            regions: Vec::with_capacity(most),
+            taken: vec![false; pixels],
+        }
+    }
+
+    /// The regions found last, deepest first.
+    pub fn regions(&self) -> &[Region] {
+        &self.regions
+    }
+
+    /// Bit of the region that each pixel belongs to, 0 for none.
+    pub fn labels(&self) -> &[u16] {
+        &self.labels
+    }
+
+    /// Finds the regions of an image whose minimum is below minus `limit(pixel)`.
+    pub fn find(
+        &mut self,
+        image: &[f32],
+        geometry: &ImageGeometry,
+        params: &DamageParams,
+        sigma: impl Fn(usize) -> f64,
+        least: f64,
+    ) {
+        self.labels.fill(0);
+        self.taken.fill(false);
+        self.regions.clear();
+        let mut deepest = 0.0_f64;
+        while self.regions.len() < params.most.min(16) {
+            let open = |(index, value): &(usize, &f32)| value.is_finite() && !self.taken[*index];
+            let lowest = image.iter().enumerate().filter(open).min_by(|a, b| a.1.total_cmp(b.1));
+            let Some((seed, value)) = lowest else { break };
+            let depth = -f64::from(*value);
+            deepest = deepest.max(depth);
+            let limit = least.max(params.begin_sigma * sigma(seed)).max(params.lobe_share * deepest);
+            if depth < limit {
+                break;
+            }
+            let bit = 1 << self.regions.len();
+            let moments = self.flood(image, geometry, seed, bit);
+            let volume_m2 = moments.volume * geometry.pixel_m * geometry.pixel_m;
+            let shape = moments.shape(params.point_spread_m);
+            self.regions.push(Region { shape, depth, sigma: sigma(seed), volume_m2, bit });
+        }
+    }
+
+    /// Takes the pixels connected to a minimum that lie below half of it, and shuts off the slope about them.
+    fn flood(&mut self, image: &[f32], geometry: &ImageGeometry, seed: usize, bit: u16) -> Moments {
+        let half = 0.5 * -image[seed];
+        let mut moments = Moments::default();
+        self.stack.clear();
+        self.stack.push(seed as u32);
+        self.taken[seed] = true;
+        while let Some(index) = self.stack.pop() {
+            let index = index as usize;
+            let value = -image[index];
+            if value >= half {
+                self.labels[index] = bit;
+                let weight = f64::from(value - half).max(f64::MIN_POSITIVE);
+                moments.add(geometry.pixel_centre_m(index), f64::from(value), weight);
+            }
+            let (column, row) = (index % geometry.columns, index / geometry.columns);
+            let neighbours = [
+                (column > 0).then(|| index - 1),
+                (column + 1 < geometry.columns).then(|| index + 1),
+                (row > 0).then(|| index - geometry.columns),
+                (row + 1 < geometry.rows).then(|| index + geometry.columns),
+            ];
+            for next in neighbours.into_iter().flatten() {
+                // Down the slope while it is part of the region, then on while it still rises to zero.
+                let lies = -image[next];
+                if !self.taken[next] && lies > 0.0 && (lies >= half || lies <= value) {
+                    self.taken[next] = true;
+                    self.stack.push(next as u32);
+                }
+            }
+        }
+        moments
+    }
+}
