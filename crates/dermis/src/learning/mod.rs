@@ -7,6 +7,7 @@ mod jitter;
 mod masks;
 mod score;
 pub mod segment;
+mod solver;
 pub mod train_set;
 
 pub use classifier::{Classes, Classifier};
