@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use dermis_learn::train::{Backend, EpochReport, Progress, TrainOptions, Training, train};
-use dermis_learn::{ModelCard, TrainingSet};
+use dermis_learn::{Model, ModelCard, TrainingSet};
 
 use super::progress_bar;
 use crate::exit::Outcome;
@@ -57,6 +57,9 @@ pub struct Arguments {
     /// Turn and mirror samples at random: for square skins whose electrodes and protocol have the square's symmetries.
     #[arg(long)]
     symmetries: bool,
+    /// A model of the same architecture and inputs to begin with; random weights where left out.
+    #[arg(long, value_name = "MODEL.json")]
+    start: Option<PathBuf>,
     /// What computes.
     #[arg(long, value_enum, default_value_t)]
     backend: Computes,
@@ -80,7 +83,9 @@ impl Arguments {
         let checkpoint = self.out.with_extension("checkpoint");
         let options = self.options();
         let command = self.command();
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command };
+        let start = self.start.as_deref().map(Model::load).transpose()?;
+        let start = start.as_ref().map(|model| &model.tensors);
+        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command, start };
         let bar = progress_bar("samples");
         let mut failed = Ok(());
         let classes = set.manifest().classes.clone();
@@ -128,9 +133,10 @@ impl Arguments {
         let weights: Vec<String> = self.class_weights.iter().map(ToString::to_string).collect();
         let weights =
             if weights.is_empty() { String::new() } else { format!(" --class-weights {}", weights.join(",")) };
+        let start = self.start.as_deref().map_or(String::new(), |start| format!(" --start {}", name(start)));
         format!(
             "dermis train --set {} --out {} --width {} --levels {} --epochs {} --batch {} --learning-rate {} \
-             --patience {} --held-out {} --seed {}{weights}{}",
+             --patience {} --held-out {} --seed {}{weights}{}{start}",
             name(&self.set),
             name(&self.out),
             self.width,

@@ -150,6 +150,24 @@ pub struct Training<'a> {
     pub checkpoint: &'a Path,
     /// The command, for the card.
     pub command: &'a str,
+    /// Weights to begin with; random ones where `None`.
+    pub start: Option<&'a Tensors>,
+}
+
+impl Training<'_> {
+    fn first_weights(&self, shape: &UNetShape) -> Result<Tensors, LearnError> {
+        let Some(start) = self.start else {
+            return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
+        };
+        start.check(shape, Path::new("weights to begin with"))?;
+        // What is beside them, a novelty score, is of another training.
+        let mut tensors = Tensors::default();
+        for spec in shape.tensors() {
+            let values = start.get(&spec.name).map(|(_, values)| values.to_vec()).unwrap_or_default();
+            tensors.insert(spec.name, spec.dims, values)?;
+        }
+        Ok(tensors)
+    }
 }
 
 impl TrainOptions {
@@ -222,7 +240,7 @@ pub fn train(
     let store = Checkpoint::new(training.checkpoint, set.manifest_sha256(), options);
     let mut state = match store.read(&shape)? {
         Some(state) => state,
-        None => State::fresh(initial(&shape, &mut StdRng::seed_from_u64(options.seed))?),
+        None => State::fresh(training.first_weights(&shape)?),
     };
     let mut network = descent(backend, shape, &state, options)?;
     while state.epoch < options.epochs && state.epoch - state.best_epoch < options.patience {

@@ -114,7 +114,7 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     let run = |checkpoint: &str, stop_after: usize| {
         let checkpoint = folder.path().join(checkpoint);
         let options = options(4);
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: "test" };
+        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: "test", start: None };
         let mut reports = Vec::new();
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             train(&training, &Backend::Native, |progress| {
@@ -145,15 +145,22 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     // Turned samples and unlike weights of the classes change the training, and it goes on.
     let options_turned = TrainOptions { symmetries: true, class_weights: vec![1.0, 2.0], ..options(2) };
     let other = folder.path().join("turned");
-    let training = Training { set: &set, options: &options_turned, checkpoint: &other, command: "test" };
+    let training = Training { set: &set, options: &options_turned, checkpoint: &other, command: "test", start: None };
     let turned = train(&training, &Backend::Native, |_| {}).unwrap();
     assert!(turned.card.training.held_out_iou[1].unwrap() > 0.3, "{:?}", turned.card.training);
     assert_ne!(turned.tensors, whole.tensors);
 
+    // A training that begins with finished weights begins where they are.
+    let (better, other) = (options(1), folder.path().join("further"));
+    let start = Some(&whole.tensors);
+    let training = Training { set: &set, options: &better, checkpoint: &other, command: "test", start };
+    let further = train(&training, &Backend::Native, |_| {}).unwrap().card.training;
+    assert!(further.held_out_loss < 0.8 * reports[0].held_out_loss, "{further:?} {reports:?}");
+
     // Another training does not take the checkpoint for its own; a damaged one is named.
     let other = TrainOptions { seed: 9, ..options(4) };
     let checkpoint = folder.path().join("whole");
-    let training = Training { set: &set, options: &other, checkpoint: &checkpoint, command: "test" };
+    let training = Training { set: &set, options: &other, checkpoint: &checkpoint, command: "test", start: None };
     let error = train(&training, &Backend::Native, |_| {}).unwrap_err().to_string();
     assert!(error.contains("made with other options"), "{error}");
     std::fs::write(checkpoint.join("checkpoint-0.safetensors"), b"no").unwrap();
