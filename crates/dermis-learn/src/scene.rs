@@ -98,6 +98,32 @@ impl Figure {
     }
 }
 
+impl Figure {
+    /// How deep a point lies inside, metres; negative outside. For an ellipse to first order at its rim.
+    pub fn depth_m(&self, p: [f64; 2]) -> f64 {
+        match self {
+            Figure::Ellipse(middle, half, turn) => {
+                let (sin, cos) = turn.sin_cos();
+                let (x, y) = (p[0] - middle[0], p[1] - middle[1]);
+                let (u, v) = ((cos * x + sin * y) / half[0], (cos * y - sin * x) / half[1]);
+                let level = u.hypot(v);
+                // Distance to first order: (1 - level) over the length of level's gradient.
+                let gradient = (u / half[0]).hypot(v / half[1]) / level.max(f64::MIN_POSITIVE);
+                if level < 1e-9 { half[0].min(half[1]) } else { (1.0 - level) / gradient }
+            }
+            Figure::Polygon(corners) => {
+                let sides = corners.iter().zip(corners.iter().cycle().skip(1));
+                let nearest = sides.map(|(a, b)| from_segment(p, *a, *b)).fold(f64::INFINITY, f64::min);
+                if self.contains(p) { nearest } else { -nearest }
+            }
+            Figure::Stroke(chain, width) => {
+                let nearest = chain.windows(2).map(|ends| from_segment(p, ends[0], ends[1]));
+                0.5 * width - nearest.fold(f64::INFINITY, f64::min)
+            }
+        }
+    }
+}
+
 fn from_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let (ab, ap) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
     let square = ab[0] * ab[0] + ab[1] * ab[1];
@@ -347,6 +373,21 @@ mod tests {
         assert!((area(&square) - 2.0 * 0.64).abs() < 4e-3);
         let stroke = Figure::Stroke(vec![[-0.5, 0.0], [0.5, 0.2]], 0.2);
         assert!((area(&stroke) - (1.04_f64.sqrt() * 0.2 + PI * 0.01)).abs() < 4e-3);
+    }
+
+    #[test]
+    fn depths_are_distances_from_the_rim() {
+        let disc = Figure::Ellipse([1.0, 0.0], [0.5, 0.5], 0.3);
+        assert!((disc.depth_m([1.0, 0.2]) - 0.3).abs() < 1e-12 && (disc.depth_m([2.0, 0.0]) + 0.5).abs() < 1e-12);
+        assert!((disc.depth_m([1.0, 0.0]) - 0.5).abs() < 1e-12);
+        let ellipse = Figure::Ellipse([0.0, 0.0], [2.0, 1.0], 0.0);
+        assert!(
+            (ellipse.depth_m([1.99, 0.0]) - 0.01).abs() < 1e-4 && (ellipse.depth_m([0.0, 1.01]) + 0.01).abs() < 1e-4
+        );
+        let square = Figure::Polygon(vec![[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);
+        assert!((square.depth_m([0.5, 0.2]) - 0.2).abs() < 1e-12 && (square.depth_m([2.0, 0.5]) + 1.0).abs() < 1e-12);
+        let stroke = Figure::Stroke(vec![[0.0, 0.0], [1.0, 0.0]], 0.4);
+        assert!((stroke.depth_m([0.5, 0.1]) - 0.1).abs() < 1e-12 && (stroke.depth_m([1.3, 0.0]) + 0.1).abs() < 1e-12);
     }
 
     #[test]

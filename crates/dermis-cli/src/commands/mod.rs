@@ -18,7 +18,6 @@ mod segment;
 mod skins;
 mod snr;
 mod solve;
-#[cfg(feature = "train")]
 mod train;
 mod train_set;
 mod twin;
@@ -51,7 +50,6 @@ pub enum Command {
     /// Simulate samples for a network to learn from.
     TrainSet(train_set::Arguments),
     /// Train a network.
-    #[cfg(feature = "train")]
     Train(train::Arguments),
     /// Fit a calibration to pokes at known positions.
     Calibrate(calibrate::Arguments),
@@ -88,7 +86,6 @@ impl Command {
             Command::Reconstruct(arguments) => arguments.run(out),
             Command::Segment(arguments) => arguments.run(out),
             Command::TrainSet(arguments) => arguments.run(out),
-            #[cfg(feature = "train")]
             Command::Train(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),

@@ -1,11 +1,10 @@
-//! `dermis train`: a network from a training set. Built with the feature `train` only, since the framework that trains takes
-//! minutes to build.
+//! `dermis train`: a network from a training set, on the processor; with the feature `train` on devices of `burn` too.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis_learn::train::{Device, EpochReport, Progress, TrainOptions, Training, train};
-use dermis_learn::{ModelCard, TrainingSet};
+use dermis_learn::train::{Backend, EpochReport, Progress, TrainOptions, Training, train};
+use dermis_learn::{Model, ModelCard, TrainingSet};
 
 use super::progress_bar;
 use crate::exit::Outcome;
@@ -52,6 +51,29 @@ pub struct Arguments {
     /// Seed of the initial weights and of the order of samples.
     #[arg(long, default_value_t = TrainOptions::default().seed)]
     seed: u64,
+    /// Weights of the classes in the loss, commas between; equal ones where left out.
+    #[arg(long, value_name = "WEIGHTS", value_delimiter = ',')]
+    class_weights: Vec<f32>,
+    /// Turn and mirror samples at random: for square skins whose electrodes and protocol have the square's symmetries.
+    #[arg(long)]
+    symmetries: bool,
+    /// A model of the same architecture and inputs to begin with; random weights where left out.
+    #[arg(long, value_name = "MODEL.json")]
+    start: Option<PathBuf>,
+    /// What computes.
+    #[arg(long, value_enum, default_value_t)]
+    backend: Computes,
+}
+
+/// What computes.
+#[derive(Clone, Copy, Default, clap::ValueEnum)]
+enum Computes {
+    /// The processor, on all threads (or as many as RAYON_NUM_THREADS says).
+    #[default]
+    Native,
+    /// The processor, through the framework burn.
+    #[cfg(feature = "train")]
+    BurnFlex,
 }
 
 impl Arguments {
@@ -61,11 +83,13 @@ impl Arguments {
         let checkpoint = self.out.with_extension("checkpoint");
         let options = self.options();
         let command = self.command();
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command };
+        let start = self.start.as_deref().map(Model::load).transpose()?;
+        let start = start.as_ref().map(|model| &model.tensors);
+        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command, start };
         let bar = progress_bar("samples");
         let mut failed = Ok(());
         let classes = set.manifest().classes.clone();
-        let trained = train(&training, &Device::flex(), |progress| match progress {
+        let trained = train(&training, &self.backend.backend(), |progress| match progress {
             Progress::Step(done, all, loss) => {
                 bar.set_length(*all as u64);
                 bar.set_position(*done as u64);
@@ -99,14 +123,20 @@ impl Arguments {
             patience: self.patience,
             held_out: self.held_out,
             seed: self.seed,
+            class_weights: self.class_weights.clone(),
+            symmetries: self.symmetries,
         }
     }
 
     /// The command in full, whatever was left to its default.
     fn command(&self) -> String {
+        let weights: Vec<String> = self.class_weights.iter().map(ToString::to_string).collect();
+        let weights =
+            if weights.is_empty() { String::new() } else { format!(" --class-weights {}", weights.join(",")) };
+        let start = self.start.as_deref().map_or(String::new(), |start| format!(" --start {}", name(start)));
         format!(
             "dermis train --set {} --out {} --width {} --levels {} --epochs {} --batch {} --learning-rate {} \
-             --patience {} --held-out {} --seed {}",
+             --patience {} --held-out {} --seed {}{weights}{}{start}",
             name(&self.set),
             name(&self.out),
             self.width,
@@ -116,8 +146,19 @@ impl Arguments {
             self.learning_rate,
             self.patience,
             self.held_out,
-            self.seed
+            self.seed,
+            if self.symmetries { " --symmetries" } else { "" }
         )
+    }
+}
+
+impl Computes {
+    fn backend(self) -> Backend {
+        match self {
+            Computes::Native => Backend::Native,
+            #[cfg(feature = "train")]
+            Computes::BurnFlex => Backend::Burn(dermis_learn::train::Device::flex()),
+        }
     }
 }
 

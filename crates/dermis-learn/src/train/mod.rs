@@ -12,9 +12,9 @@ mod native;
 use std::path::Path;
 use std::time::Instant;
 
-use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
@@ -22,7 +22,7 @@ use crate::metrics::{Confusion, most_likely};
 use crate::model::Model;
 use crate::network::{Network, softmax};
 use crate::shape::UNetShape;
-use crate::shards::{Shard, TrainingSet};
+use crate::shards::{Manifest, Shard, TrainingSet};
 use crate::weights::Tensors;
 use checkpoint::{Checkpoint, State};
 use initial::initial;
@@ -93,6 +93,9 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Weights of the classes in the loss; none for equal ones.
     pub class_weights: Vec<f32>,
+    /// Turn and mirror samples at random, by the eight symmetries of the square: for skins that have them in outline,
+    /// electrodes and protocol, whose images of a turned scene are turned images.
+    pub symmetries: bool,
 }
 
 impl Default for TrainOptions {
@@ -107,6 +110,7 @@ impl Default for TrainOptions {
             held_out: 0.1,
             seed: 1,
             class_weights: Vec::new(),
+            symmetries: false,
         }
     }
 }
@@ -146,6 +150,24 @@ pub struct Training<'a> {
     pub checkpoint: &'a Path,
     /// The command, for the card.
     pub command: &'a str,
+    /// Weights to begin with; random ones where `None`.
+    pub start: Option<&'a Tensors>,
+}
+
+impl Training<'_> {
+    fn first_weights(&self, shape: &UNetShape) -> Result<Tensors, LearnError> {
+        let Some(start) = self.start else {
+            return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
+        };
+        start.check(shape, Path::new("weights to begin with"))?;
+        // What is beside them, a novelty score, is of another training.
+        let mut tensors = Tensors::default();
+        for spec in shape.tensors() {
+            let values = start.get(&spec.name).map(|(_, values)| values.to_vec()).unwrap_or_default();
+            tensors.insert(spec.name, spec.dims, values)?;
+        }
+        Ok(tensors)
+    }
 }
 
 impl TrainOptions {
@@ -209,12 +231,16 @@ pub fn train(
     };
     shape.check()?;
     shape.check_image(manifest.rows, manifest.columns)?;
+    if options.symmetries && manifest.rows != manifest.columns {
+        let (what, value) = ("images to turn and mirror", format!("{} x {}", manifest.rows, manifest.columns));
+        return Err(LearnError::Value { what, value, expected: "squares".into() });
+    }
     let split = Split::of(set, options.held_out)?;
     let scale = input_scale(set, &split)?;
     let store = Checkpoint::new(training.checkpoint, set.manifest_sha256(), options);
     let mut state = match store.read(&shape)? {
         Some(state) => state,
-        None => State::fresh(initial(&shape, &mut StdRng::seed_from_u64(options.seed))?),
+        None => State::fresh(training.first_weights(&shape)?),
     };
     let mut network = descent(backend, shape, &state, options)?;
     while state.epoch < options.epochs && state.epoch - state.best_epoch < options.patience {
@@ -333,7 +359,10 @@ impl Pass<'_> {
             let mut order: Vec<usize> = (0..pool.labels.len() / manifest.pixels()).collect();
             order.shuffle(&mut random);
             for chosen in order.chunks(self.options.batch) {
-                let (inputs, labels) = gather(&pool, chosen, manifest.input_len(), manifest.pixels());
+                let (mut inputs, mut labels) = gather(&pool, chosen, manifest.input_len(), manifest.pixels());
+                if self.options.symmetries {
+                    turn(&mut inputs, &mut labels, manifest, &mut random);
+                }
                 let batch = Batch {
                     count: chosen.len(),
                     rows: manifest.rows,
@@ -364,6 +393,36 @@ fn gather(pool: &Shard, chosen: &[usize], input_len: usize, pixels: usize) -> (V
         labels.extend_from_slice(&pool.labels[sample * pixels..(sample + 1) * pixels]);
     }
     (inputs, labels)
+}
+
+/// Turns and mirrors every sample at random.
+fn turn(inputs: &mut [f32], labels: &mut [u8], manifest: &Manifest, random: &mut StdRng) {
+    let (pixels, side) = (manifest.pixels(), manifest.rows);
+    let (mut image, mut truth) = (vec![0.0; pixels], vec![0; pixels]);
+    for (inputs, labels) in inputs.chunks_exact_mut(manifest.input_len()).zip(labels.chunks_exact_mut(pixels)) {
+        let symmetry = random.random_range(0..8);
+        for given in inputs.chunks_exact_mut(pixels) {
+            image.copy_from_slice(given);
+            (0..pixels).for_each(|place| given[place] = image[turned(place, side, symmetry)]);
+        }
+        truth.copy_from_slice(labels);
+        (0..pixels).for_each(|place| labels[place] = truth[turned(place, side, symmetry)]);
+    }
+}
+
+/// The pixel that one of a square's symmetries brings to a place: columns exchanged, rows exchanged, both with each other.
+fn turned(place: usize, side: usize, symmetry: u8) -> usize {
+    let (mut row, mut column) = (place / side, place % side);
+    if symmetry & 1 != 0 {
+        column = side - 1 - column;
+    }
+    if symmetry & 2 != 0 {
+        row = side - 1 - row;
+    }
+    if symmetry & 4 != 0 {
+        (row, column) = (column, row);
+    }
+    row * side + column
 }
 
 /// Mean cross-entropy and counts of the frames held out, by the network that will run live.

@@ -2,9 +2,7 @@
 //! was interrupted ends where the uninterrupted one does.
 
 use super::*;
-use crate::shards::Manifest;
 use crate::shards::SET_FORMAT;
-use rand::Rng;
 
 /// Bright discs (class 1) in noise, 16 x 16.
 fn discs(folder: &Path, samples: usize) -> TrainingSet {
@@ -93,13 +91,30 @@ fn burn_takes_the_same_steps() {
 }
 
 #[test]
+fn the_symmetries_are_the_eight_of_the_square() {
+    let images: Vec<Vec<usize>> = (0..8).map(|k| (0..9).map(|place| turned(place, 3, k)).collect()).collect();
+    // A quarter turn: the top right corner comes from the top left one, neighbours stay neighbours.
+    assert_eq!(images[5], [6, 3, 0, 7, 4, 1, 8, 5, 2]);
+    for (k, image) in images.iter().enumerate() {
+        let mut sorted = image.clone();
+        sorted.sort_unstable();
+        assert_eq!(sorted, [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+        assert!(images[..k].iter().all(|other| other != image), "{k}");
+        for (a, b) in [(0, 1), (1, 4), (4, 7), (7, 8)] {
+            let apart = (image[a] / 3).abs_diff(image[b] / 3) + (image[a] % 3).abs_diff(image[b] % 3);
+            assert_eq!(apart, 1, "{k} {a} {b}");
+        }
+    }
+}
+
+#[test]
 fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     let folder = tempfile::tempdir().unwrap();
     let set = discs(&folder.path().join("set"), 256);
     let run = |checkpoint: &str, stop_after: usize| {
         let checkpoint = folder.path().join(checkpoint);
         let options = options(4);
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: "test" };
+        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: "test", start: None };
         let mut reports = Vec::new();
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             train(&training, &Backend::Native, |progress| {
@@ -127,10 +142,25 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     assert_eq!(resumed.tensors, whole.tensors);
     assert_eq!(resumed.card.training.best_epoch, whole.card.training.best_epoch);
 
+    // Turned samples and unlike weights of the classes change the training, and it goes on.
+    let options_turned = TrainOptions { symmetries: true, class_weights: vec![1.0, 2.0], ..options(2) };
+    let other = folder.path().join("turned");
+    let training = Training { set: &set, options: &options_turned, checkpoint: &other, command: "test", start: None };
+    let turned = train(&training, &Backend::Native, |_| {}).unwrap();
+    assert!(turned.card.training.held_out_iou[1].unwrap() > 0.3, "{:?}", turned.card.training);
+    assert_ne!(turned.tensors, whole.tensors);
+
+    // A training that begins with finished weights begins where they are.
+    let (better, other) = (options(1), folder.path().join("further"));
+    let start = Some(&whole.tensors);
+    let training = Training { set: &set, options: &better, checkpoint: &other, command: "test", start };
+    let further = train(&training, &Backend::Native, |_| {}).unwrap().card.training;
+    assert!(further.held_out_loss < 0.8 * reports[0].held_out_loss, "{further:?} {reports:?}");
+
     // Another training does not take the checkpoint for its own; a damaged one is named.
     let other = TrainOptions { seed: 9, ..options(4) };
     let checkpoint = folder.path().join("whole");
-    let training = Training { set: &set, options: &other, checkpoint: &checkpoint, command: "test" };
+    let training = Training { set: &set, options: &other, checkpoint: &checkpoint, command: "test", start: None };
     let error = train(&training, &Backend::Native, |_| {}).unwrap_err().to_string();
     assert!(error.contains("made with other options"), "{error}");
     std::fs::write(checkpoint.join("checkpoint-0.safetensors"), b"no").unwrap();

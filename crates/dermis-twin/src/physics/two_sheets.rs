@@ -147,6 +147,19 @@ impl TwoSheets {
         self.assemble_open();
     }
 
+    /// Sets the sensing sheet triangle by triangle, in the mesh's order.
+    ///
+    /// # Errors
+    /// A conductance for another number of triangles.
+    pub fn set_sensing_elements(&mut self, sensing: &[SheetConductance]) -> Result<(), SparseError> {
+        if sensing.len() != self.triangles.len() {
+            return Err(refuse(format!("expected {} conductances, got {}", self.triangles.len(), sensing.len())));
+        }
+        self.sensing.copy_from_slice(sensing);
+        self.assemble_open();
+        Ok(())
+    }
+
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
     /// column's and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut sheet floats:
     /// no net current enters it; where nothing touches, its potential has no meaning and no influence.

@@ -34,15 +34,18 @@ impl Default for Jitter {
     }
 }
 
+/// Least gap between a pad and the rim, as a share of half the shorter side of the skin.
+const GRAIN: f64 = 0.005;
+
 /// A normal distribution of mean 0; no spread is no randomness.
 pub(super) fn normal(deviation: f64, random: &mut StdRng) -> f64 {
     Normal::new(0.0, deviation.max(0.0)).map_or(0.0, |normal| normal.sample(random))
 }
 
-/// A jittered body, of 1.2 to 1.8 times the reconstruction's elements. Where electrodes would leave the skin or touch each
+/// A jittered body, of 0.55 to 0.9 times the reconstruction's elements: another mesh, and a quick one. Where electrodes would leave the skin or touch each
 /// other, they are moved half as far, and so on.
 pub(super) fn body(skin: &Skin, jitter: &Jitter, random: &mut StdRng) -> Result<SkinBody, Error> {
-    let elements = (skin.imaging.elements as f64 * random.random_range(1.2..1.8)) as usize;
+    let elements = (skin.imaging.elements as f64 * random.random_range(0.55..0.9)) as usize;
     let (low, high) = skin.outline().bounds_m();
     let half_m = 0.5 * (high[0] - low[0]).min(high[1] - low[1]);
     let nominal = skin.electrode_shapes();
@@ -78,11 +81,17 @@ fn moved(shape: &ElectrodeShape, draw: &[f64; 3], share: f64, half_m: f64) -> El
             ElectrodeShape::PadCircle { centre_m: [x + along, y + across], radius_m: factor * radius_m }
         }
         ElectrodeShape::PadRectangle { centre_m: [x, y], width_m, height_m, angle_rad } => {
-            // Pads may lie flush with the rim: smaller ones, moved inward, never leave the skin.
-            let inward = |at: f64, step: f64| if at == 0.0 { step } else { at - at.signum() * step.abs() };
+            // Pads may lie flush with the rim: smaller ones, moved inward, never leave the skin. What is left between pad
+            // and rim is a multiple of a step, since a mesh that fills a sliver has any number of elements.
             let factor = factor.min(1.0);
+            let grain_m = GRAIN * half_m;
+            let inward = |at: f64, side_m: f64, step: f64| {
+                let shrunk_m = 0.5 * (1.0 - factor) * side_m;
+                let gap_m = ((step.abs() + shrunk_m) / grain_m).round() * grain_m;
+                if at == 0.0 { step } else { at - at.signum() * (gap_m - shrunk_m) }
+            };
             ElectrodeShape::PadRectangle {
-                centre_m: [inward(x, along), inward(y, across)],
+                centre_m: [inward(x, width_m, along), inward(y, height_m, across)],
                 width_m: factor * width_m,
                 height_m: factor * height_m,
                 angle_rad,

@@ -1,14 +1,17 @@
 //! The second step of imaging: what a network is shown of a frame ([`FirstStep`]), the classes of live frames ([`Classifier`]), training sets simulated from a skin
 //! file ([`train_set`]), and labels for recorded frames, with a network or without ([`segment`]).
 
+mod built_in;
 mod classifier;
 mod first_step;
 mod jitter;
 mod masks;
 mod score;
 pub mod segment;
+mod solver;
 pub mod train_set;
 
+pub use built_in::built_in;
 pub use classifier::{Classes, Classifier};
 pub use first_step::{FirstStep, InputImage};
 pub use masks::{MaskRule, enlarge, masks_of_image};

@@ -6,19 +6,21 @@ use std::path::Path;
 
 use dermis_learn::scene::{Scene, SceneKind};
 use dermis_learn::{Manifest, SET_FORMAT, Shard, TrainingSet};
-use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::mesh::{Mesh, PixelGrid};
+use dermis_tomo::mesh::PixelGrid;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::jitter::{self, Jitter, normal};
+use super::jitter::{self, normal};
+use super::solver::Solver;
 use super::{CLASSES, FirstStep, InputImage};
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::skin::{Modality, Skin};
+
+pub use super::jitter::Jitter;
 
 /// What to simulate.
 #[derive(Clone, Debug)]
@@ -194,30 +196,34 @@ impl SimulatedFrames {
         let mut random = StdRng::seed_from_u64(mixed(request.seed, number as u64));
         let body = jitter::body(&request.skin, &request.jitter, &mut random)?;
         let instrument = Instrument::draw(request, prepared, &mut random);
-        let model = ForwardModel::new(body.mesh, prepared.protocol.clone())?;
-        let conductance = request.skin.sheet_conductance_s();
-        let elements = Elements::new(&model.body().mesh);
-        let rest = model.voltages(&vec![conductance; elements.samples.len()])?;
+        let mut solver = Solver::new(&request.skin, &body.mesh, &prepared.protocol)?;
+        let rest = solver.voltages(&Scene::default(), &mut random)?;
         let baseline = instrument.read(&rest, false, &mut random);
         let seeds: Vec<u64> = (0..samples).map(|_| random.random()).collect();
         let grid = prepared.map.grid();
         let inside = prepared.map.inside_mask();
         let on_skin = |p: [f64; 2]| grid.pixel_at(p).is_some_and(|pixel| inside[pixel]);
-        let one = |seed: &u64| {
-            let mut random = StdRng::seed_from_u64(*seed);
-            let finest_m = grid.pixel_m.max(elements.size_m);
-            let size_m = prepared.half_width_m();
+        let finest_m = grid.pixel_m.max(Solver::element_size_m(&body.mesh));
+        let size_m = prepared.half_width_m();
+        let one = |solver: &mut Solver, seed: u64| {
+            let mut random = StdRng::seed_from_u64(seed);
             let scene = Scene::draw(request.scenes(), size_m, finest_m, &on_skin, &mut random);
-            let voltages = model.voltages(&elements.conductivity(&scene, conductance))?;
+            let voltages = solver.voltages(&scene, &mut random)?;
             let frame = instrument.read(&voltages, true, &mut random);
             let lookup = scene.lookup();
             let label = |pixel: usize| if inside[pixel] { lookup.at(grid.centre_m(pixel)).0 } else { 0 };
             let labels = (0..grid.len()).map(label).collect();
             Ok((frame, scene, labels))
         };
-        let solved: Vec<(Vec<f64>, Scene, Vec<u8>)> = seeds.par_iter().map(one).collect::<Result<_, Error>>()?;
+        // Every thread has a solver of its own; a scene depends on its seed alone.
+        let share = samples.div_ceil(rayon::current_num_threads()).max(1);
+        let of_thread = |seeds: &[u64]| {
+            let mut solver = Solver::new(&request.skin, &body.mesh, &prepared.protocol)?;
+            seeds.iter().map(|&seed| one(&mut solver, seed)).collect::<Result<Vec<_>, Error>>()
+        };
+        let solved: Vec<Vec<Solved>> = seeds.par_chunks(share).map(of_thread).collect::<Result<_, Error>>()?;
         let mut all = Self { baseline, frames: Vec::new(), scenes: Vec::new(), labels: Vec::new() };
-        for (frame, scene, labels) in solved {
+        for (frame, scene, labels) in solved.into_iter().flatten() {
             all.frames.push(frame);
             all.scenes.push(scene);
             all.labels.push(labels);
@@ -226,50 +232,15 @@ impl SimulatedFrames {
     }
 }
 
+/// Frame, scene and labels.
+type Solved = (Vec<f64>, Scene, Vec<u8>);
+
 /// A seed of its own for each shard (the finaliser of SplitMix64).
 fn mixed(seed: u64, number: u64) -> u64 {
     let mut z = seed.wrapping_add((number + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
-}
-
-/// Where elements are asked for their conductivity.
-struct Elements {
-    /// Centroid and the points halfway from it to the corners.
-    samples: Vec<[[f64; 2]; 4]>,
-    /// Side of a square of their mean area.
-    size_m: f64,
-}
-
-impl Elements {
-    fn new(mesh: &Mesh) -> Self {
-        let samples: Vec<[[f64; 2]; 4]> = mesh
-            .elements()
-            .enumerate()
-            .map(|(element, corners)| {
-                let [x, y, _] = mesh.centroid(element);
-                let mut points = [[x, y]; 4];
-                for (point, &node) in points[1..].iter_mut().zip(corners) {
-                    let corner = mesh.nodes()[node as usize];
-                    *point = [0.5 * (x + corner[0]), 0.5 * (y + corner[1])];
-                }
-                points
-            })
-            .collect();
-        let mean = mesh.measures().iter().sum::<f64>() / samples.len().max(1) as f64;
-        Self { samples, size_m: mean.sqrt() }
-    }
-
-    /// Geometric means over each element's points.
-    fn conductivity(&self, scene: &Scene, rest: f64) -> Vec<f64> {
-        let lookup = scene.lookup();
-        let of_element = |points: &[[f64; 2]; 4]| {
-            let product: f64 = points.iter().map(|p| lookup.at(*p).1).product();
-            if product == 1.0 { rest } else { rest * product.sqrt().sqrt() }
-        };
-        self.samples.iter().map(of_element).collect()
-    }
 }
 
 /// Gain, drift, noise, and what is lost.

@@ -1,0 +1,20 @@
+//! Trained networks that ship with dermis: those of `models/`, embedded. `docs/src/learning.md` has the commands that made
+//! them.
+
+use dermis_learn::{LearnError, Model};
+
+/// The network of a built-in skin; `None` where none ships. It fits the skin only as long as nothing that its images depend
+/// on is changed ([`Model::check_skin`]).
+///
+/// # Errors
+/// Never for models as they were committed; damage is named as for files.
+pub fn built_in(skin: &str) -> Result<Option<Model>, LearnError> {
+    let (card, weights): (&str, &[u8]) = match skin {
+        "healing-square" => (
+            include_str!("../../../../models/healing-square.json"),
+            include_bytes!("../../../../models/healing-square.safetensors"),
+        ),
+        _ => return Ok(None),
+    };
+    Model::from_contents(card, weights, skin).map(Some)
+}
