@@ -18,6 +18,7 @@ use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
 use dermis::sink::{JsonLines, LinesFor, Sink};
 use dermis::skin::Skin;
 use dermis::twin_source::TwinCommand;
+use dermis::{HealthChange, HealthWatch};
 use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use dermis_device::{Frame, HostStamp};
 
@@ -41,26 +42,8 @@ const QUEUE: usize = 64;
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(default_value = "healing-square", value_name = "SKIN")]
-    skin: String,
-    /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
-    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that send
-    /// just numbers.
-    #[arg(long, default_value = "twin", value_name = "SOURCE")]
-    source: String,
-    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
-    #[arg(long)]
-    as_set: bool,
-    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
-    #[arg(long, default_value_t = 1.0)]
-    speed: f64,
-    /// A calibration made by `dermis calibrate`.
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
-    /// A force calibration made by `dermis calibrate --forces`.
-    #[arg(long, value_name = "FILE")]
-    forces: Option<PathBuf>,
+    #[command(flatten)]
+    input: source::InputArguments,
     /// Record raw frames from the start.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
@@ -95,6 +78,7 @@ struct Run {
     not_recorded: u64,
     recording_failed: bool,
     head: RecordingHead,
+    health: HealthWatch,
     hub: Hub,
     feed: PageFeed,
 }
@@ -102,8 +86,7 @@ struct Run {
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
-        let (pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
+        let (opened, pipeline, head) = self.input.open()?;
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {
@@ -119,6 +102,7 @@ impl Arguments {
             Some(server)
         };
         let feed = PageFeed::new(&pipeline);
+        let health = HealthWatch::new(&pipeline.prepared().skin);
         let mut run = Run {
             pipeline,
             twin: opened.twin,
@@ -126,6 +110,7 @@ impl Arguments {
             not_recorded: 0,
             recording_failed: false,
             head,
+            health,
             hub,
             feed,
         };
@@ -227,6 +212,10 @@ impl Run {
             lines.accept(&output)?;
         }
         self.feed.take(&output);
+        for HealthChange { detail, is_fault, .. } in self.health.changes(output.health) {
+            tracing::warn!(frame = output.sequence, "{detail}");
+            self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
+        }
         if output.marks.clock_jump_ns != 0 || output.marks.renumbered {
             let jump_s = output.marks.clock_jump_ns as f64 * 1e-9;
             let reset = if output.marks.renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
