@@ -1,7 +1,7 @@
 // The WebSocket to the server: reconnects by itself, acknowledges updates so that the server sends no more than the page
 // can take, and matches answers to what was asked.
 
-import { type Alive, type Channels, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
+import { type Alive, type Channels, type Classes, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
 
 export type Link = "connecting" | "live" | "silent" | "lost";
 
@@ -11,6 +11,7 @@ export interface Listener {
   image(image: Image): void;
   channels(channels: Channels): void;
   noise(noise: Float32Array): void;
+  classes(classes: Classes): void;
   state(state: State): void;
   alive(alive: Alive): void;
   notice(notice: Notice): void;
@@ -86,6 +87,7 @@ export class Connection {
       if (message?.kind === "image") this.listener.image(message.image);
       else if (message?.kind === "channels") this.listener.channels(message.channels);
       else if (message?.kind === "noise") this.listener.noise(message.noise);
+      else if (message?.kind === "classes") this.listener.classes(message.classes);
       return;
     }
     const message = JSON.parse(data);

@@ -5,11 +5,14 @@ import "uplot/dist/uPlot.min.css";
 import "./page.css";
 import { AmplitudeStrip, ChannelStrip, MOST_TRACES, brief, parseChannels } from "./charts";
 import type { MapName, RangeMode } from "./colour";
+import { ClassOverlay } from "./classes";
 import { Connection, type Link } from "./connection";
+import { DamagePanel } from "./damage";
 import { NoiseBars } from "./noise";
 import { showBadges, showCounters, showHealth, showLatency, showMessage, showPipeline, showTouches } from "./panels";
 import { Presser } from "./press";
-import type { Channels, Image, Scene, State } from "./protocol";
+import type { Channels, Classes, Image, Scene, State } from "./protocol";
+import { type Tool, Treater } from "./treat";
 import { View } from "./view";
 
 /** Charts and tables change at most this often; the picture follows every display frame. */
@@ -23,7 +26,9 @@ function find<T extends Element = HTMLElement>(id: string): T {
   return found as unknown as T;
 }
 
-const view = new View(find("stage"), find<HTMLCanvasElement>("image"), find<SVGSVGElement>("overlay"), find<HTMLCanvasElement>("bar"), find<HTMLCanvasElement>("solid"));
+const overlay = new ClassOverlay(find<HTMLCanvasElement>("classes"));
+const damage = new DamagePanel();
+const view = new View(find("stage"), find<HTMLCanvasElement>("image"), find<SVGSVGElement>("overlay"), find<HTMLCanvasElement>("bar"), find<HTMLCanvasElement>("solid"), [overlay.canvas]);
 const amplitudes = new AmplitudeStrip(find("amplitudes"));
 const traces = new ChannelStrip(find("traces"));
 const noise = new NoiseBars(find<HTMLCanvasElement>("noise"), find("noise-pick"));
@@ -32,7 +37,10 @@ const slider = find<HTMLInputElement>("hyperparameter");
 let connection: Connection;
 const presser = new Presser(view, () => connection, find<HTMLInputElement>("radius"), find<HTMLInputElement>("pressure"), find("cursor"));
 
+const treater = new Treater(view, () => connection, find<HTMLInputElement>("radius"));
+
 let scene: Scene | null = null;
+let classes: Classes | null = null;
 let image: Image | null = null;
 let channels: Channels | null = null;
 let state: State | null = null;
@@ -52,6 +60,7 @@ connection = new Connection({
   },
   channels: (next) => (channels = next),
   noise: (next) => noise.show(next),
+  classes: (next) => (classes = next),
   state: receiveState,
   alive: ({ missed }) => (find("missed").textContent = String(missed)),
   notice: ({ level, text }) => showMessage(level, text),
@@ -71,6 +80,11 @@ function begin(next: Scene): void {
   showBadges(next);
   view.begin(next);
   presser.begin(next);
+  treater.begin(next);
+  damage.begin(next, view.overlay);
+  classes = null;
+  chooseTool("press");
+  find("treat-controls").hidden = !next.is_treatable;
   amplitudes.begin();
   noise.begin(next.channel_labels, next.channel_unit);
   find("amplitude-unit").textContent = next.image_unit;
@@ -118,6 +132,7 @@ function drawImage(): void {
     setText("range-high", brief(high));
     find("wait").hidden = true;
     if (state) view.touches(state.touches);
+    overlay.draw(state?.classes ? classes : null);
   }
   requestAnimationFrame(drawImage);
 }
@@ -130,6 +145,8 @@ function drawPanels(): void {
   showCounters(state.counters);
   if (scene) showHealth(state.health, scene);
   followHyperparameter(state.state.hyperparameter);
+  showClasses(state.classes);
+  damage.show(state.damage);
   if (isPaused) return;
   showTouches(state.touches);
   showLatency(state.latency);
@@ -141,6 +158,18 @@ function drawPanels(): void {
 function setText(id: string, text: string): void {
   const target = find(id);
   if (target.textContent !== text) target.textContent = text;
+}
+
+/** What the network makes of the frame, and how far to trust it. */
+function showClasses(seen: State["classes"]): void {
+  find("classes-choice").hidden = !seen;
+  const novelty = seen?.novelty ?? null;
+  setText("classes-state", !seen ? "" : seen.falls_back ? `unlike the training set (${novelty?.toFixed(2)}): thresholds` : novelty === null ? "network" : `network, novelty ${novelty.toFixed(2)}`);
+}
+
+function chooseTool(tool: Tool): void {
+  find<HTMLSelectElement>("tool").value = tool;
+  treater.choose(tool);
 }
 
 /** The slider shows what the pipeline uses, but not while somebody moves it. */
@@ -190,6 +219,15 @@ function bindControls(): void {
   find("tare-force").addEventListener("click", () => tare(true));
   find("record").addEventListener("click", record);
   find("pause").addEventListener("click", pause);
+  find("tool").addEventListener("change", (event) => chooseTool((event.target as HTMLSelectElement).value as Tool));
+  find("time-lapse").addEventListener("change", (event) => treater.timeLapse(Number((event.target as HTMLSelectElement).value)));
+  find("renew").addEventListener("click", () => treater.renew());
+  find("proposal-take").addEventListener("click", () => tare(false));
+  presser.describe = (x_mm, y_mm) => {
+    if (!scene || !state?.classes) return "";
+    const { x_min_mm, x_max_mm, y_min_mm, y_max_mm } = scene.grid;
+    return overlay.describe((x_mm - x_min_mm) / (x_max_mm - x_min_mm), (y_max_mm - y_mm) / (y_max_mm - y_min_mm));
+  };
   slider.addEventListener("input", () => (sliderTouchedAt = performance.now()));
   slider.addEventListener("input", throttled(sendHyperparameter, 60));
   find("channels").addEventListener("input", chooseChannels);
@@ -235,7 +273,7 @@ function bindPicture(): void {
     redraw();
   });
   find("solid-box").addEventListener("change", (event) => showSolid((event.target as HTMLInputElement).checked));
-  for (const id of ["smooth", "numbers", "trails"]) {
+  for (const id of ["smooth", "numbers", "trails", "classes-box"]) {
     const box = find<HTMLInputElement>(id);
     const apply = () => view.stage.classList.toggle(`no-${id}`, !box.checked);
     box.addEventListener("change", apply);

@@ -9,12 +9,12 @@ const MOST_MESSAGES = 50;
 
 const find = (id: string) => document.getElementById(id)!;
 
-function write(cell: Element, text: string): void {
+export function write(cell: Element, text: string): void {
   if (cell.textContent !== text) cell.textContent = text;
 }
 
 /** Makes `body` have a row of `cells` texts for each key, in order, reusing rows. */
-function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowElement[] {
+export function rows(body: HTMLElement, wanted: Map<string, string[]>): HTMLTableRowElement[] {
   const present = new Map([...body.children].map((row) => [(row as HTMLElement).dataset.key, row as HTMLTableRowElement]));
   const made = [...wanted].map(([key, cells]) => {
     const row = present.get(key) ?? document.createElement("tr");

@@ -22,6 +22,8 @@ interface Held extends Press {
 }
 
 export class Presser {
+  /** More to say about a place than where it is. */
+  describe: (x_mm: number, y_mm: number) => string = () => "";
   private readonly held = new Map<number, Held>();
   private cursor: Held | null = null;
   private scene: Scene | null = null;
@@ -98,7 +100,8 @@ export class Presser {
   private move(event: PointerEvent): void {
     const place = this.view.skinFromWindow(event.clientX, event.clientY);
     if (!place) return;
-    this.readout.textContent = `${place[0].toFixed(1)}, ${place[1].toFixed(1)} mm`;
+    const more = this.describe(place[0], place[1]);
+    this.readout.textContent = `${place[0].toFixed(1)}, ${place[1].toFixed(1)} mm${more && `; ${more}`}`;
     const held = this.held.get(event.pointerId);
     if (!held) return;
     [held.x_mm, held.y_mm] = place;

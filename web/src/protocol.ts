@@ -23,6 +23,10 @@ export interface Scene {
   skin: string;
   modality: string;
   is_twin: boolean;
+  /** The twin can be cut and healed. */
+  is_treatable: boolean;
+  /** Damage is looked for. */
+  watches_damage: boolean;
   outline_mm: Point[][];
   /** Of the cylinder that the sheet is bent on; null: flat. */
   bend_diameter_mm: number | null;
@@ -78,6 +82,29 @@ export interface Health {
   channels: Fault[];
 }
 
+export interface Damage {
+  id: number;
+  state: "suspected" | "confirmed" | "covered" | "healing" | "healed";
+  x_mm: number;
+  y_mm: number;
+  length_mm: number;
+  direction_deg: number;
+  ends_mm: [Point, Point];
+  /** Largest drop of the image at its worst. */
+  depth: number;
+  /** Share that has healed. */
+  healed: number;
+  for_s: number;
+}
+
+export interface DamageView {
+  list: Damage[];
+  baselines: { origin: string; reason: string; age_s: number }[];
+  /** Index of the baseline that damage is judged against. */
+  intact: number | null;
+  proposal: { reason: "offset" | "healed"; for_s: number; offset_sigma: number } | null;
+}
+
 export interface State {
   sequence: number;
   frame: number;
@@ -88,6 +115,8 @@ export interface State {
   counters: { name: string; value: number; is_loss: boolean }[];
   state: Pipeline;
   health: Health;
+  classes: { novelty: number | null; falls_back: boolean } | null;
+  damage: DamageView | null;
 }
 
 export interface Image {
@@ -96,6 +125,14 @@ export interface Image {
   rows: number;
   cols: number;
   values: Float32Array;
+}
+
+/** Probabilities, row-major, row 0 at the top. */
+export interface Classes {
+  rows: number;
+  cols: number;
+  lowered: Float32Array;
+  raised: Float32Array;
 }
 
 export interface Channels {
@@ -121,6 +158,12 @@ export interface Press {
   pressure_kpa: number;
 }
 
+export type Treatment =
+  | { cut: { from_mm: Point; to_mm: Point } }
+  | { heal: { at_mm: Point; radius_mm: number; temperature_c: number; hours: number } }
+  | { "time-lapse": number }
+  | "renew";
+
 export type Command =
   | { tare: { force: boolean } }
   | "record_start"
@@ -129,9 +172,10 @@ export type Command =
   | { press: Press }
   | { move: Press }
   | { release: { pointer_id: number } }
+  | { treat: Treatment }
   | { choose_channels: number[] };
 
-type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Channels } | { kind: "noise"; noise: Float32Array };
+type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Channels } | { kind: "noise"; noise: Float32Array } | { kind: "classes"; classes: Classes };
 
 const MAGIC = 0x534d5244; // "DRMS" read as a little-endian word
 const HEADER_BYTES = 32;
@@ -158,6 +202,13 @@ export function decode(buffer: ArrayBuffer): Binary | null {
     }
     case 3:
       return words === first ? { kind: "noise", noise: new Float32Array(buffer, HEADER_BYTES, first) } : null;
+    case 4: {
+      const pixels = first * second;
+      if (words !== 2 * pixels) return null;
+      const lowered = new Float32Array(buffer, HEADER_BYTES, pixels);
+      const raised = new Float32Array(buffer, HEADER_BYTES + 4 * pixels, pixels);
+      return { kind: "classes", classes: { rows: first, cols: second, lowered, raised } };
+    }
     default:
       return null;
   }

@@ -50,6 +50,8 @@ export class View {
     readonly overlay: SVGSVGElement,
     private readonly bar: HTMLCanvasElement,
     solid: HTMLCanvasElement,
+    /** Canvases that lie over the image, pixel on pixel. */
+    private readonly over: HTMLCanvasElement[],
   ) {
     this.solid = new SolidView(solid, stage);
     this.context = canvas.getContext("2d")!;
@@ -153,11 +155,12 @@ export class View {
     const { grid } = this.scene;
     const stage = this.stage.getBoundingClientRect();
     const corner = new DOMPoint(grid.x_min_mm, -grid.y_max_mm).matrixTransform(matrix);
-    const { style } = this.canvas;
-    style.left = `${corner.x - stage.left - this.stage.clientLeft}px`;
-    style.top = `${corner.y - stage.top - this.stage.clientTop}px`;
-    style.width = `${(grid.x_max_mm - grid.x_min_mm) * matrix.a}px`;
-    style.height = `${(grid.y_max_mm - grid.y_min_mm) * matrix.d}px`;
+    for (const { style } of [this.canvas, ...this.over]) {
+      style.left = `${corner.x - stage.left - this.stage.clientLeft}px`;
+      style.top = `${corner.y - stage.top - this.stage.clientTop}px`;
+      style.width = `${(grid.x_max_mm - grid.x_min_mm) * matrix.a}px`;
+      style.height = `${(grid.y_max_mm - grid.y_min_mm) * matrix.d}px`;
+    }
   }
 
   private electrode({ number, position_mm, outline_mm }: Electrode): SVGGElement {

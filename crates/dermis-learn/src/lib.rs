@@ -1,8 +1,9 @@
 //! Segmentation of tactile images by a U-Net (second step of two-step imaging): every pixel is compressed, background or
-//! damaged, with probabilities. Inference needs no machine-learning framework and allocates nothing per frame; training
-//! (feature `train`) runs on `burn`.
+//! damaged, with probabilities. Inference and training on the processor need no machine-learning framework, and inference
+//! allocates nothing per frame; feature `train` adds training on the backends of `burn`.
 
 mod error;
+mod kernels;
 pub mod metrics;
 mod model;
 mod network;
@@ -10,7 +11,6 @@ mod novelty;
 pub mod scene;
 mod shape;
 mod shards;
-#[cfg(feature = "train")]
 pub mod train;
 mod weights;
 

@@ -1,13 +1,12 @@
-//! The forward pass, one frame at a time. Images lie pixel by pixel with their channels together and a border of zeros
-//! around, so that a 3x3 convolution reads three contiguous runs for each output pixel and needs no special cases at the
-//! rim; batch norms are folded into the convolutions before them. All memory is allocated once.
+//! The forward pass, one frame at a time. Images lie channel by channel with a border of zeros (see [`crate::kernels`]);
+//! batch norms are folded into the convolutions before them. All memory is allocated once.
 
-mod convolution;
+use pulp::Arch;
 
 use crate::LearnError;
+use crate::kernels::{Finish, Layout, Taps, convolve, pool, repeat};
 use crate::shape::{StageSpec, UNetShape};
 use crate::weights::Tensors;
-use convolution::Convolution;
 
 /// PyTorch's default, with which the batch norms were trained.
 pub(crate) const NORM_EPSILON: f32 = 1e-5;
@@ -23,7 +22,7 @@ pub struct Network {
     /// classes x width.
     head: Vec<f32>,
     head_bias: Vec<f32>,
-    /// Padded input of each level's first block on the way down.
+    /// Input of each level's first block on the way down.
     entrances: Vec<Plane>,
     /// Between the two blocks of a level.
     middles: Vec<Plane>,
@@ -32,6 +31,7 @@ pub struct Network {
     /// What the way up ends in at each level.
     risen: Vec<Plane>,
     features: Vec<f32>,
+    arch: Arch,
 }
 
 /// Two convolutions.
@@ -41,23 +41,28 @@ struct Stage {
     second: Convolution,
 }
 
-/// An image of several channels with a border of zeros, pixel by pixel.
+/// `softsign(gain (w * x) + offset)`.
 #[derive(Clone, Debug)]
-pub(crate) struct Plane {
-    rows: usize,
-    columns: usize,
-    channels: usize,
+struct Convolution {
+    taps: Taps,
+    offsets: Vec<f32>,
+}
+
+/// An image of several channels.
+#[derive(Clone, Debug)]
+struct Plane {
+    layout: Layout,
     values: Vec<f32>,
 }
 
 impl Plane {
-    fn new(rows: usize, columns: usize, channels: usize) -> Self {
-        Self { rows, columns, channels, values: vec![0.0; (rows + 2) * (columns + 2) * channels] }
+    fn new(layout: Layout, channels: usize) -> Self {
+        Self { layout, values: vec![0.0; layout.pitch() * channels] }
     }
 
-    /// Where the channels of a pixel begin.
-    fn at(&self, row: usize, column: usize) -> usize {
-        ((row + 1) * (self.columns + 2) + column + 1) * self.channels
+    /// The channels from the given one on.
+    fn channels_from(&self, channel: usize) -> &[f32] {
+        &self.values[channel * self.layout.pitch()..]
     }
 }
 
@@ -67,6 +72,41 @@ impl Stage {
             first: Convolution::folded(tensors, &spec.name, 1, spec.inputs, spec.outputs)?,
             second: Convolution::folded(tensors, &spec.name, 2, spec.outputs, spec.outputs)?,
         })
+    }
+}
+
+impl Convolution {
+    /// Takes `PREFIX.convN` and folds `PREFIX.normN` in: `gain = weight / sqrt(var + eps)`, `offset = bias - gain mean`.
+    fn folded(
+        tensors: &Tensors,
+        prefix: &str,
+        number: usize,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self, LearnError> {
+        let values = |part: &str, leaf: &str, expected: usize| {
+            let name = format!("{prefix}.{part}{number}.{leaf}");
+            match tensors.get(&name) {
+                Some((_, values)) if values.len() == expected => Ok(values),
+                found => {
+                    let got = found.map_or(0, |(_, values)| values.len());
+                    Err(LearnError::Size { what: "values of a tensor", expected, got })
+                }
+            }
+        };
+        let kernel = values("conv", "weight", outputs * inputs * 9)?;
+        let (weight, bias) = (values("norm", "weight", outputs)?, values("norm", "bias", outputs)?);
+        let (mean, variance) = (values("norm", "running_mean", outputs)?, values("norm", "running_var", outputs)?);
+        let gain = |output: usize| weight[output] / (variance[output] + NORM_EPSILON).sqrt();
+        let mut taps = Taps::new(inputs, outputs);
+        taps.set(kernel, gain);
+        Ok(Self { taps, offsets: (0..outputs).map(|output| bias[output] - gain(output) * mean[output]).collect() })
+    }
+
+    /// Into as many channels of `to` as there are outputs.
+    fn apply(&self, arch: Arch, layout: Layout, from: &[f32], to: &mut [f32]) {
+        let to = &mut to[..self.taps.outputs() * layout.pitch()];
+        convolve(arch, layout, &self.taps, Finish::Softsign(&self.offsets), from, to);
     }
 }
 
@@ -80,8 +120,8 @@ impl Network {
         shape.check_image(rows, columns)?;
         tensors.check(&shape, std::path::Path::new("weights"))?;
         let stage = |spec: StageSpec| Stage::new(&spec, tensors);
-        let size = |level: usize| (rows >> level, columns >> level);
-        let plane = |level: usize, channels: usize| Plane::new(size(level).0, size(level).1, channels);
+        let layout = |level: usize| Layout { rows: rows >> level, columns: columns >> level };
+        let plane = |level: usize, channels: usize| Plane::new(layout(level), channels);
         let coarsest = shape.levels - 1;
         let joined = |level: usize| {
             let above = if level < coarsest { shape.channels(level + 1) } else { 0 };
@@ -101,6 +141,7 @@ impl Network {
             joined: (0..shape.levels).map(joined).collect(),
             risen: (0..shape.levels).map(|level| plane(level, shape.channels(level))).collect(),
             features: vec![0.0; shape.channels(coarsest)],
+            arch: Arch::new(),
         })
     }
 
@@ -158,95 +199,61 @@ impl Network {
     }
 
     fn enter(&mut self, input: &[f32]) {
-        let plane = &mut self.entrances[0];
-        let pixels = self.rows * self.columns;
-        for row in 0..self.rows {
-            for column in 0..self.columns {
-                let place = plane.at(row, column);
-                for (channel, value) in plane.values[place..place + plane.channels].iter_mut().enumerate() {
-                    let given = input[channel * pixels + row * self.columns + column];
-                    *value = if given.is_finite() { given } else { 0.0 };
+        let Plane { layout, values } = &mut self.entrances[0];
+        for (channel, image) in values.chunks_exact_mut(layout.pitch()).zip(input.chunks_exact(layout.pixels())) {
+            for (row, given) in image.chunks_exact(layout.columns).enumerate() {
+                for (value, given) in channel[layout.row(row)].iter_mut().zip(given) {
+                    *value = if given.is_finite() { *given } else { 0.0 };
                 }
             }
         }
     }
 
     fn descend(&mut self) {
-        for level in 0..self.shape.levels {
-            let stage = &self.down[level];
-            stage.first.apply(&self.entrances[level], &mut self.middles[level], 0);
-            let offset = self.joined[level].channels - self.shape.channels(level);
-            stage.second.apply(&self.middles[level], &mut self.joined[level], offset);
-            if level + 1 < self.shape.levels {
-                pool(&self.joined[level], offset, &mut self.entrances[level + 1]);
+        let coarsest = self.shape.levels - 1;
+        for level in 0..=coarsest {
+            let (stage, layout) = (&self.down[level], self.entrances[level].layout);
+            stage.first.apply(self.arch, layout, &self.entrances[level].values, &mut self.middles[level].values);
+            let above = if level < coarsest { self.shape.channels(level + 1) } else { 0 };
+            let own = &mut self.joined[level].values[above * layout.pitch()..];
+            stage.second.apply(self.arch, layout, &self.middles[level].values, own);
+            if level < coarsest {
+                let next = &mut self.entrances[level + 1];
+                pool(next.layout, self.joined[level].channels_from(above), &mut next.values);
             }
         }
     }
 
     fn gather_features(&mut self) {
-        let plane = &self.joined[self.shape.levels - 1];
-        self.features.fill(0.0);
-        for row in 0..plane.rows {
-            let run = &plane.values[plane.at(row, 0)..plane.at(row, plane.columns)];
-            for pixel in run.chunks_exact(plane.channels) {
-                self.features.iter_mut().zip(pixel).for_each(|(sum, value)| *sum += value);
-            }
+        let Plane { layout, values } = &self.joined[self.shape.levels - 1];
+        let share = 1.0 / layout.pixels() as f32;
+        for (feature, channel) in self.features.iter_mut().zip(values.chunks_exact(layout.pitch())) {
+            // Pixels alone: the border is zero.
+            *feature = channel.iter().sum::<f32>() * share;
         }
-        let share = 1.0 / (plane.rows * plane.columns) as f32;
-        self.features.iter_mut().for_each(|sum| *sum *= share);
     }
 
     fn rise(&mut self) {
         for (stage, level) in self.up.iter().zip((0..self.shape.levels - 1).rev()) {
-            if level + 2 == self.shape.levels {
-                let (finer, coarser) = self.joined.split_at_mut(level + 1);
-                repeat(&coarser[0], &mut finer[level]);
-            } else {
-                repeat(&self.risen[level + 1], &mut self.joined[level]);
-            }
-            stage.first.apply(&self.joined[level], &mut self.middles[level], 0);
-            stage.second.apply(&self.middles[level], &mut self.risen[level], 0);
+            let (finer, coarser) = self.joined.split_at_mut(level + 1);
+            let (joined, coarser) = (&mut finer[level], &coarser[0]);
+            let below = if level + 2 == self.shape.levels { coarser } else { &self.risen[level + 1] };
+            repeat(below.layout, &below.values, &mut joined.values);
+            stage.first.apply(self.arch, joined.layout, &joined.values, &mut self.middles[level].values);
+            stage.second.apply(self.arch, joined.layout, &self.middles[level].values, &mut self.risen[level].values);
         }
     }
 
-    fn leave(&mut self, logits: &mut [f32]) {
-        let plane = if self.shape.levels == 1 { &self.joined[0] } else { &self.risen[0] };
-        let (width, pixels) = (self.shape.width, self.rows * self.columns);
-        for (class, target) in logits.chunks_exact_mut(pixels).enumerate() {
-            let weights = &self.head[class * width..(class + 1) * width];
-            for (row, target) in target.chunks_exact_mut(self.columns).enumerate() {
-                let run = &plane.values[plane.at(row, 0)..];
-                for (logit, pixel) in target.iter_mut().zip(run.chunks_exact(plane.channels)) {
-                    let sum: f32 = weights.iter().zip(pixel).map(|(w, v)| w * v).sum();
-                    *logit = self.head_bias[class] + sum;
+    fn leave(&self, logits: &mut [f32]) {
+        let Plane { layout, values } = if self.shape.levels == 1 { &self.joined[0] } else { &self.risen[0] };
+        for (class, target) in logits.chunks_exact_mut(layout.pixels()).enumerate() {
+            target.fill(self.head_bias[class]);
+            let weights = &self.head[class * self.shape.width..];
+            for (weight, channel) in weights.iter().zip(values.chunks_exact(layout.pitch())) {
+                for (row, target) in target.chunks_exact_mut(layout.columns).enumerate() {
+                    target.iter_mut().zip(&channel[layout.row(row)]).for_each(|(sum, value)| *sum += weight * value);
                 }
             }
-        }
-    }
-}
-
-/// Largest of every four pixels, of the channels from `offset` on.
-fn pool(from: &Plane, offset: usize, to: &mut Plane) {
-    let step = (from.columns + 2) * from.channels;
-    for row in 0..to.rows {
-        for column in 0..to.columns {
-            let source = from.at(2 * row, 2 * column) + offset;
-            let [a, b, c, d] = [source, source + from.channels, source + step, source + step + from.channels]
-                .map(|place| &from.values[place..place + to.channels]);
-            let place = to.at(row, column);
-            for (k, value) in to.values[place..place + to.channels].iter_mut().enumerate() {
-                *value = a[k].max(b[k]).max(c[k]).max(d[k]);
-            }
-        }
-    }
-}
-
-/// Every pixel four times, into the first channels of an image of twice the size.
-fn repeat(from: &Plane, to: &mut Plane) {
-    for row in 0..to.rows {
-        for column in 0..to.columns {
-            let (source, place) = (from.at(row / 2, column / 2), to.at(row, column));
-            to.values[place..place + from.channels].copy_from_slice(&from.values[source..source + from.channels]);
         }
     }
 }

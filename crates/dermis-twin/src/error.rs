@@ -26,6 +26,9 @@ pub enum TwinError {
         /// The pointer named.
         pointer: u64,
     },
+    /// A skin whose sheet is neither cut nor healed was to be.
+    #[error("this skin's twin cannot be cut, heated or renewed; expected a self-healing sandwich (healing-square)")]
+    NotTreatable,
     /// An event of a script does not fit those before it.
     #[error("script event {event}: {reason}")]
     Event {

@@ -7,6 +7,7 @@ use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, Outline, Shee
 use serde::{Deserialize, Serialize};
 
 use crate::error::{TwinError, check_positive};
+use crate::healing::{Treatment, Wear, Wound};
 use crate::instrument::{Instrument, InstrumentOptions};
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
 use crate::physics::{Cut, Shortcut, TwoSheets};
@@ -107,7 +108,10 @@ pub struct HealingSquare {
     protocol: Protocol,
     sheets: TwoSheets,
     sheet_s: f64,
+    /// Cuts set from outside.
     cuts: Vec<Cut>,
+    /// Cuts and heat of its own life.
+    wear: Wear,
     cover: Cover,
     contact: ContactLaw,
     state: PressureState,
@@ -165,6 +169,7 @@ impl HealingSquare {
             voltages_v: vec![0.0; protocol.channel_count()],
             sheet_s: options.sheet_s(),
             cuts: Vec::new(),
+            wear: Wear::default(),
             cover: options.cover,
             contact: options.contact,
             state: PressureState::new(options.memory, nodes),
@@ -193,7 +198,7 @@ impl HealingSquare {
         &self.sheets
     }
 
-    /// The cuts it has.
+    /// The cuts set by [`HealingSquare::set_cuts`].
     pub fn cuts(&self) -> &[Cut] {
         &self.cuts
     }
@@ -204,9 +209,22 @@ impl HealingSquare {
     /// As [`Cut::check`].
     pub fn set_cuts(&mut self, cuts: Vec<Cut>) -> Result<(), TwinError> {
         cuts.iter().try_for_each(Cut::check)?;
-        self.sheets.set_sensing(self.sheet_s, &cuts);
-        (self.cuts, self.solved) = (cuts, false);
+        self.cuts = cuts;
+        self.renew_sheet();
         Ok(())
+    }
+
+    /// What has become of the sheet by [`Frontend::treat`].
+    pub fn wear(&self) -> &Wear {
+        &self.wear
+    }
+
+    fn renew_sheet(&mut self) {
+        let mut cuts = self.wear.cuts();
+        cuts.extend_from_slice(&self.cuts);
+        let (sheet_s, wear) = (self.sheet_s, &self.wear);
+        self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point), &cuts);
+        self.solved = false;
     }
 
     /// Contact conductance at each node after the last frame, S/m^2.
@@ -242,7 +260,20 @@ impl Frontend for HealingSquare {
         Self::outline()
     }
 
+    fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
+        self.wear.treat(treatment)?;
+        self.renew_sheet();
+        Ok(())
+    }
+
+    fn wounds(&self) -> Vec<Wound> {
+        self.wear.wounds().collect()
+    }
+
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
+        if self.wear.advance(dt_s) {
+            self.renew_sheet();
+        }
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
             indenter.add_pressure(self.cover, self.sheets.positions_m(), &mut self.pressure_pa);

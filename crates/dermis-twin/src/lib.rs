@@ -23,6 +23,7 @@
 mod em;
 mod error;
 mod foil;
+mod healing;
 mod healing_square;
 pub mod instrument;
 mod ionic;
@@ -35,6 +36,7 @@ mod twin;
 pub use em::{EmArray, EmElement, EmOptions, EmSkin, NearbyMetal};
 pub use error::TwinError;
 pub use foil::{FoilOptions, FoilSkin};
+pub use healing::{Heating, TimedTreatment, Treatment, Wear, Wound};
 pub use healing_square::{HealingSquare, HealingSquareOptions};
 pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
 pub use piezo::{PaperP, PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};

@@ -4,6 +4,7 @@ use dermis_tomo::mesh::Outline;
 use serde::Serialize;
 
 use crate::error::{TwinError, check};
+use crate::healing::{TimedTreatment, Treatment, Wound};
 use crate::instrument::{FaultSchedule, FrameFate, Instrument, TimedFault};
 use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene};
@@ -29,6 +30,19 @@ pub trait Frontend: std::fmt::Debug + Send {
         None
     }
 
+    /// Cuts, heats or renews its sheet.
+    ///
+    /// # Errors
+    /// A skin whose sheet knows nothing of that; numbers that make no sense.
+    fn treat(&mut self, _treatment: &Treatment) -> Result<(), TwinError> {
+        Err(TwinError::NotTreatable)
+    }
+
+    /// The cuts it has, and how far they have healed.
+    fn wounds(&self) -> Vec<Wound> {
+        Vec::new()
+    }
+
     /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
     /// call.
     ///
@@ -48,6 +62,14 @@ impl<F: Frontend + ?Sized> Frontend for Box<F> {
 
     fn outside_validity(&self) -> Option<String> {
         (**self).outside_validity()
+    }
+
+    fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
+        (**self).treat(treatment)
+    }
+
+    fn wounds(&self) -> Vec<Wound> {
+        (**self).wounds()
     }
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
@@ -97,6 +119,8 @@ pub struct Twin<F> {
     /// Time since the first frame, seconds.
     running_s: f64,
     faults: FaultSchedule,
+    /// What is still to be done to the sheet, the last first.
+    treatments: Vec<TimedTreatment>,
     last_time_s: Option<f64>,
 }
 
@@ -113,6 +137,7 @@ impl<F: Frontend> Twin<F> {
             delivered_sequence: 0,
             running_s: 0.0,
             faults: FaultSchedule::default(),
+            treatments: Vec::new(),
             last_time_s: None,
         }
     }
@@ -132,6 +157,7 @@ impl<F: Frontend> Twin<F> {
             delivered_sequence: self.delivered_sequence,
             running_s: self.running_s,
             faults: self.faults,
+            treatments: self.treatments,
             last_time_s: self.last_time_s,
         }
     }
@@ -154,6 +180,10 @@ impl<F: Frontend> Twin<F> {
         self.running_s += dt;
         if let Some(faults) = self.faults.change_at(self.running_s) {
             self.instrument.set_faults(faults)?;
+        }
+        while let Some(next) = self.treatments.last().filter(|next| next.at_s <= self.running_s).copied() {
+            self.treatments.pop();
+            self.frontend.treat(&next.treatment)?;
         }
         self.scene.advance(dt);
         self.indenters.clear();
@@ -202,6 +232,22 @@ impl<F: Frontend> Twin<F> {
         self.instrument.check_faults(&all)?;
         self.instrument.set_faults(Vec::new())?;
         self.faults = FaultSchedule::new(faults);
+        Ok(())
+    }
+
+    /// Does these things to its sheet, each in its time, in place of what was still to be done.
+    ///
+    /// # Errors
+    /// Times below zero, numbers that make no sense. A skin that knows nothing of treatments says so at their time.
+    pub fn set_treatments(&mut self, mut treatments: Vec<TimedTreatment>) -> Result<(), TwinError> {
+        for timed in &treatments {
+            check("treatment at_s", timed.at_s, 0.0, f64::MAX, "zero or more, finite")?;
+            timed.treatment.check()?;
+        }
+        // Of those given at one time, the first of the list comes first.
+        treatments.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        treatments.reverse();
+        self.treatments = treatments;
         Ok(())
     }
 

@@ -252,8 +252,8 @@ fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
         Ok(())
     };
     for _ in 0..20 {
-        timed(&mut operator, &mut || Ok(imager.leave_out(&left_out, noise)?))?;
-        timed(&mut refinement, &mut || Ok(drop(model.without(&left_out, noise)?)))?;
+        timed(&mut operator, &mut || imager.leave_out(&left_out, noise).map_err(Into::into))?;
+        timed(&mut refinement, &mut || model.without(&left_out, noise).map(drop).map_err(Into::into))?;
     }
     println!("{name}: without {} channels, ms (shortest, longest; computing of all threads):", left_out.len());
     for (what, times) in [("operator and image noise", operator), ("refinement", refinement)] {

@@ -89,6 +89,9 @@ pub enum Error {
     /// From the inverse operator.
     #[error("inverse operator: {0}")]
     Inverse(#[from] dermis_tomo::inverse::InverseError),
+    /// An image could not be scored.
+    #[error(transparent)]
+    Quality(#[from] dermis_tomo::quality::QualityError),
     /// From a reader or source.
     #[error(transparent)]
     Device(#[from] dermis_device::DeviceError),

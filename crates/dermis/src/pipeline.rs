@@ -4,6 +4,7 @@
 use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, Layout};
+use dermis_learn::Model;
 use dermis_tomo::inverse::SpotModel;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
@@ -14,10 +15,12 @@ use dermis_touch::{
 use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
+use crate::classes::ClassStage;
 use crate::clock::FrameClock;
 use crate::health::{HealthStage, Judgement};
 use crate::imager::Imager;
 use crate::latency::LatencyHistogram;
+use crate::patches::PatchStage;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::sink::Output;
@@ -80,6 +83,10 @@ pub struct Pipeline {
     prebuilt: Option<Imager>,
     /// What touches are refined by, until the noise is known.
     spots: Option<SpotModel>,
+    /// The same of a sandwich.
+    patches: Option<PatchStage>,
+    /// A network that classifies pixels, where there is one.
+    classes: Option<ClassStage>,
     hyperparameter: Option<f64>,
     forces: Option<ForceCalibration>,
     channels: Vec<f64>,
@@ -119,7 +126,10 @@ impl Pipeline {
         };
         let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
         let refines = prepared.refines_touches(calibration.as_ref());
-        let spots = if refines { Some(prepared.assumed_spot_model()?) } else { None };
+        let sandwich = prepared.is_sandwich();
+        let spots = if refines && !sandwich { Some(prepared.assumed_spot_model()?) } else { None };
+        let patches =
+            if refines && sandwich { Some(prepared.patch_stage(&vec![0.0; prepared.channels()])?) } else { None };
         Ok(Self {
             reader,
             baseline,
@@ -127,6 +137,8 @@ impl Pipeline {
             ready: None,
             prebuilt,
             spots,
+            patches,
+            classes: None,
             hyperparameter: None,
             forces: None,
             channels: Vec::new(),
@@ -197,6 +209,7 @@ impl Pipeline {
             rows: grid.rows,
             touches,
             events,
+            classes: self.classes.as_ref().and_then(ClassStage::classes),
             health: self.health(),
             marks,
         })
@@ -224,6 +237,9 @@ impl Pipeline {
         if judgement.blind {
             // Nothing that could be seen: no image, and what was touched is let go.
             self.image.fill(f32::NAN);
+            if let Some(classes) = &mut self.classes {
+                classes.forget();
+            }
             ready.touches.forget(time_ns);
             return Ok(false);
         }
@@ -233,6 +249,9 @@ impl Pipeline {
             return Ok(true);
         }
         ready.imager.image(&self.difference, &mut self.image)?;
+        if let Some(classes) = &mut self.classes {
+            classes.see(&self.difference)?;
+        }
         let imaged = Instant::now();
         self.latencies.image.record(imaged - conditioned);
         let placement = match &mut ready.placement {
@@ -255,6 +274,9 @@ impl Pipeline {
         }
         ready.imager.leave_out(left_out, noise)?;
         ready.touches.set_noise(ready.imager.noise_image());
+        if let Some(patches) = ready.touches.patches_mut() {
+            patches.leave_out(left_out);
+        }
         if let Some(model) = &ready.spots {
             ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
         }
@@ -278,6 +300,9 @@ impl Pipeline {
         if let Some(ready) = &mut self.ready {
             ready.imager.set_noise(&reference.noise)?;
             ready.touches.set_noise(ready.imager.noise_image());
+            if let Some(patches) = ready.touches.patches_mut() {
+                patches.set_noise(&reference.noise);
+            }
             ready.reference = reference;
         } else {
             self.ready = Some(self.begin(reference)?);
@@ -305,6 +330,10 @@ impl Pipeline {
         }
         let mut touches = TouchStage::new(&self.prepared, imager.noise_image())?;
         touches.set_forces(self.forces.clone());
+        if let Some(mut patches) = self.patches.take() {
+            patches.set_noise(&reference.noise);
+            touches.set_patches(Some(patches));
+        }
         let spots = self.spots.take();
         if let Some(model) = &spots {
             let model = spots_at(model, &[], &reference.noise)?;
@@ -351,6 +380,15 @@ impl Pipeline {
             }
         }
         self.hyperparameter = Some(lambda);
+        Ok(())
+    }
+
+    /// Classifies the pixels of every frame by a network from now on, or no longer.
+    ///
+    /// # Errors
+    /// A model of another skin.
+    pub fn set_classifier(&mut self, model: Option<&Model>) -> Result<(), Error> {
+        self.classes = model.map(|model| ClassStage::new(&self.prepared, model)).transpose()?;
         Ok(())
     }
 

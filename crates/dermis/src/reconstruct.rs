@@ -163,6 +163,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             rows: grid.rows,
             touches: &touches,
             events: stage.events(),
+            classes: None,
             health: Health::default(),
             marks: crate::Marks::default(),
         };

@@ -8,6 +8,7 @@ use dermis_touch::{
 };
 
 use crate::Error;
+use crate::patches::PatchStage;
 use crate::prepare::Prepared;
 use crate::spots::SpotStage;
 
@@ -37,6 +38,7 @@ pub struct TouchStage {
     noise: Vec<f32>,
     forces: Option<ForceCalibration>,
     spots: Option<SpotStage>,
+    patches: Option<PatchStage>,
 }
 
 impl TouchStage {
@@ -81,6 +83,7 @@ impl TouchStage {
             noise,
             forces: None,
             spots: None,
+            patches: None,
         })
     }
 
@@ -94,11 +97,16 @@ impl TouchStage {
         self.noise = noise;
     }
 
-    /// Refines contacts by the forward model from now on, at this noise of the channels (model volts).
+    /// Refines contacts by the forward model from now on, at this noise of the channels (model volts): by patches of contact
+    /// on a sandwich, by spots of conductivity elsewhere.
     ///
     /// # Errors
-    /// See [`Prepared::spot_model`].
+    /// See [`Prepared::spot_model`]; a mesh that cannot be made.
     pub fn refine_by(&mut self, prepared: &Prepared, noise: &[f64]) -> Result<(), Error> {
+        if prepared.is_sandwich() {
+            self.patches = Some(prepared.patch_stage(noise)?);
+            return Ok(());
+        }
         self.set_spots(Some(SpotStage::new(prepared, prepared.spot_model(noise)?)));
         Ok(())
     }
@@ -106,6 +114,20 @@ impl TouchStage {
     /// Refines contacts by responses made elsewhere, [`dermis_tomo::inverse::SpotModel::without`] some channels, say.
     pub fn refine_by_model(&mut self, prepared: &Prepared, model: SpotModel) {
         self.set_spots(Some(SpotStage::new(prepared, model)));
+    }
+
+    pub(crate) fn set_patches(&mut self, patches: Option<PatchStage>) {
+        self.patches = patches;
+    }
+
+    pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
+        self.patches.as_mut()
+    }
+
+    /// What the touches of the last frame do not explain (model volts), where touches are fitted as contacts with a layer
+    /// above: damage, for one.
+    pub fn unexplained(&self) -> Option<&[f64]> {
+        self.patches.as_ref().map(PatchStage::left)
     }
 
     pub(crate) fn set_spots(&mut self, spots: Option<SpotStage>) {
@@ -139,8 +161,12 @@ impl TouchStage {
                 only.strength = ContactStrength::Strong;
             }
         }
-        if let (Some(spots), None) = (&mut self.spots, &placement) {
-            spots.refine(difference, &mut self.contacts);
+        if placement.is_none() {
+            if let Some(patches) = &mut self.patches {
+                patches.refine(difference, &mut self.contacts);
+            } else if let Some(spots) = &mut self.spots {
+                spots.refine(difference, &mut self.contacts);
+            }
         }
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {

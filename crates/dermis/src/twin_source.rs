@@ -7,7 +7,7 @@ use crossbeam_channel::{Receiver, Sender};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
 use dermis_twin::instrument::{Fault, FrameFate, TimedFault};
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, TwinError};
+use dermis_twin::{Frontend, Treatment, TwinError};
 
 use crate::Error;
 use crate::skin::Skin;
@@ -34,6 +34,8 @@ pub enum TwinCommand {
     },
     /// Something of the instrument breaks, with all that is broken already.
     Break(Fault),
+    /// Cut, heat or renew a self-healing sheet.
+    Treat(Treatment),
     /// Nothing is broken any more, whatever the skin file says.
     Repair,
 }
@@ -178,6 +180,11 @@ impl TwinSource {
                     self.refused.remove(&pointer);
                     self.twin.scene_mut().release(pointer);
                 }
+                TwinCommand::Treat(treatment) => {
+                    if let Err(error) = self.twin.frontend_mut().treat(&treatment) {
+                        self.notice(format!("treatment refused: {error}"));
+                    }
+                }
                 TwinCommand::Break(fault) => self.break_(fault),
                 TwinCommand::Repair => {
                     self.faults.clear();
@@ -303,6 +310,16 @@ mod tests {
             told[1].contains("pressure_pa: NaN refused") && told[2].contains("pressure_pa: -5 refused"),
             "{told:?}"
         );
+    }
+
+    #[test]
+    fn sheets_are_cut_and_healed_and_skins_without_say_so() {
+        let cut = TwinCommand::Treat(Treatment::Cut(dermis_twin::physics::Cut::open([-0.01, 0.0], [0.01, 0.0])));
+        assert_eq!(told("healing-square", &[cut, TwinCommand::Treat(Treatment::Renew)]), [""; 0]);
+        let nowhere = TwinCommand::Treat(Treatment::TimeLapse(f64::NAN));
+        assert!(told("healing-square", &[nowhere])[0].contains("treatment refused: time-lapse: NaN"));
+        let refused = told("ionic-disc", &[cut]);
+        assert!(refused[0].contains("cannot be cut"), "{refused:?}");
     }
 
     #[test]

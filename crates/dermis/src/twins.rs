@@ -84,10 +84,11 @@ impl TwinKit {
     pub fn of(skin: &Skin) -> Result<Self, Error> {
         let mut kit = Self::sound(skin)?;
         kit.twin.set_faults(skin.twin.timed_faults())?;
+        kit.twin.set_treatments(skin.twin.timed_treatments())?;
         Ok(kit)
     }
 
-    /// The same without the faults that the skin file asks for.
+    /// The same without the faults and treatments that the skin file asks for.
     fn sound(skin: &Skin) -> Result<Self, Error> {
         match skin.name.as_str() {
             "healing-square" => Self::sandwich(HealingSquareOptions::default(), skin),

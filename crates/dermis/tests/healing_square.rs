@@ -127,30 +127,30 @@ fn a_moving_press_keeps_its_number() {
     assert_eq!(bench.begun, 1);
 }
 
-/// The superposition of two presses: what the readout and the imaging resolve, without the copper that joins both.
+/// The copper joins two presses, and the linear image shows a bar between them; contacts with the copper tell them apart.
 #[test]
-fn two_changes_45_mm_apart_are_two_touches() {
+fn presses_45_mm_apart_are_touches_of_their_own() {
     let mut bench = Bench::new();
-    let places = [[-22.5, 0.0], [22.5, 0.0]];
-    let rest = bench.values.clone();
-    let mut both = rest.clone();
-    for place in places {
-        bench.press(0, place);
+    let places = [[-22.5, 0.0], [22.5, 0.0], [0.0, 32.0]];
+    for (pointer, place) in places.into_iter().enumerate() {
+        bench.press(pointer as u64, place);
         bench.run(SETTLE);
-        both.iter_mut().zip(&bench.values).zip(&rest).for_each(|((sum, pressed), rest)| *sum += pressed - rest);
-        bench.release();
+        assert_eq!(bench.touches.len(), pointer + 1, "{:?}", bench.touches);
+        for place in &places[..=pointer] {
+            let nearest = bench.touches.iter().map(|touch| distance_mm(touch, *place)).fold(f64::INFINITY, f64::min);
+            // Measured 0.3 mm; the paper's mean error with a single touch is 1.84 mm.
+            assert!(nearest < 1.5, "{nearest:.1} mm from {place:?}: {:?}", bench.touches);
+        }
     }
-    bench.values = both;
-    (0..4).for_each(|_| bench.process());
-    assert_eq!(bench.touches.len(), 2, "{:?}", bench.touches);
-    for place in places {
-        let nearest = bench.touches.iter().map(|touch| distance_mm(touch, place)).fold(f64::INFINITY, f64::min);
-        assert!(nearest < 5.0, "{nearest:.1} mm from {place:?}: {:?}", bench.touches);
-    }
+    assert_eq!(bench.begun, places.len(), "each press begins one touch");
+    bench.twin.scene_mut().release(1);
+    bench.run(SETTLE);
+    assert_eq!(bench.touches.len(), 2, "one was released: {:?}", bench.touches);
+    bench.release();
 }
 
 /// Two presses at once are joined by the copper: current takes the way from one to the other, and the image shows what
-/// lies between them as pressed too. No linear image can tell; this holds the physics to account.
+/// lies between them as pressed too. This holds the physics to account.
 #[test]
 fn the_copper_joins_two_presses() {
     let mut bench = Bench::new();

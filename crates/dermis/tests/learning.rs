@@ -3,7 +3,7 @@
 
 use dermis::learning::segment::{Method, Segmenter};
 use dermis::learning::train_set::{SimulatedFrames, TrainSetRequest, simulate};
-use dermis::learning::{CLASSES, FirstStep, InputImage};
+use dermis::learning::{CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, masks_of_image};
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis_learn::metrics::Confusion;
@@ -121,14 +121,12 @@ fn thresholds_find_objects_of_both_signs() {
     assert!(overlaps.iter().all(|iou| *iou > 0.15), "{overlaps:?}");
 }
 
-#[test]
-fn models_of_other_skins_inputs_and_sizes_are_refused() {
-    let prepared = Prepared::new(skin()).unwrap();
-    let reference = prepared.reference(std::slice::from_ref(&prepared.voltages)).unwrap();
-    let shape = UNetShape { inputs: 1, classes: 3, width: 2, levels: 2 };
+/// A model of a small network with made-up weights.
+fn made_up(inputs: &[&str]) -> Model {
+    let shape = UNetShape { inputs: inputs.len(), classes: 3, width: 2, levels: 2 };
     let mut tensors = Tensors::default();
-    for spec in shape.tensors() {
-        let values = vec![0.5; spec.len()];
+    for (number, spec) in shape.tensors().into_iter().enumerate() {
+        let values = (0..spec.len()).map(|k| 0.2 + 0.1 * ((number + 3 * k) % 5) as f32).collect();
         tensors.insert(spec.name, spec.dims, values).unwrap();
     }
     let card = ModelCard {
@@ -141,12 +139,69 @@ fn models_of_other_skins_inputs_and_sizes_are_refused() {
         columns: 16,
         skin: "small".into(),
         skin_sha256: skin().imaging_sha256(),
-        inputs: vec!["image".into()],
-        input_scale: vec![1.0],
+        inputs: inputs.iter().map(ToString::to_string).collect(),
+        input_scale: vec![2.0; inputs.len()],
         classes: CLASSES.map(String::from).to_vec(),
         temperature: 1.0,
         training: TrainingRecord::default(),
     };
+    Model::new(card, tensors)
+}
+
+#[test]
+fn live_classes_are_those_of_the_network_until_a_frame_is_unlike_the_training_set() {
+    let prepared = Prepared::new(skin()).unwrap();
+    let mut request = request(3);
+    request.most_lost = 0;
+    let frames = SimulatedFrames::new(&request, &prepared, 1, 3).unwrap();
+    let reference = prepared.reference(std::slice::from_ref(&frames.baseline)).unwrap();
+    let difference = reference.difference(&frames.frames[0], None);
+    let mut model = made_up(&["image", "coverage"]);
+    let mut classifier = Classifier::new(&prepared, &model).unwrap();
+    let mut classes = Classes::new(1, 1);
+    classifier.classify(&difference, &mut classes).unwrap();
+    assert_eq!((classes.rows, classes.columns, classes.falls_back, classes.novelty), (16, 16, false, None));
+    // By hand: images, scale, network, and nothing but background outside.
+    let mut images = vec![0.0; 512];
+    let inputs = [InputImage::Step(1.0), InputImage::Coverage];
+    FirstStep::new(&prepared, &reference, &inputs).unwrap().images_of(&difference, &mut images).unwrap();
+    images.iter_mut().for_each(|value| *value *= 2.0);
+    let mut expected = vec![0.0; 768];
+    model.network().unwrap().probabilities(&images, 1.0, &mut expected).unwrap();
+    for (pixel, inside) in prepared.map.inside_mask().into_iter().enumerate() {
+        for class in 0..3 {
+            let outside = if class == 0 { 1.0 } else { 0.0 };
+            let expected = if inside { expected[class * 256 + pixel] } else { outside };
+            assert_eq!(classes.of_class(class as u8).unwrap()[pixel], expected, "{class} {pixel}");
+        }
+    }
+    let counted = allocation_counter::measure(|| classifier.classify(&difference, &mut classes).unwrap());
+    assert_eq!(counted.count_total, 0);
+
+    // A score that finds everything strange: thresholds decide, and the probabilities say so.
+    let size = 4;
+    model.tensors.insert("novelty.mean", vec![size], vec![100.0; size]).unwrap();
+    model.tensors.insert("novelty.whitener", vec![size, size], vec![1.0; size * size]).unwrap();
+    model.tensors.insert("novelty.reach", vec![1], vec![1.0]).unwrap();
+    let mut classifier = Classifier::new(&prepared, &model).unwrap();
+    classifier.classify(&difference, &mut classes).unwrap();
+    assert!(classes.falls_back && classes.novelty.unwrap() > 1.0);
+    let (image, polarity) = (&images[..256], prepared.skin.imaging.polarity.sign() as f32);
+    let image: Vec<f32> = image.iter().map(|value| 0.5 * polarity * value).collect();
+    let rule = MaskRule::linear(prepared.skin.touch.smallest_amplitude);
+    assert_eq!(classes.labels, masks_of_image(&image, &rule));
+    assert!(classes.labels.iter().any(|label| *label != BACKGROUND));
+    for (pixel, label) in classes.labels.iter().enumerate() {
+        assert_eq!(classes.of_class(*label).unwrap()[pixel], 1.0);
+    }
+    assert!(Classifier::new(&prepared, &made_up(&["coverage"])).unwrap_err().to_string().contains("an image among"));
+}
+
+#[test]
+fn models_of_other_skins_inputs_and_sizes_are_refused() {
+    let prepared = Prepared::new(skin()).unwrap();
+    let reference = prepared.reference(std::slice::from_ref(&prepared.voltages)).unwrap();
+    let Model { card, tensors, .. } = made_up(&["image"]);
     let outcome = |card: &ModelCard| {
         let model = Model::new(card.clone(), tensors.clone());
         Segmenter::new(&prepared, &reference, Some(&model), 32).map(|_| ()).map_err(|error| error.to_string())

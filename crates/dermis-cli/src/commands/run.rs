@@ -21,6 +21,7 @@ use dermis::twin_source::TwinCommand;
 use dermis::{HealthChange, HealthWatch};
 use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use dermis_device::{Frame, HostStamp};
+use dermis_learn::Model;
 
 use crate::exit::{Outcome, UsageError};
 use page_feed::PageFeed;
@@ -44,6 +45,9 @@ const QUEUE: usize = 64;
 pub struct Arguments {
     #[command(flatten)]
     input: source::InputArguments,
+    /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged, compressed).
+    #[arg(long, value_name = "MODEL.json")]
+    model: Option<PathBuf>,
     /// Record raw frames from the start.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
@@ -86,7 +90,11 @@ struct Run {
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let (opened, pipeline, head) = self.input.open()?;
+        let (opened, mut pipeline, head) = self.input.open()?;
+        if let Some(path) = &self.model {
+            let model = Model::load(path).map_err(dermis::Error::from)?;
+            pipeline.set_classifier(Some(&model))?;
+        }
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {
@@ -303,6 +311,7 @@ impl Run {
                 radius_m: press.radius_mm * 1e-3,
                 pressure_pa: press.pressure_kpa * 1e3,
             }),
+            Command::Treat(action) => self.command_twin(TwinCommand::Treat(action.treatment())),
             Command::Release { pointer_id } => self.command_twin(TwinCommand::Release { pointer: pointer_id }),
             // Every channel is published; the page chooses among them.
             Command::ChooseChannels(_) => {}

@@ -129,6 +129,9 @@ impl Client<'_> {
         self.sent = update.sequence;
         self.send_binary(update.image.clone()).await?;
         self.send_binary(update.channels.clone()).await?;
+        if let Some(classes) = &update.classes {
+            self.send_binary(classes.clone()).await?;
+        }
         self.send_text(update.state.clone()).await
     }
 

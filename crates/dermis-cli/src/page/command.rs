@@ -1,5 +1,6 @@
 //! What people ask of the pipeline from the page, and how it answers.
 
+use dermis::skin::TwinAction;
 use serde::Deserialize;
 use tokio::sync::mpsc;
 
@@ -31,6 +32,8 @@ pub enum Command {
         /// The press to end.
         pointer_id: u64,
     },
+    /// Cut the twin, heal it, let its time lapse.
+    Treat(TwinAction),
     /// Show these channels (0-based), at most [`Command::MOST_CHANNELS`].
     ChooseChannels(Vec<u32>),
 }
@@ -111,6 +114,10 @@ impl Command {
             Self::Move(press) => press.check(scene),
             Self::Release { .. } if scene.is_twin => Ok(()),
             Self::Release { .. } => Err("release refused: this skin is real".into()),
+            Self::Treat(_) if !scene.is_treatable => {
+                Err("treatment refused: only the twin of a self-healing skin is cut and healed here".into())
+            }
+            Self::Treat(action) => action.treatment().check().map_err(|error| format!("treatment refused: {error}")),
             Self::ChooseChannels(indices) => check_channels(indices, scene),
         }
     }

@@ -41,6 +41,6 @@ pub use protocol::PROTOCOL_VERSION;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use server::{PageOptions, ServerHandle, serve};
 pub use update::{
-    ChannelValues, Counter, FaultView, HealthView, Image, PipelineState, SourceState, StageLatency, TareState,
-    TouchPhase, TouchView, Update,
+    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
+    PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
 };

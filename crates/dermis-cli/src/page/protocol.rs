@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::command::Command;
 use super::hub::{HubStats, Level};
 use super::scene::Scene;
-use super::update::{Counter, HealthView, PipelineState, StageLatency, TouchView, Update};
+use super::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
 
 /// Version of the messages, in every one of them.
 pub const PROTOCOL_VERSION: u16 = 1;
@@ -16,6 +16,7 @@ const MAGIC: [u8; 4] = *b"DRMS";
 const KIND_IMAGE: u16 = 1;
 const KIND_CHANNELS: u16 = 2;
 const KIND_NOISE: u16 = 3;
+const KIND_CLASSES: u16 = 4;
 /// Bytes before the values of a binary message.
 const HEADER_BYTES: usize = 32;
 
@@ -26,6 +27,7 @@ pub(super) struct Encoded {
     pub(super) sequence: u64,
     pub(super) image: Bytes,
     pub(super) channels: Bytes,
+    pub(super) classes: Option<Bytes>,
     pub(super) state: String,
 }
 
@@ -75,6 +77,14 @@ struct State<'a> {
     counters: &'a [Counter],
     state: &'a PipelineState,
     health: &'a HealthView,
+    classes: Option<ClassState>,
+    damage: Option<&'a DamageView>,
+}
+
+#[derive(Serialize)]
+struct ClassState {
+    novelty: f32,
+    falls_back: bool,
 }
 
 #[derive(Serialize)]
@@ -105,8 +115,14 @@ impl Encoded {
             counters: &update.counters,
             state: &update.state,
             health: &update.health,
+            classes: update.classes.as_ref().map(|ClassImage { novelty, falls_back, .. }| ClassState {
+                novelty: *novelty,
+                falls_back: *falls_back,
+            }),
+            damage: update.damage.as_ref(),
         };
-        Self { sequence, image: image(update), channels: channels(update), state: json("state", state) }
+        let classes = update.classes.as_ref().map(|of| classes(update, of));
+        Self { sequence, image: image(update), channels: channels(update), classes, state: json("state", state) }
     }
 }
 
@@ -177,6 +193,16 @@ fn channels(update: &Update) -> Bytes {
     let mut message = header(KIND_CHANNELS, update.frame, update.time_ns, size, words);
     message.extend(channels.indices.iter().flat_map(|index| index.to_le_bytes()));
     put_values(&mut message, &channels.values);
+    message.into()
+}
+
+/// Classes: kind 4, rows and columns, then the probabilities of lowered and of raised conductivity, each row-major.
+fn classes(update: &Update, classes: &ClassImage) -> Bytes {
+    let size = [classes.rows as u32, classes.cols as u32];
+    let words = classes.lowered.len() + classes.raised.len();
+    let mut message = header(KIND_CLASSES, update.frame, update.time_ns, size, words);
+    put_values(&mut message, &classes.lowered);
+    put_values(&mut message, &classes.raised);
     message.into()
 }
 

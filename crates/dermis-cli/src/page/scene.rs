@@ -5,12 +5,16 @@ use serde::Serialize;
 /// The skin as the page draws it. Lengths are millimetres in the skin's frame (x right, y up, origin at the centroid).
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Scene {
+    /// True when damage is looked for.
+    pub watches_damage: bool,
     /// Name of the skin.
     pub skin: String,
     /// `eit` or `mit`.
     pub modality: String,
     /// True when the skin is a twin, which can be pressed from the page.
     pub is_twin: bool,
+    /// True when the twin can be cut and healed.
+    pub is_treatable: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
     pub outline_mm: Vec<Vec<[f64; 2]>>,
     /// Diameter of the cylinder that the sheet is bent on, its axis along y behind the sheet; none where it is flat. All other

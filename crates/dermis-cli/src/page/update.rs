@@ -30,6 +30,10 @@ pub struct Update {
     pub state: PipelineState,
     /// What is broken.
     pub health: HealthView,
+    /// What a network makes of the frame, where there is one.
+    pub classes: Option<ClassImage>,
+    /// Damage and baselines, where damage is looked for.
+    pub damage: Option<DamageView>,
 }
 
 /// Channels and electrodes that are left out; numbers count from 1.
@@ -41,6 +45,83 @@ pub struct HealthView {
     pub electrodes: Vec<FaultView>,
     /// Channels with faults of their own.
     pub channels: Vec<FaultView>,
+}
+
+/// Damage, and the baselines that it is judged against.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct DamageView {
+    /// All damages, suspected and healed ones included.
+    pub list: Vec<DamageRow>,
+    /// Baselines that were in use, oldest first; the last is in use now.
+    pub baselines: Vec<BaselineRow>,
+    /// Which of them damage is judged against, from 0.
+    pub intact: Option<usize>,
+    /// A new baseline that is proposed.
+    pub proposal: Option<ProposalView>,
+}
+
+/// One damage. Lengths are millimetres in the skin's frame.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct DamageRow {
+    /// Number that stays with the damage.
+    pub id: u64,
+    /// `suspected`, `confirmed`, `covered`, `healing` or `healed`.
+    pub state: &'static str,
+    /// Middle, to the right of the centroid.
+    pub x_mm: f64,
+    /// Middle, above the centroid.
+    pub y_mm: f64,
+    /// Length of a cut; 0 for a spot.
+    pub length_mm: f64,
+    /// Its direction from +x, counter-clockwise.
+    pub direction_deg: f64,
+    /// Both ends.
+    pub ends_mm: [[f64; 2]; 2],
+    /// Largest drop of the image at its worst.
+    pub depth: f64,
+    /// Share that has healed, 0 to 1.
+    pub healed: f64,
+    /// Seconds since it was first seen.
+    pub for_s: f64,
+}
+
+/// One baseline.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct BaselineRow {
+    /// Where it came from.
+    pub origin: &'static str,
+    /// Why it was taken.
+    pub reason: String,
+    /// Seconds since it was taken.
+    pub age_s: f64,
+}
+
+/// A baseline that would do the skin good.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct ProposalView {
+    /// `offset` or `healed`.
+    pub reason: &'static str,
+    /// Seconds for which the skin has rested.
+    pub for_s: f64,
+    /// How far the readings are from the baseline, standard deviations of the channels.
+    pub offset_sigma: f64,
+}
+
+/// Classes of the pixels, as probabilities.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ClassImage {
+    /// Rows.
+    pub rows: usize,
+    /// Columns.
+    pub cols: usize,
+    /// `rows * cols` probabilities that conductivity is lowered there: damage.
+    pub lowered: Vec<f32>,
+    /// The same of raised: compression.
+    pub raised: Vec<f32>,
+    /// How far the frame is from what the network was trained on; above 1 it is unlike it. NaN where unknown.
+    pub novelty: f32,
+    /// True where thresholds on the image took the network's place.
+    pub falls_back: bool,
 }
 
 /// One fault.

@@ -2,9 +2,12 @@
 //! temperature and for the figures on the model card. Every pass over the samples ends in a checkpoint, from which an
 //! interrupted training goes on as if it had not been.
 
+#[cfg(feature = "train")]
+mod burn;
 mod checkpoint;
 mod finish;
-mod unet;
+mod initial;
+mod native;
 
 use std::path::Path;
 use std::time::Instant;
@@ -22,14 +25,51 @@ use crate::shape::UNetShape;
 use crate::shards::{Shard, TrainingSet};
 use crate::weights::Tensors;
 use checkpoint::{Checkpoint, State};
-use unet::{Batch, TrainableUNet};
+use initial::initial;
 
-pub use burn::tensor::Device;
+#[cfg(feature = "train")]
+pub use ::burn::tensor::Device;
 
 /// Shards whose samples are mixed: their number bounds the memory.
 const SHARDS_AT_ONCE: usize = 8;
 /// Share of the first step that the last one has; between them a half cosine.
 const LAST_RATE: f64 = 0.02;
+
+/// Share by which a batch moves the running mean and variance; PyTorch's default.
+const MOMENTUM: f32 = 0.1;
+
+/// What computes.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub enum Backend {
+    /// The processor, with the kernels that run networks live.
+    #[default]
+    Native,
+    /// A device of `burn`.
+    #[cfg(feature = "train")]
+    Burn(Device),
+}
+
+/// A U-Net that descends.
+trait Descent {
+    /// One step of Adam on a batch; the loss before it.
+    fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64;
+
+    /// The weights as they are now.
+    fn tensors(&self) -> Result<Tensors, LearnError>;
+
+    /// Adam's moments, as `first.NAME` and `second.NAME`.
+    fn moments(&self) -> Result<Tensors, LearnError>;
+}
+
+/// Samples of one step: images are batch x inputs x rows x columns, labels batch x rows x columns.
+struct Batch<'a> {
+    count: usize,
+    rows: usize,
+    columns: usize,
+    inputs: &'a [f32],
+    labels: &'a [u8],
+}
 
 /// How to train.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,11 +91,23 @@ pub struct TrainOptions {
     pub held_out: f64,
     /// Seed of the initial weights and of the order of samples.
     pub seed: u64,
+    /// Weights of the classes in the loss; none for equal ones.
+    pub class_weights: Vec<f32>,
 }
 
 impl Default for TrainOptions {
     fn default() -> Self {
-        Self { width: 8, levels: 4, epochs: 40, batch: 64, learning_rate: 1e-3, patience: 8, held_out: 0.1, seed: 1 }
+        Self {
+            width: 8,
+            levels: 4,
+            epochs: 40,
+            batch: 64,
+            learning_rate: 1e-3,
+            patience: 8,
+            held_out: 0.1,
+            seed: 1,
+            class_weights: Vec::new(),
+        }
     }
 }
 
@@ -114,6 +166,20 @@ impl TrainOptions {
         Ok(())
     }
 
+    /// Weights of so many classes.
+    fn weights_of(&self, classes: usize) -> Result<Vec<f32>, LearnError> {
+        let weights = if self.class_weights.is_empty() { vec![1.0; classes] } else { self.class_weights.clone() };
+        if weights.len() != classes {
+            let (what, got) = ("weights of the classes", weights.len());
+            return Err(LearnError::Size { what, expected: classes, got });
+        }
+        if let Some(weight) = weights.iter().find(|weight| !(weight.is_finite() && **weight > 0.0)) {
+            let (what, value) = ("weight of a class", weight.to_string());
+            return Err(LearnError::Value { what, value, expected: "a positive and finite one".into() });
+        }
+        Ok(weights)
+    }
+
     /// Adam's step in a pass counted from 0.
     fn rate(&self, epoch: usize) -> f64 {
         let along = epoch as f64 / self.epochs as f64;
@@ -129,7 +195,7 @@ impl TrainOptions {
 /// checkpoint that cannot be written, a loss that is no longer finite.
 pub fn train(
     training: &Training<'_>,
-    device: &Device,
+    backend: &Backend,
     mut progress: impl FnMut(&Progress),
 ) -> Result<Model, LearnError> {
     let (set, options) = (training.set, training.options);
@@ -148,15 +214,13 @@ pub fn train(
     let store = Checkpoint::new(training.checkpoint, set.manifest_sha256(), options);
     let mut state = match store.read(&shape)? {
         Some(state) => state,
-        None => State::fresh(unet::initial(&shape, &mut StdRng::seed_from_u64(options.seed))?),
+        None => State::fresh(initial(&shape, &mut StdRng::seed_from_u64(options.seed))?),
     };
-    let device = device.clone().autodiff();
-    let moments = (state.steps > 0).then_some((&state.moments, state.steps));
-    let mut network = TrainableUNet::new(shape, &state.tensors, moments, &device)?;
+    let mut network = descent(backend, shape, &state, options)?;
     while state.epoch < options.epochs && state.epoch - state.best_epoch < options.patience {
         let begun = Instant::now();
         let mut pass = Pass { set, split: &split, options, scale: &scale, state: &mut state };
-        let loss = pass.run(&mut network, &mut progress)?;
+        let loss = pass.run(network.as_mut(), &mut progress)?;
         state.tensors = network.tensors()?;
         state.moments = network.moments()?;
         let (held_out_loss, confusion) = held_out(set, &split, shape, &state.tensors, &scale)?;
@@ -168,6 +232,25 @@ pub fn train(
         progress(&Progress::Epoch(EpochReport { epoch: state.epoch, loss, held_out_loss, held_out_iou, best }));
     }
     finish::model(training, shape, &split, &scale, &state)
+}
+
+/// The network of a state on a backend.
+fn descent(
+    backend: &Backend,
+    shape: UNetShape,
+    state: &State,
+    options: &TrainOptions,
+) -> Result<Box<dyn Descent>, LearnError> {
+    let moments = (state.steps > 0).then_some((&state.moments, state.steps));
+    let class_weights = options.weights_of(shape.classes)?;
+    Ok(match backend {
+        Backend::Native => Box::new(native::NativeUNet::new(shape, &state.tensors, moments, &class_weights)?),
+        #[cfg(feature = "train")]
+        Backend::Burn(device) => {
+            let device = device.clone().autodiff();
+            Box::new(burn::BurnUNet::new(shape, &state.tensors, moments, &class_weights, &device)?)
+        }
+    })
 }
 
 /// Shards to train on and shards held out.
@@ -231,7 +314,7 @@ struct Pass<'a> {
 
 impl Pass<'_> {
     /// The mean loss.
-    fn run(&mut self, network: &mut TrainableUNet, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
+    fn run(&mut self, network: &mut dyn Descent, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
         let manifest = self.set.manifest();
         let rate = self.options.rate(self.state.epoch);
         let seed = self.options.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(self.state.epoch as u64 + 1);

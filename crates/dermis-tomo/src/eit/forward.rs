@@ -39,6 +39,25 @@ pub enum EitError {
         /// The value.
         value: f64,
     },
+    /// Wrong number of channels.
+    #[error("frame: expected {expected} values (one a channel), got {got}")]
+    ChannelCount {
+        /// Channels.
+        expected: usize,
+        /// Values given.
+        got: usize,
+    },
+    /// A patch of contact that there cannot be.
+    #[error("contact of radius {radius_m} m and {conductance_s_per_m2} S/m^2; expected both positive and finite")]
+    Contact {
+        /// Its radius.
+        radius_m: f64,
+        /// Its conductance per area.
+        conductance_s_per_m2: f64,
+    },
+    /// Contacts were asked for on a body whose reference electrode is a point.
+    #[error("contacts need electrodes with a contact impedance, and the last one is a point")]
+    PointElectrode,
     /// The system could not be factored.
     #[error("forward problem: {0}")]
     System(#[from] SparseError),

@@ -6,6 +6,7 @@
 //! 1992, eqs. 2.1-2.5). Signs and units are those of EIDORS: current counted into the body, `J = dv/dsigma`.
 
 mod circuit;
+pub mod contacts;
 mod forward;
 mod jacobian;
 mod order;

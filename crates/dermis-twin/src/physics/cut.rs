@@ -46,6 +46,12 @@ impl Cut {
         (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
     }
 
+    /// The point at a share of its length, 0 at `from_m` and 1 at `to_m`.
+    pub fn at(&self, share: f64) -> [f64; 2] {
+        let between = |axis: usize| self.from_m[axis] + share * (self.to_m[axis] - self.from_m[axis]);
+        [between(0), between(1)]
+    }
+
     fn direction(&self) -> [f64; 2] {
         let length = self.length_m();
         [(self.to_m[0] - self.from_m[0]) / length, (self.to_m[1] - self.from_m[1]) / length]

@@ -134,9 +134,15 @@ impl TwoSheets {
 
     /// Sets the sensing sheet: a conductance with cuts.
     pub fn set_sensing(&mut self, intact_s: f64, cuts: &[Cut]) {
+        self.set_sensing_by(|_| intact_s, cuts);
+    }
+
+    /// Sets the sensing sheet: a conductance (siemens) that varies from place to place, with cuts.
+    pub fn set_sensing_by(&mut self, intact_s: impl Fn([f64; 2]) -> f64, cuts: &[Cut]) {
         for (element, tensor) in self.sensing.iter_mut().enumerate() {
             let corners = self.triangles[element].map(|node| self.positions[node as usize]);
-            *tensor = damaged_conductance(intact_s, cuts, corners);
+            let centroid = [0, 1].map(|axis| corners.iter().map(|corner| corner[axis]).sum::<f64>() / 3.0);
+            *tensor = damaged_conductance(intact_s(centroid), cuts, corners);
         }
         self.assemble_open();
     }

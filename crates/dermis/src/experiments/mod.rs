@@ -2,6 +2,7 @@
 //! what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
 
 pub mod em;
+pub mod healing;
 pub mod ionic;
 pub mod piezo;
 mod rig;
@@ -142,8 +143,9 @@ impl Experiment {
 }
 
 /// The papers that can be replayed, by their letters.
-pub const PAPERS: [(&str, &str, &[Experiment]); 3] = [
+pub const PAPERS: [(&str, &str, &[Experiment]); 4] = [
     ("E", "EM-skin: magnetic induction tomography", &em::EXPERIMENTS),
+    ("H", "self-healing sandwich: touch told from damage", &healing::EXPERIMENTS),
     ("I", "ionic liquid skin with fringing-field EIT", &ionic::EXPERIMENTS),
     ("P", "piezoresistive skins of several shapes on one backend", &piezo::EXPERIMENTS),
 ];

@@ -31,22 +31,29 @@ impl MaskRule {
 
 /// Labels of an image (positive where conductivity is raised; `NaN` outside the skin is background).
 pub fn masks_of_image(image: &[f32], rule: &MaskRule) -> Vec<u8> {
-    let finite = || image.iter().filter(|value| value.is_finite()).map(|value| f64::from(*value));
+    let mut labels = vec![BACKGROUND; image.len()];
+    label_image(image, 1.0, rule, &mut labels);
+    labels
+}
+
+/// As [`masks_of_image`] for the image times `factor`, into as many labels.
+pub(super) fn label_image(image: &[f32], factor: f32, rule: &MaskRule, labels: &mut [u8]) {
+    let value = |value: &f32| f64::from(factor * *value);
+    let finite = || image.iter().map(value).filter(|value| value.is_finite());
     let extremes = [(RAISED, 1.0, finite().fold(0.0, f64::max)), (LOWERED, -1.0, -finite().fold(0.0, f64::min))];
     let strongest = extremes[0].2.max(extremes[1].2);
-    let mut labels = vec![BACKGROUND; image.len()];
+    labels.fill(BACKGROUND);
     for (class, sign, extreme) in extremes {
         if extreme < rule.least_extreme.max(rule.side_lobe_share * strongest) || extreme == 0.0 {
             continue;
         }
         let threshold = (rule.inside_share * extreme).max(rule.least_value);
-        for (label, value) in labels.iter_mut().zip(image) {
-            if sign * f64::from(*value) > threshold {
+        for (label, pixel) in labels.iter_mut().zip(image) {
+            if sign * value(pixel) > threshold {
                 *label = class;
             }
         }
     }
-    labels
 }
 
 /// An image of `from` = rows, columns at `to` = rows, columns, bilinear between pixel centres, edges repeated; pixels

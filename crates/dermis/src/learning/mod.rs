@@ -1,6 +1,7 @@
-//! The second step of imaging: what a network is shown of a frame ([`FirstStep`]), training sets simulated from a skin
+//! The second step of imaging: what a network is shown of a frame ([`FirstStep`]), the classes of live frames ([`Classifier`]), training sets simulated from a skin
 //! file ([`train_set`]), and labels for recorded frames, with a network or without ([`segment`]).
 
+mod classifier;
 mod first_step;
 mod jitter;
 mod masks;
@@ -8,6 +9,7 @@ mod score;
 pub mod segment;
 pub mod train_set;
 
+pub use classifier::{Classes, Classifier};
 pub use first_step::{FirstStep, InputImage};
 pub use masks::{MaskRule, enlarge, masks_of_image};
 pub use score::challenge_score;

@@ -5,12 +5,12 @@ use std::path::PathBuf;
 
 use dermis_device::instruments::npy;
 use dermis_device::{FileSpec, Format, FrameTable};
+use dermis_learn::Model;
 use dermis_learn::metrics::most_likely;
-use dermis_learn::{Model, Network, Novelty};
 use dermis_tomo::mesh::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 
+use super::classifier::Classifier;
 use super::masks::{MaskRule, enlarge, masks_of_image};
-use super::{FirstStep, InputImage};
 use crate::Error;
 use crate::channels::ChannelReader;
 use crate::prepare::Prepared;
@@ -124,20 +124,9 @@ fn write(request: &SegmentRequest, [rows, columns]: [usize; 2], frames: &[Segmen
 pub struct Segmenter<'a> {
     prepared: &'a Prepared,
     reference: &'a Reference,
-    network: Option<SecondStep>,
+    network: Option<Classifier>,
     label_size: [usize; 2],
     outside: Vec<bool>,
-}
-
-/// A network with what it is shown.
-struct SecondStep {
-    first_step: FirstStep,
-    network: Network,
-    novelty: Option<Novelty>,
-    scale: Vec<f32>,
-    temperature: f32,
-    input: Vec<f32>,
-    probabilities: Vec<f32>,
 }
 
 impl<'a> Segmenter<'a> {
@@ -151,7 +140,7 @@ impl<'a> Segmenter<'a> {
         model: Option<&Model>,
         size: usize,
     ) -> Result<Self, Error> {
-        let network = model.map(|model| SecondStep::new(prepared, reference, model)).transpose()?;
+        let network = model.map(|model| Classifier::with_reference(prepared, reference, model)).transpose()?;
         let (low, high) = prepared.body.outline.bounds_m();
         let named = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
         let grid = PixelGrid::covering(low, high, size).map_err(named)?;
@@ -190,17 +179,17 @@ impl<'a> Segmenter<'a> {
     }
 
     fn by_network(&mut self, difference: &[f64], method: &mut Method) -> Result<Option<Segmented>, Error> {
-        let Some(step) = &mut self.network else { return Ok(None) };
-        let novelty = step.run(difference)?;
+        let Some(network) = &mut self.network else { return Ok(None) };
+        let novelty = network.run(difference)?;
         if let Some(novelty) = novelty.filter(|novelty| *novelty > 1.0) {
             *method = Method::UnlikeTraining { novelty };
             return Ok(None);
         }
-        let (rows, columns) = step.network.image_size();
-        let classes = step.network.shape().classes;
+        let (rows, columns) = network.image_size();
+        let classes = super::CLASSES.len();
         let pixels = self.label_size[0] * self.label_size[1];
         let mut probabilities = Vec::with_capacity(classes * pixels);
-        for class in step.probabilities.chunks_exact(rows * columns) {
+        for class in network.probabilities().chunks_exact(rows * columns) {
             probabilities.extend(enlarge(class, [rows, columns], self.label_size, &[]));
         }
         let mut labels = vec![0; pixels];
@@ -250,46 +239,5 @@ impl<'a> Segmenter<'a> {
 
     fn clear_outside(&self, labels: &mut [u8]) {
         labels.iter_mut().zip(&self.outside).filter(|(_, outside)| **outside).for_each(|(label, _)| *label = 0);
-    }
-}
-
-impl SecondStep {
-    fn new(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
-        model.check_skin(&prepared.skin.name, &prepared.skin.imaging_sha256())?;
-        let card = &model.card;
-        let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
-        let inputs: Vec<InputImage> = card
-            .inputs
-            .iter()
-            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
-            .collect::<Result<_, Error>>()?;
-        if card.classes != super::CLASSES {
-            return Err(refuse(format!("classes {}", super::CLASSES.join(", ")), card.classes.join(", ")));
-        }
-        let grid = prepared.map.grid();
-        if (card.rows, card.columns) != (grid.rows, grid.columns) {
-            let expected = format!("images of {} x {}", grid.rows, grid.columns);
-            return Err(refuse(expected, format!("{} x {}", card.rows, card.columns)));
-        }
-        Ok(Self {
-            first_step: FirstStep::new(prepared, reference, &inputs)?,
-            network: model.network()?,
-            novelty: model.novelty(),
-            scale: card.input_scale.clone(),
-            temperature: card.temperature,
-            input: vec![0.0; inputs.len() * grid.len()],
-            probabilities: vec![0.0; card.classes.len() * grid.len()],
-        })
-    }
-
-    /// Fills the probabilities; the novelty score.
-    fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
-        self.first_step.images_of(difference, &mut self.input)?;
-        let pixels = self.input.len() / self.scale.len();
-        for (image, factor) in self.input.chunks_exact_mut(pixels).zip(&self.scale) {
-            image.iter_mut().for_each(|value| *value *= factor);
-        }
-        self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
-        Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 }

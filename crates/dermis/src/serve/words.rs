@@ -1,8 +1,9 @@
-//! What can be done to a served twin, a line each, in words or as JSON: press, let go, break, repair.
+//! What can be done to a served twin, a line each, in words or as JSON: press, let go, break, repair, cut, heal.
 
 use dermis_twin::instrument::Fault;
 use serde::Deserialize;
 
+use crate::skin::TwinAction;
 use crate::twin_source::TwinCommand;
 use crate::twins::PressRange;
 
@@ -18,6 +19,11 @@ fault channel N noisy MILLIVOLT       channel N has noise of this standard devia
 fault frames lost SHARE               so many of the frames (0 to 1) are lost on the way
 fault frames repeated SHARE           so many of the frames are copies of the one before
 repair                                nothing is broken any more
+cut X0_MM Y0_MM X1_MM Y1_MM           a blade cuts a self-healing sheet from one point to another
+heal X_MM Y_MM RADIUS_MM CELSIUS HOURS  a heat pad is laid on it (90 C for 2 h heal)
+time-lapse FACTOR                     healing goes so many times as fast from now on
+drift PERCENT                         its conductivity rises as a whole by so much a minute
+renew                                 a new sheet
 or as JSON: {\"press\": {\"x_mm\": 1, \"y_mm\": 2, \"force_n\": 3}}, {\"fault\": {\"electrode_open\": 3}}, \"repair\"";
 
 /// A line as JSON.
@@ -39,6 +45,22 @@ enum Said {
     },
     Fault(SaidFault),
     Repair,
+    Cut {
+        x0_mm: f64,
+        y0_mm: f64,
+        x1_mm: f64,
+        y1_mm: f64,
+    },
+    Heal {
+        x_mm: f64,
+        y_mm: f64,
+        radius_mm: f64,
+        temperature_c: f64,
+        hours: f64,
+    },
+    TimeLapse(f64),
+    DriftPercentPerMin(f64),
+    Renew,
 }
 
 #[derive(Debug, Deserialize)]
@@ -102,6 +124,19 @@ fn in_words(line: &str) -> Option<Said> {
         ["fault", "frames", "lost", share] => Said::Fault(SaidFault::FramesLost(number(share)?)),
         ["fault", "frames", "repeated", share] => Said::Fault(SaidFault::FramesRepeated(number(share)?)),
         ["repair"] => Said::Repair,
+        ["cut", x0, y0, x1, y1] => {
+            Said::Cut { x0_mm: number(x0)?, y0_mm: number(y0)?, x1_mm: number(x1)?, y1_mm: number(y1)? }
+        }
+        ["heal", x, y, radius, celsius, hours] => Said::Heal {
+            x_mm: number(x)?,
+            y_mm: number(y)?,
+            radius_mm: number(radius)?,
+            temperature_c: number(celsius)?,
+            hours: number(hours)?,
+        },
+        ["time-lapse", factor] => Said::TimeLapse(number(factor)?),
+        ["drift", percent] => Said::DriftPercentPerMin(number(percent)?),
+        ["renew"] => Said::Renew,
         _ => return None,
     })
 }
@@ -125,7 +160,22 @@ fn command(said: Said, press: &PressRange) -> Result<TwinCommand, String> {
         Said::Release { pointer } => TwinCommand::Release { pointer },
         Said::Fault(fault) => TwinCommand::Break(broken(fault)?),
         Said::Repair => TwinCommand::Repair,
+        Said::Cut { x0_mm, y0_mm, x1_mm, y1_mm } => {
+            treatment(TwinAction::Cut { from_mm: [x0_mm, y0_mm], to_mm: [x1_mm, y1_mm] })?
+        }
+        Said::Heal { x_mm, y_mm, radius_mm, temperature_c, hours } => {
+            treatment(TwinAction::Heal { at_mm: [x_mm, y_mm], radius_mm, temperature_c, hours })?
+        }
+        Said::TimeLapse(factor) => treatment(TwinAction::TimeLapse(factor))?,
+        Said::DriftPercentPerMin(percent) => treatment(TwinAction::DriftPercentPerMin(percent))?,
+        Said::Renew => treatment(TwinAction::Renew)?,
     })
+}
+
+fn treatment(action: TwinAction) -> Result<TwinCommand, String> {
+    let treatment = action.treatment();
+    treatment.check().map_err(|error| error.to_string())?;
+    Ok(TwinCommand::Treat(treatment))
 }
 
 /// People count from 1.
@@ -176,6 +226,14 @@ mod tests {
             ("fault coil 3 dead", r#"{"fault": {"coil_dead": 3}}"#),
             ("fault frames repeated 0.5", r#"{"fault": {"frames_repeated": 0.5}}"#),
             ("repair", r#""repair""#),
+            ("cut -10 0 10 5", r#"{"cut": {"x0_mm": -10, "y0_mm": 0, "x1_mm": 10, "y1_mm": 5}}"#),
+            (
+                "heal 1 2 25 90 2",
+                r#"{"heal": {"x_mm": 1, "y_mm": 2, "radius_mm": 25, "temperature_c": 90, "hours": 2}}"#,
+            ),
+            ("time-lapse 3600", r#"{"time_lapse": 3600}"#),
+            ("drift 0.2", r#"{"drift_percent_per_min": 0.2}"#),
+            ("renew", r#""renew""#),
         ] {
             assert_eq!(of(words), of(json), "{words}");
         }
@@ -201,6 +259,8 @@ mod tests {
             ("press 1 2 -3", "a force not below"),
             ("press 1 2 3 0", "a radius above 0"),
             ("fault electrode 0 open", "counted from 1"),
+            ("cut 1 2 1 2", "cut length"),
+            ("heal 0 0 25 900 2", "temperature_c: 900"),
             (r#"{"press": {"x_mm": 1}}"#, "missing field"),
             (r#"{"push": {}}"#, "unknown variant"),
         ] {

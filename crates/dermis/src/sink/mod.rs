@@ -9,6 +9,7 @@ mod touch_table;
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
+use crate::learning::Classes;
 use crate::{Error, Marks};
 
 pub use image_stack::ImageStack;
@@ -39,6 +40,8 @@ pub struct Output<'a> {
     pub touches: &'a [Touch],
     /// What happened to each touch.
     pub events: &'a [TouchEvent],
+    /// What a network makes of the frame, where there is one.
+    pub classes: Option<&'a Classes>,
     /// Channels left out, and electrodes blamed.
     pub health: Health<'a>,
     /// What is odd about the frame's number or time.
@@ -143,6 +146,7 @@ pub(crate) mod testing {
             rows: 2,
             touches,
             events,
+            classes: None,
             health,
             marks,
         }

@@ -16,7 +16,7 @@ pub use health::HealthSettings;
 pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
-pub use twin::{NoisyChannel, StuckChannel, TwinFaults, TwinSettings};
+pub use twin::{NoisyChannel, StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
 
 use std::path::Path;
 
@@ -618,6 +618,8 @@ pub struct TouchSettings {
     pub relative_size: f64,
     /// Error of positions that noise does not explain, mm.
     pub position_floor_mm: f64,
+    /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
+    pub contact_s_per_m2: f64,
     /// Refine touches by fitting place, amplitude and radius to the forward model.
     pub refine: bool,
     /// Time constant of the drift compensation, seconds; 0 switches it off. It stands still under touch.
@@ -635,6 +637,7 @@ impl Default for TouchSettings {
             both_signs: false,
             assumed_noise_share: 1e-4,
             relative_size: 0.1,
+            contact_s_per_m2: 700.0,
             position_floor_mm: 2.0,
             refine: false,
             drift_time_constant_s: 60.0,
@@ -712,7 +715,7 @@ impl Skin {
         let named = self.twin.names_channels();
         let channels = if named { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
         let coils = if self.modality == Modality::Mit { self.electrode_shapes().len() } else { 0 };
-        self.twin.check(twin::Parts { electrodes, coils, channels }, file)?;
+        self.twin.check(twin::Parts { electrodes, coils, channels }, &self.frontend.layer.kind, file)?;
         self.health.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {
             return Err(refused(file, "imaging.grid", self.imaging.grid, "4 to 512 pixels"));
@@ -725,9 +728,11 @@ impl Skin {
             let value = format!("{} with hold_sigma = {}", touch.begin_sigma, touch.hold_sigma);
             return Err(refused(file, "touch.begin_sigma", value, "begin_sigma >= hold_sigma > 0"));
         }
-        for (field, value) in
-            [("touch.relative_size", touch.relative_size), ("touch.position_floor_mm", touch.position_floor_mm)]
-        {
+        for (field, value) in [
+            ("touch.relative_size", touch.relative_size),
+            ("touch.position_floor_mm", touch.position_floor_mm),
+            ("touch.contact_s_per_m2", touch.contact_s_per_m2),
+        ] {
             if !(value > 0.0 && value.is_finite()) {
                 return Err(refused(file, field, value, "a positive number"));
             }

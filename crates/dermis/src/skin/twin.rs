@@ -1,6 +1,8 @@
 //! What a skin file says of its twin: the seed of its noise, and what is broken in its instrument.
 
 use dermis_twin::instrument::{Fault, TimedFault};
+use dermis_twin::physics::Cut;
+use dermis_twin::{Heating, TimedTreatment, Treatment};
 use serde::{Deserialize, Serialize};
 
 use super::refused;
@@ -19,6 +21,68 @@ pub struct TwinSettings {
     /// What is broken, and when.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub faults: Vec<TwinFaults>,
+    /// What is done to a self-healing sheet, and when.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub treatments: Vec<TwinTreatment>,
+}
+
+/// Something done to a self-healing sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TwinTreatment {
+    /// Seconds after the first frame.
+    pub at_s: f64,
+    /// What is done.
+    pub action: TwinAction,
+}
+
+/// What can be done to a self-healing sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum TwinAction {
+    /// A blade cuts it.
+    Cut {
+        /// One end.
+        from_mm: [f64; 2],
+        /// The other end.
+        to_mm: [f64; 2],
+    },
+    /// A heat pad is laid on it.
+    Heal {
+        /// Middle of the pad.
+        at_mm: [f64; 2],
+        /// Its radius.
+        radius_mm: f64,
+        /// Its temperature.
+        temperature_c: f64,
+        /// How long it stays.
+        hours: f64,
+    },
+    /// Cuts, heat and their aftermath go this many times as fast from then on.
+    TimeLapse(f64),
+    /// Its conductivity rises as a whole, percent a minute, from then on.
+    DriftPercentPerMin(f64),
+    /// A new sheet is put in.
+    Renew,
+}
+
+impl TwinAction {
+    /// As the twin takes it.
+    pub fn treatment(self) -> Treatment {
+        let metres = |[x, y]: [f64; 2]| [x * 1e-3, y * 1e-3];
+        match self {
+            Self::Cut { from_mm, to_mm } => Treatment::Cut(Cut::open(metres(from_mm), metres(to_mm))),
+            Self::Heal { at_mm, radius_mm, temperature_c, hours } => Treatment::Heat(Heating {
+                centre_m: metres(at_mm),
+                radius_m: radius_mm * 1e-3,
+                temperature_c,
+                duration_s: hours * 3600.0,
+            }),
+            Self::TimeLapse(factor) => Treatment::TimeLapse(factor),
+            Self::DriftPercentPerMin(percent) => Treatment::Warm(percent * 0.01 / 60.0),
+            Self::Renew => Treatment::Renew,
+        }
+    }
 }
 
 fn is_zero(value: &f64) -> bool {
@@ -90,7 +154,29 @@ impl TwinSettings {
         self.faults.iter().any(|faults| !faults.stuck_channels.is_empty() || !faults.noisy_channels.is_empty())
     }
 
-    pub(super) fn check(&self, parts: Parts, file: &str) -> Result<(), Error> {
+    /// The treatments as the twin takes them.
+    pub fn timed_treatments(&self) -> Vec<TimedTreatment> {
+        let timed = |t: &TwinTreatment| TimedTreatment { at_s: t.at_s, treatment: t.action.treatment() };
+        self.treatments.iter().map(timed).collect()
+    }
+
+    fn check_treatments(&self, kind: &str, file: &str) -> Result<(), Error> {
+        if kind != "sandwich" && !self.treatments.is_empty() {
+            return Err(refused(file, "twin.treatments", kind, "none, except with frontend.layer.kind = \"sandwich\""));
+        }
+        for TwinTreatment { at_s, action } in &self.treatments {
+            if !(*at_s >= 0.0 && at_s.is_finite()) {
+                return Err(refused(file, "twin.treatments.at_s", at_s, "0 or more"));
+            }
+            if let Err(error) = action.treatment().check() {
+                return Err(refused(file, "twin.treatments.action", error, "numbers that make sense"));
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn check(&self, parts: Parts, kind: &str, file: &str) -> Result<(), Error> {
+        self.check_treatments(kind, file)?;
         if !(-90.0..=90.0).contains(&self.phase_error_deg) {
             return Err(refused(file, "twin.phase_error_deg", self.phase_error_deg, "-90 to 90"));
         }
@@ -201,6 +287,29 @@ mod tests {
         assert_eq!(times, [(2.0, Some(3.0)), (2.0, Some(3.0)), (0.0, None), (0.0, None)]);
         assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
         assert!(!Skin::open("healing-square").unwrap().to_toml().contains("twin"), "a sound twin needs no table");
+    }
+
+    #[test]
+    fn treatments_are_read_in_millimetres_and_checked() {
+        let text = builtin_text("healing-square").unwrap();
+        let with = |list: &str| Skin::parse(&format!("{text}\n[twin]\ntreatments = [{list}]\n"), "a page");
+        let list = r#"{ at_s = 2.0, action = { cut = { from_mm = [-10, 0], to_mm = [10, 5] } } },
+            { at_s = 3.0, action = { heal = { at_mm = [0, 0], radius_mm = 25, temperature_c = 90, hours = 2 } } },
+            { at_s = 3.0, action = { time-lapse = 3600.0 } }, { at_s = 9.0, action = "renew" }"#;
+        let skin = with(&list.replace('\n', " ")).unwrap();
+        let timed = skin.twin.timed_treatments();
+        let Treatment::Cut(cut) = timed[0].treatment else { panic!("{timed:?}") };
+        assert_eq!((cut.from_m, cut.to_m, timed[0].at_s), ([-0.01, 0.0], [0.01, 0.005], 2.0));
+        assert_eq!(timed[1].treatment, Treatment::Heat(Heating::published([0.0; 2], 0.025)));
+        assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
+        let error = |list: &str| with(list).unwrap_err().to_string();
+        assert!(error("{ at_s = -1.0, action = \"renew\" }").contains("twin.treatments.at_s = -1"));
+        let hot =
+            "{ at_s = 1.0, action = { heal = { at_mm = [0, 0], radius_mm = 25, temperature_c = 900, hours = 2 } } }";
+        assert!(error(hot).contains("temperature_c: 900"), "{}", error(hot));
+        let other = builtin_text("ionic-disc").unwrap();
+        let other = Skin::parse(&format!("{other}\n[twin]\ntreatments = [{list}]\n"), "a page").unwrap_err();
+        assert!(other.to_string().contains("twin.treatments = liquid"), "{other}");
     }
 
     #[test]

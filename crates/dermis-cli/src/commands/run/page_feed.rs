@@ -15,6 +15,7 @@ use dermis_cli::page::{
     Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
     TouchView, Update,
 };
+use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_tomo::mesh::{Contact, Outline};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
@@ -86,6 +87,22 @@ impl PageFeed {
             update.state.source = SourceState::Running;
         }
         self.take_health(output);
+        self.take_classes(output);
+    }
+
+    fn take_classes(&mut self, output: &Output<'_>) {
+        let Some(seen) = output.classes else {
+            self.update.classes = None;
+            return;
+        };
+        let shown = self.update.classes.get_or_insert_default();
+        (shown.rows, shown.cols) = (seen.rows, seen.columns);
+        for (values, class) in [(&mut shown.lowered, LOWERED), (&mut shown.raised, RAISED)] {
+            values.clear();
+            values.extend_from_slice(seen.of_class(class).unwrap_or_default());
+        }
+        shown.novelty = seen.novelty.unwrap_or(f32::NAN);
+        shown.falls_back = seen.falls_back;
     }
 
     fn take_health(&mut self, output: &Output<'_>) {
@@ -217,6 +234,8 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         skin: prepared.skin.name.clone(),
         modality: prepared.skin.modality.name().into(),
         is_twin: press.is_some(),
+        watches_damage: false,
+        is_treatable: press.is_some() && prepared.skin.frontend.layer.kind == "sandwich",
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
         bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
         electrodes: electrodes(prepared),

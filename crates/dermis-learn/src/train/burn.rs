@@ -7,21 +7,20 @@ use burn::tensor::module::{batch_norm_train, conv2d, interpolate, max_pool2d};
 use burn::tensor::ops::{ConvOptions, InterpolateMode, InterpolateOptions, MaxPoolOptions};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
+use super::{Batch, Descent, MOMENTUM};
 use crate::LearnError;
 use crate::network::NORM_EPSILON;
-use crate::shape::{TensorRole, TensorSpec, UNetShape};
+use crate::shape::{TensorSpec, UNetShape};
 use crate::weights::Tensors;
 
-/// Share by which a batch moves the running mean and variance; PyTorch's default.
-const MOMENTUM: f32 = 0.1;
-
 /// A U-Net being trained.
-pub(super) struct TrainableUNet {
+pub(super) struct BurnUNet {
     shape: UNetShape,
     blocks: Vec<Block>,
     head: Learned<4>,
     head_bias: Learned<1>,
     optimiser: Adam,
+    class_weights: Vec<f32>,
     device: Device,
 }
 
@@ -50,12 +49,13 @@ impl<const D: usize> Learned<D> {
     }
 }
 
-impl TrainableUNet {
-    /// From weights; `moments`, where given, holds Adam's as written by [`TrainableUNet::moments`] after `steps` steps.
+impl BurnUNet {
+    /// From weights; `moments`, where given, holds Adam's as written by [`BurnUNet::moments`] after `steps` steps.
     pub(super) fn new(
         shape: UNetShape,
         tensors: &Tensors,
         moments: Option<(&Tensors, usize)>,
+        class_weights: &[f32],
         device: &Device,
     ) -> Result<Self, LearnError> {
         let specs = shape.tensors();
@@ -76,24 +76,9 @@ impl TrainableUNet {
             head: loader.learned(&head[0])?,
             head_bias: loader.learned(&head[1])?,
             optimiser: AdamConfig::new().with_epsilon(1e-8).build(),
+            class_weights: class_weights.to_vec(),
             device: device.clone(),
         })
-    }
-
-    /// One step of descent on a batch (batch x inputs x rows x columns; labels batch x rows x columns); the loss before it.
-    pub(super) fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
-        let logits = self.forward(self.images(batch));
-        let loss = self.loss(logits, batch);
-        let value = loss.clone().into_scalar::<f32>();
-        let gradients = loss.backward();
-        for block in &mut self.blocks {
-            block.kernel.step(&self.optimiser, rate, &gradients);
-            block.gain.step(&self.optimiser, rate, &gradients);
-            block.offset.step(&self.optimiser, rate, &gradients);
-        }
-        self.head.step(&self.optimiser, rate, &gradients);
-        self.head_bias.step(&self.optimiser, rate, &gradients);
-        f64::from(value)
     }
 
     fn images(&self, batch: &Batch<'_>) -> Tensor<4> {
@@ -101,18 +86,20 @@ impl TrainableUNet {
         Tensor::from_data(data, &self.device)
     }
 
-    /// Mean cross-entropy.
+    /// Weighted mean cross-entropy.
     fn loss(&self, logits: Tensor<4>, batch: &Batch<'_>) -> Tensor<1> {
         let pixels = batch.rows * batch.columns;
         let mut one_hot = vec![0.0_f32; batch.count * self.shape.classes * pixels];
+        let mut count = 0.0;
         for (place, &label) in batch.labels.iter().enumerate() {
             let (frame, pixel) = (place / pixels, place % pixels);
-            one_hot[(frame * self.shape.classes + usize::from(label)) * pixels + pixel] = 1.0;
+            one_hot[(frame * self.shape.classes + usize::from(label)) * pixels + pixel] =
+                self.class_weights[usize::from(label)];
+            count += f64::from(self.class_weights[usize::from(label)]);
         }
         let data = TensorData::new(one_hot, [batch.count, self.shape.classes, batch.rows, batch.columns]);
         let target = Tensor::<4>::from_data(data, &self.device);
-        let count = (batch.count * pixels) as f32;
-        (log_softmax(logits, 1) * target).sum().mul_scalar(-1.0 / count)
+        (log_softmax(logits, 1) * target).sum().mul_scalar(-1.0 / count as f32)
     }
 
     /// Logits; moves the running means and variances.
@@ -138,9 +125,25 @@ impl TrainableUNet {
         let options = ConvOptions::new([1, 1], [0, 0], [1, 1], 1);
         conv2d(x, self.head.value.clone(), Some(self.head_bias.value.clone()), options)
     }
+}
 
-    /// The weights as they are now.
-    pub(super) fn tensors(&self) -> Result<Tensors, LearnError> {
+impl Descent for BurnUNet {
+    fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
+        let logits = self.forward(self.images(batch));
+        let loss = self.loss(logits, batch);
+        let value = loss.clone().into_scalar::<f32>();
+        let gradients = loss.backward();
+        for block in &mut self.blocks {
+            block.kernel.step(&self.optimiser, rate, &gradients);
+            block.gain.step(&self.optimiser, rate, &gradients);
+            block.offset.step(&self.optimiser, rate, &gradients);
+        }
+        self.head.step(&self.optimiser, rate, &gradients);
+        self.head_bias.step(&self.optimiser, rate, &gradients);
+        f64::from(value)
+    }
+
+    fn tensors(&self) -> Result<Tensors, LearnError> {
         let mut tensors = Tensors::default();
         let specs = self.shape.tensors();
         let (of_blocks, head) = specs.split_at(specs.len() - 2);
@@ -156,8 +159,7 @@ impl TrainableUNet {
         Ok(tensors)
     }
 
-    /// Adam's moments, as `first.NAME` and `second.NAME`; none before the first step.
-    pub(super) fn moments(&self) -> Result<Tensors, LearnError> {
+    fn moments(&self) -> Result<Tensors, LearnError> {
         let mut tensors = Tensors::default();
         let specs = self.shape.tensors();
         let (of_blocks, head) = specs.split_at(specs.len() - 2);
@@ -184,15 +186,6 @@ impl Block {
         let x = normed.output;
         x.clone() / x.abs().add_scalar(1.0)
     }
-}
-
-/// Samples of one step.
-pub(super) struct Batch<'a> {
-    pub(super) count: usize,
-    pub(super) rows: usize,
-    pub(super) columns: usize,
-    pub(super) inputs: &'a [f32],
-    pub(super) labels: &'a [u8],
 }
 
 /// From named values to tensors.
@@ -253,22 +246,4 @@ fn store_moments<const D: usize>(tensors: &mut Tensors, name: &str, learned: &Le
             store(tensors, &format!("second.{name}"), &state.momentum.moment_2)
         }
     }
-}
-
-/// Weights to begin with: kernels uniform within `sqrt(3 / fan-in)` (unit gain), gains 1, offsets 0.
-pub(super) fn initial(shape: &UNetShape, random: &mut impl rand::Rng) -> Result<Tensors, LearnError> {
-    let mut tensors = Tensors::default();
-    for spec in shape.tensors() {
-        let count = spec.len();
-        let values = match spec.role {
-            TensorRole::Kernel => {
-                let bound = (3.0 / spec.dims[1..].iter().product::<usize>() as f32).sqrt();
-                (0..count).map(|_| random.random_range(-bound..bound)).collect()
-            }
-            TensorRole::Gain | TensorRole::RunningVariance => vec![1.0; count],
-            TensorRole::Offset | TensorRole::RunningMean => vec![0.0; count],
-        };
-        tensors.insert(spec.name, spec.dims, values)?;
-    }
-    Ok(tensors)
 }

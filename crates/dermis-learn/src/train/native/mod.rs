@@ -1,0 +1,282 @@
+//! Training on the processor without a framework: forward and backward of exactly this U-Net on the kernels that run it
+//! live, Adam (Kingma & Ba, ICLR 2015, algorithm 1), samples of a batch side by side on all threads. Sums over samples
+//! are taken in their order, so that a training gives the same weights whatever the number of threads.
+
+mod layer;
+mod loss;
+mod sample;
+
+use pulp::Arch;
+use rayon::prelude::*;
+
+use super::{Batch, Descent};
+use crate::LearnError;
+use crate::kernels::{pool, pool_back, repeat, repeat_back};
+use crate::shape::{TensorSpec, UNetShape};
+use crate::weights::Tensors;
+use layer::Layer;
+use loss::Head;
+use sample::{Sample, layout_of};
+
+/// Adam's decay rates and the number that keeps its division finite: the paper's.
+const DECAY: [f64; 2] = [0.9, 0.999];
+const ADAM_EPSILON: f64 = 1e-8;
+
+/// A U-Net being trained.
+pub(super) struct NativeUNet {
+    shape: UNetShape,
+    layers: Vec<Layer>,
+    head: Head,
+    program: Vec<Step>,
+    samples: Vec<Sample>,
+    /// Steps of Adam so far.
+    steps: usize,
+    arch: Arch,
+}
+
+/// Channels of one image of a sample: which image, and the first channel.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    plane: usize,
+    channel: usize,
+}
+
+/// What is done to every sample, one after the other; backward in the opposite order.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    Layer(usize),
+    /// To the coarser level that is named.
+    Pool {
+        level: usize,
+        from: Place,
+        to: usize,
+    },
+    /// From the coarser level that is named.
+    Repeat {
+        level: usize,
+        from: usize,
+        to: usize,
+    },
+}
+
+/// A tensor that descent moves: slopes of the last batch, and Adam's moments.
+struct Learned {
+    value: Vec<f32>,
+    slope: Vec<f32>,
+    first: Vec<f32>,
+    second: Vec<f32>,
+}
+
+impl Learned {
+    fn step(&mut self, rate: f64, steps: usize) {
+        let powers = DECAY.map(|decay| 1.0 - decay.powi(steps as i32));
+        let (rate, second_scale) = ((rate / powers[0]) as f32, (1.0 / powers[1]) as f32);
+        let [a, b] = DECAY.map(|decay| decay as f32);
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for ((value, slope), (first, second)) in self.value.iter_mut().zip(&self.slope).zip(moments) {
+            *first = a * *first + (1.0 - a) * slope;
+            *second = b * *second + (1.0 - b) * slope * slope;
+            *value -= rate * *first / ((*second * second_scale).sqrt() + ADAM_EPSILON as f32);
+        }
+    }
+}
+
+impl NativeUNet {
+    /// From weights; `moments`, where given, holds Adam's as written by [`NativeUNet::moments`] after so many steps.
+    pub(super) fn new(
+        shape: UNetShape,
+        tensors: &Tensors,
+        moments: Option<(&Tensors, usize)>,
+        class_weights: &[f32],
+    ) -> Result<Self, LearnError> {
+        let loader = Loader { tensors, moments: moments.map(|(moments, _)| moments) };
+        let specs = shape.tensors();
+        let (of_layers, of_head) = specs.split_at(specs.len() - 2);
+        let mut five = of_layers.chunks_exact(5);
+        let (mut layers, mut program) = (Vec::new(), Vec::new());
+        let mut layer = |level: usize, from: usize, to: Place, program: &mut Vec<Step>| {
+            let Some(specs) = five.next() else { return Ok(()) };
+            program.push(Step::Layer(layers.len()));
+            layers.push(Layer::new(&loader, specs, layers.len(), level, from, to)?);
+            Ok::<(), LearnError>(())
+        };
+        let whole = |plane: usize| Place { plane, channel: 0 };
+        let coarsest = shape.levels - 1;
+        for level in 0..shape.levels {
+            let own = if level < coarsest { shape.channels(level + 1) } else { 0 };
+            let joined = Place { plane: sample::joined(level), channel: own };
+            layer(level, sample::entrance(level), whole(sample::middle_down(level)), &mut program)?;
+            layer(level, sample::middle_down(level), joined, &mut program)?;
+            if level < coarsest {
+                program.push(Step::Pool { level: level + 1, from: joined, to: sample::entrance(level + 1) });
+            }
+        }
+        for level in (0..coarsest).rev() {
+            let below = if level + 1 == coarsest { sample::joined(level + 1) } else { sample::risen(level + 1) };
+            program.push(Step::Repeat { level: level + 1, from: below, to: sample::joined(level) });
+            layer(level, sample::joined(level), whole(sample::middle_up(level)), &mut program)?;
+            layer(level, sample::middle_up(level), whole(sample::risen(level)), &mut program)?;
+        }
+        let last = if coarsest == 0 { sample::joined(0) } else { sample::risen(0) };
+        let head = Head::new(&loader, of_head, shape.classes, last, class_weights)?;
+        let (samples, steps) = (Vec::new(), moments.map_or(0, |(_, steps)| steps));
+        Ok(Self { shape, layers, head, program, samples, steps, arch: Arch::new() })
+    }
+
+    /// Loss of a batch; slopes by all that is learned are left beside the values, and the running means and variances
+    /// move.
+    fn slopes(&mut self, batch: &Batch<'_>) -> f64 {
+        self.take_in(batch);
+        let samples = &mut self.samples[..batch.count];
+        for layer in &mut self.layers {
+            layer.refresh();
+        }
+        for step in &self.program {
+            match *step {
+                Step::Layer(number) => self.layers[number].forward(self.arch, batch, samples),
+                Step::Pool { level, from, to } => {
+                    let (finer, layout) = (layout_of(batch, level - 1), layout_of(batch, level));
+                    samples.par_iter_mut().for_each(|sample| {
+                        let mut target = std::mem::take(&mut sample.planes[to]);
+                        pool(layout, &sample.planes[from.plane][from.channel * finer.pitch()..], &mut target);
+                        sample.planes[to] = target;
+                    });
+                }
+                Step::Repeat { level, from, to } => samples.par_iter_mut().for_each(|sample| {
+                    let mut target = std::mem::take(&mut sample.planes[to]);
+                    repeat(layout_of(batch, level), &sample.planes[from], &mut target);
+                    sample.planes[to] = target;
+                }),
+            }
+        }
+        let loss = self.head.run(self.arch, batch, samples);
+        for step in self.program.iter().rev() {
+            match *step {
+                Step::Layer(number) => self.layers[number].backward(self.arch, batch, samples),
+                Step::Pool { level, from, to } => samples.par_iter_mut().for_each(|sample| {
+                    let start = from.channel * layout_of(batch, level - 1).pitch();
+                    let mut target = std::mem::take(&mut sample.slopes[from.plane]);
+                    let (values, coarse) = (&sample.planes[from.plane][start..], &sample.planes[to]);
+                    pool_back(layout_of(batch, level), values, coarse, &sample.slopes[to], &mut target[start..]);
+                    sample.slopes[from.plane] = target;
+                }),
+                Step::Repeat { level, from, to } => samples.par_iter_mut().for_each(|sample| {
+                    let mut target = std::mem::take(&mut sample.slopes[from]);
+                    repeat_back(layout_of(batch, level), &sample.slopes[to], &mut target);
+                    sample.slopes[from] = target;
+                }),
+            }
+        }
+        loss
+    }
+
+    /// Lays out the samples, and puts the images in.
+    fn take_in(&mut self, batch: &Batch<'_>) {
+        let fits = self.samples.first().is_none_or(|sample| sample.size == (batch.rows, batch.columns));
+        if !fits {
+            self.samples.clear();
+        }
+        while self.samples.len() < batch.count {
+            self.samples.push(Sample::new(&self.shape, batch, &self.layers));
+        }
+        let layout = layout_of(batch, 0);
+        let given = batch.inputs.chunks_exact(self.shape.inputs * layout.pixels());
+        for (sample, images) in self.samples.iter_mut().zip(given) {
+            let channels = sample.planes[sample::entrance(0)].chunks_exact_mut(layout.pitch());
+            for (channel, image) in channels.zip(images.chunks_exact(layout.pixels())) {
+                for (row, values) in image.chunks_exact(layout.columns).enumerate() {
+                    channel[layout.row(row)].copy_from_slice(values);
+                }
+            }
+        }
+    }
+
+    fn learned(&mut self) -> impl Iterator<Item = &mut Learned> {
+        let of_layers =
+            self.layers.iter_mut().flat_map(|layer| [&mut layer.kernel, &mut layer.gain, &mut layer.offset]);
+        of_layers.chain([&mut self.head.weight, &mut self.head.bias])
+    }
+}
+
+impl Descent for NativeUNet {
+    fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
+        let loss = self.slopes(batch);
+        self.steps += 1;
+        let steps = self.steps;
+        self.learned().for_each(|learned| learned.step(rate, steps));
+        loss
+    }
+
+    fn tensors(&self) -> Result<Tensors, LearnError> {
+        let mut tensors = Tensors::default();
+        let specs = self.shape.tensors();
+        let (of_layers, of_head) = specs.split_at(specs.len() - 2);
+        let mut put =
+            |spec: &TensorSpec, values: &[f32]| tensors.insert(spec.name.clone(), spec.dims.clone(), values.to_vec());
+        for (specs, layer) in of_layers.chunks_exact(5).zip(&self.layers) {
+            put(&specs[0], &layer.kernel.value)?;
+            put(&specs[1], &layer.gain.value)?;
+            put(&specs[2], &layer.offset.value)?;
+            put(&specs[3], &layer.mean)?;
+            put(&specs[4], &layer.variance)?;
+        }
+        put(&of_head[0], &self.head.weight.value)?;
+        put(&of_head[1], &self.head.bias.value)?;
+        Ok(tensors)
+    }
+
+    fn moments(&self) -> Result<Tensors, LearnError> {
+        let mut tensors = Tensors::default();
+        let specs = self.shape.tensors();
+        let (of_layers, of_head) = specs.split_at(specs.len() - 2);
+        let mut put = |spec: &TensorSpec, learned: &Learned| {
+            for (prefix, values) in [("first", &learned.first), ("second", &learned.second)] {
+                tensors.insert(format!("{prefix}.{}", spec.name), spec.dims.clone(), values.clone())?;
+            }
+            Ok::<(), LearnError>(())
+        };
+        for (specs, layer) in of_layers.chunks_exact(5).zip(&self.layers) {
+            put(&specs[0], &layer.kernel)?;
+            put(&specs[1], &layer.gain)?;
+            put(&specs[2], &layer.offset)?;
+        }
+        put(&of_head[0], &self.head.weight)?;
+        put(&of_head[1], &self.head.bias)?;
+        Ok(tensors)
+    }
+}
+
+/// From named values to what is learned.
+struct Loader<'a> {
+    tensors: &'a Tensors,
+    moments: Option<&'a Tensors>,
+}
+
+impl Loader<'_> {
+    fn learned(&self, spec: &TensorSpec) -> Result<Learned, LearnError> {
+        let moment = |name: &str| match self.moments {
+            Some(moments) => Self::values(moments, &format!("{name}.{}", spec.name), spec),
+            None => Ok(vec![0.0; spec.len()]),
+        };
+        let (first, second) = (moment("first")?, moment("second")?);
+        Ok(Learned { value: self.running(spec)?, slope: vec![0.0; spec.len()], first, second })
+    }
+
+    /// Values that are not learned by descent.
+    fn running(&self, spec: &TensorSpec) -> Result<Vec<f32>, LearnError> {
+        Self::values(self.tensors, &spec.name, spec)
+    }
+
+    fn values(tensors: &Tensors, name: &str, spec: &TensorSpec) -> Result<Vec<f32>, LearnError> {
+        match tensors.get(name) {
+            Some((dims, values)) if dims == spec.dims => Ok(values.to_vec()),
+            found => {
+                let got = found.map_or(0, |(_, values)| values.len());
+                Err(LearnError::Size { what: "values of a tensor", expected: spec.len(), got })
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,82 @@
+//! What is remembered of one sample between forward and backward: every image of the network, and the slopes by it.
+
+use super::layer::Layer;
+use crate::kernels::Layout;
+use crate::shape::UNetShape;
+use crate::train::Batch;
+
+/// Images a level.
+const PLANES: usize = 5;
+
+/// What a level starts from on the way down.
+pub(super) fn entrance(level: usize) -> usize {
+    PLANES * level
+}
+
+/// Between its two layers on the way down.
+pub(super) fn middle_down(level: usize) -> usize {
+    PLANES * level + 1
+}
+
+/// The coarser image repeated, then the level's own; the own alone on the coarsest level.
+pub(super) fn joined(level: usize) -> usize {
+    PLANES * level + 2
+}
+
+/// Between its two layers on the way up.
+pub(super) fn middle_up(level: usize) -> usize {
+    PLANES * level + 3
+}
+
+/// What the way up ends in.
+pub(super) fn risen(level: usize) -> usize {
+    PLANES * level + 4
+}
+
+/// Layout of a level's images.
+pub(super) fn layout_of(batch: &Batch<'_>, level: usize) -> Layout {
+    Layout { rows: batch.rows >> level, columns: batch.columns >> level }
+}
+
+/// One sample on its way.
+pub(super) struct Sample {
+    pub(super) size: (usize, usize),
+    pub(super) planes: Vec<Vec<f32>>,
+    pub(super) slopes: Vec<Vec<f32>>,
+    /// Sums of each layer before its batch norm.
+    pub(super) raw: Vec<Vec<f32>>,
+    /// Slopes by the kernel of the layer at work.
+    pub(super) kernel_slope: Vec<f32>,
+    /// Two sums a channel of the layer at work.
+    pub(super) sums: Vec<[f64; 2]>,
+    /// Classes x layout.
+    pub(super) logits: Vec<f32>,
+    pub(super) loss: f64,
+}
+
+impl Sample {
+    pub(super) fn new(shape: &UNetShape, batch: &Batch<'_>, layers: &[Layer]) -> Self {
+        let mut planes = Vec::new();
+        for level in 0..shape.levels {
+            let (own, last) = (shape.channels(level), level + 1 == shape.levels);
+            let entering = if level == 0 { shape.inputs } else { shape.channels(level - 1) };
+            let above = if last { 0 } else { shape.channels(level + 1) };
+            let risen = if last { 0 } else { own };
+            let pitch = layout_of(batch, level).pitch();
+            for channels in [entering, own, above + own, risen, risen] {
+                planes.push(vec![0.0; channels * pitch]);
+            }
+        }
+        let raw = layers.iter().map(|layer| vec![0.0; layer.outputs * layout_of(batch, layer.level).pitch()]);
+        Self {
+            size: (batch.rows, batch.columns),
+            slopes: planes.clone(),
+            planes,
+            raw: raw.collect(),
+            kernel_slope: Vec::new(),
+            sums: Vec::new(),
+            logits: vec![0.0; shape.classes * layout_of(batch, 0).pitch()],
+            loss: 0.0,
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by Levenberg and Marquardt
+//! (Marquardt, J. SIAM 11, 1963, 431) on the full model, with a broad prior on radius and conductance.
+
+use faer::linalg::solvers::{Llt, Solve};
+use faer::{Mat, Side};
+
+use super::{ContactPatch, ContactSheet, Touched};
+use crate::eit::EitError;
+
+/// Parameters of a patch: x, y, logarithm of the radius, logarithm of the conductance per area.
+const OF_PATCH: usize = 4;
+/// Damping at the start and at most, relative to the diagonal.
+const DAMPING: [f64; 2] = [1e-3, 1e6];
+/// Steps in which places move by less than this, metres, and logarithms by 100 times as much per metre, end the fit.
+const SETTLED_M: f64 = 2e-5;
+/// A step moves no place by more than this many radii, and no logarithm by more than [`LONGEST_LOG`].
+const LONGEST: f64 = 0.7;
+const LONGEST_LOG: f64 = 0.7;
+
+/// What is expected of patches before anything is measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitOptions {
+    /// Typical radius, metres.
+    pub radius_m: f64,
+    /// Standard deviation of its natural logarithm.
+    pub radius_log_deviation: f64,
+    /// Typical conductance per area, S/m^2.
+    pub conductance_s_per_m2: f64,
+    /// Standard deviation of its natural logarithm.
+    pub conductance_log_deviation: f64,
+    /// Steps at most.
+    pub most_steps: usize,
+}
+
+/// A patch with its uncertainty.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ContactFit {
+    /// The patch.
+    pub patch: ContactPatch,
+    /// Covariance of x, y (metres), and the natural logarithms of radius and conductance.
+    pub covariance: [[f64; 4]; 4],
+}
+
+/// How a fit went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FitSummary {
+    /// Mean over the channels of the squared residual over its variance: 1 where noise alone is left.
+    pub misfit: f64,
+    /// The same before anything was explained.
+    pub energy: f64,
+    /// Steps taken.
+    pub steps: usize,
+}
+
+impl ContactSheet {
+    /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count) with
+    /// these standard deviations. `left_v` gets what is left over, `NaN` where the change was.
+    ///
+    /// # Errors
+    /// Lengths that are not the number of channels; as [`ContactSheet::change_v`].
+    pub fn fit(
+        &self,
+        change_v: &[f64],
+        deviation_v: &[f64],
+        start: &[ContactPatch],
+        options: &FitOptions,
+        left_v: &mut Vec<f64>,
+    ) -> Result<(Vec<ContactFit>, FitSummary), EitError> {
+        self.check_frame(change_v, deviation_v)?;
+        let mut fit = Fit { sheet: self, change_v, deviation_v, options };
+        let mut patches = start.to_vec();
+        let mut state = fit.state(&patches)?;
+        let (mut damping, mut steps) = (DAMPING[0], 0);
+        let (mut normal, mut gradient) = fit.normal(&patches, &state);
+        while steps < options.most_steps && damping < DAMPING[1] && !patches.is_empty() {
+            steps += 1;
+            let Some(step) = damped_step(&normal, &gradient, damping) else { break };
+            let trial = stepped(&patches, &step);
+            let next = fit.state(&trial)?;
+            if next.cost < state.cost {
+                let settled = step
+                    .chunks_exact(OF_PATCH)
+                    .all(|s| s[0].hypot(s[1]) < SETTLED_M && s[2].abs().max(s[3].abs()) < 100.0 * SETTLED_M);
+                (patches, state, damping) = (trial, next, (0.2 * damping).max(1e-9));
+                (normal, gradient) = fit.normal(&patches, &state);
+                if settled {
+                    break;
+                }
+            } else {
+                damping *= 8.0;
+            }
+        }
+        left_v.clear();
+        left_v.extend(change_v.iter().zip(&state.change).map(|(change, model)| change - model));
+        let summary = FitSummary { misfit: state.misfit, energy: fit.misfit(&vec![0.0; change_v.len()]), steps };
+        let covariance = inverse(&normal);
+        let block = |k: usize| {
+            let mut values = [[f64::NAN; OF_PATCH]; OF_PATCH];
+            if let Some(matrix) = &covariance {
+                for (row, column) in (0..OF_PATCH).flat_map(|r| (0..OF_PATCH).map(move |c| (r, c))) {
+                    values[row][column] = matrix[(OF_PATCH * k + row, OF_PATCH * k + column)];
+                }
+            }
+            values
+        };
+        let fits = patches.iter().enumerate().map(|(k, &patch)| ContactFit { patch, covariance: block(k) }).collect();
+        Ok((fits, summary))
+    }
+
+    /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s`, times what each parameter does to the node's conductance.
+    pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
+        let size = OF_PATCH * patches.len();
+        let mut jacobian = vec![0.0; self.channels() * size];
+        let mut across = vec![0.0; self.patterns()];
+        let mut by_pair = vec![0.0; self.channels()];
+        for (row, &node) in touched.nodes.iter().enumerate() {
+            let (at, area) = (self.positions_m[node as usize], self.areas_m2[node as usize]);
+            for (pattern, value) in across.iter_mut().enumerate() {
+                *value = touched.currents[(row, pattern)] / touched.conductance_s[row];
+            }
+            for (value, channel) in by_pair.iter_mut().zip(&self.measurements) {
+                let measured = across[self.stimulations + channel.pattern as usize];
+                *value = -across[channel.stimulation as usize] * measured;
+            }
+            for (k, patch) in patches.iter().enumerate() {
+                let [dx, dy] = [at[0] - patch.position_m[0], at[1] - patch.position_m[1]];
+                let distance = dx.hypot(dy);
+                let (share, slope) = self.coverage(patch.radius_m, distance);
+                if share <= 0.0 {
+                    continue;
+                }
+                let g = patch.conductance_s_per_m2 * area;
+                let far = distance.max(1e-12);
+                let moves = [-slope * dx / far * g, -slope * dy / far * g, -slope * patch.radius_m * g, share * g];
+                for (channel, value) in by_pair.iter().enumerate() {
+                    for (j, by) in moves.iter().enumerate() {
+                        jacobian[channel * size + OF_PATCH * k + j] += value * by;
+                    }
+                }
+            }
+        }
+        jacobian
+    }
+
+    pub(super) fn check_frame(&self, change_v: &[f64], deviation_v: &[f64]) -> Result<(), EitError> {
+        let expected = self.channels();
+        match [change_v.len(), deviation_v.len()].into_iter().find(|length| *length != expected) {
+            Some(got) => Err(EitError::ChannelCount { expected, got }),
+            None => Ok(()),
+        }
+    }
+}
+
+struct Fit<'a> {
+    sheet: &'a ContactSheet,
+    change_v: &'a [f64],
+    deviation_v: &'a [f64],
+    options: &'a FitOptions,
+}
+
+struct State {
+    touched: Touched,
+    change: Vec<f64>,
+    misfit: f64,
+    cost: f64,
+}
+
+impl Fit<'_> {
+    fn misfit(&self, model: &[f64]) -> f64 {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for ((change, sigma), model) in self.change_v.iter().zip(self.deviation_v).zip(model) {
+            if change.is_finite() {
+                sum += ((change - model) / sigma).powi(2);
+                count += 1.0;
+            }
+        }
+        sum / f64::max(count, 1.0)
+    }
+
+    fn state(&mut self, patches: &[ContactPatch]) -> Result<State, EitError> {
+        let touched = self.sheet.touch(patches)?;
+        let change = self.sheet.change_of(&touched);
+        let misfit = self.misfit(&change);
+        let count = self.change_v.iter().filter(|change| change.is_finite()).count() as f64;
+        let prior: f64 = patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
+        Ok(State { touched, change, misfit, cost: 0.5 * (count * misfit + prior) })
+    }
+
+    /// How far radius and conductance are from what is expected, in standard deviations.
+    fn off(&self, patch: &ContactPatch) -> [f64; 2] {
+        let options = self.options;
+        [
+            (patch.radius_m / options.radius_m).ln() / options.radius_log_deviation,
+            (patch.conductance_s_per_m2 / options.conductance_s_per_m2).ln() / options.conductance_log_deviation,
+        ]
+    }
+
+    /// Normal matrix and gradient at a state.
+    fn normal(&self, patches: &[ContactPatch], state: &State) -> (Mat<f64>, Vec<f64>) {
+        let size = OF_PATCH * patches.len();
+        let jacobian = self.sheet.derivatives(patches, &state.touched);
+        let (mut normal, mut gradient) = (Mat::<f64>::zeros(size, size), vec![0.0; size]);
+        for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
+            if !change.is_finite() {
+                continue;
+            }
+            let row = &jacobian[channel * size..(channel + 1) * size];
+            let weight = 1.0 / (sigma * sigma);
+            let residual = change - state.change[channel];
+            for a in 0..size {
+                gradient[a] += weight * residual * row[a];
+                for b in 0..=a {
+                    normal[(a, b)] += weight * row[a] * row[b];
+                }
+            }
+        }
+        for a in 0..size {
+            for b in 0..a {
+                normal[(b, a)] = normal[(a, b)];
+            }
+        }
+        let deviations = [self.options.radius_log_deviation, self.options.conductance_log_deviation];
+        for (k, patch) in patches.iter().enumerate() {
+            for (j, (off, deviation)) in self.off(patch).into_iter().zip(deviations).enumerate() {
+                let at = OF_PATCH * k + 2 + j;
+                normal[(at, at)] += 1.0 / (deviation * deviation);
+                gradient[at] -= off / deviation;
+            }
+        }
+        (normal, gradient)
+    }
+}
+
+fn damped_step(normal: &Mat<f64>, gradient: &[f64], damping: f64) -> Option<Vec<f64>> {
+    let size = gradient.len();
+    let damped = Mat::from_fn(size, size, |a, b| normal[(a, b)] * if a == b { 1.0 + damping } else { 1.0 });
+    let factor = Llt::new(damped.as_ref(), Side::Lower).ok()?;
+    let step = factor.solve(Mat::from_fn(size, 1, |row, _| gradient[row]));
+    Some(step.col(0).iter().copied().collect())
+}
+
+fn inverse(normal: &Mat<f64>) -> Option<Mat<f64>> {
+    if normal.nrows() == 0 {
+        return None;
+    }
+    let factor = Llt::new(normal.as_ref(), Side::Lower).ok()?;
+    Some(factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows())))
+}
+
+fn stepped(patches: &[ContactPatch], step: &[f64]) -> Vec<ContactPatch> {
+    let moved = |(patch, step): (&ContactPatch, &[f64])| {
+        let longest = LONGEST * patch.radius_m;
+        let share = (longest / step[0].hypot(step[1])).min(1.0);
+        let log = |value: f64| value.clamp(-LONGEST_LOG, LONGEST_LOG).exp();
+        ContactPatch {
+            position_m: [patch.position_m[0] + share * step[0], patch.position_m[1] + share * step[1]],
+            radius_m: patch.radius_m * log(step[2]),
+            conductance_s_per_m2: patch.conductance_s_per_m2 * log(step[3]),
+        }
+    };
+    patches.iter().zip(step.chunks_exact(OF_PATCH)).map(moved).collect()
+}

@@ -1,0 +1,167 @@
+//! Contacts against the same contacts as a floating electrode of the complete electrode model, derivatives against
+//! differences, and fits and searches on patches that are known.
+
+use super::*;
+use crate::eit::{Drive, Driven, Measure, Order, Pattern, Protocol, ProtocolSpec};
+use crate::mesh::{Contact, Direction, Electrode, ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+
+const SHEET_S: f64 = 5e-3;
+
+fn protocol() -> Protocol {
+    Protocol::generate(&ProtocolSpec {
+        electrode_count: 16,
+        drive: Drive::PseudoPolar,
+        measure: Measure::PseudoPolar,
+        order: Order::Absolute,
+        driven: Driven::Drop,
+        amplitude_a: 1e-3,
+    })
+    .unwrap()
+}
+
+/// A square of 100 mm with 16 pads of 6 mm along its rim.
+fn body(element_size_m: f64) -> ElectrodedMesh {
+    let pad = ElectrodeShape::PadRectangle { centre_m: [0.0; 2], width_m: 6e-3, height_m: 6e-3, angle_rad: 0.0 };
+    let pads = pad.ring(5, 5, [23.5e-3; 2], Direction::CounterClockwise);
+    let spec = SheetSpec::new(Outline::Rectangle { width_m: 0.1, height_m: 0.1 }, pads, element_size_m);
+    spec.build(&[5e-4]).unwrap().0
+}
+
+fn sheet() -> ContactSheet {
+    ContactSheet::new(&ForwardModel::new(body(2.5e-3), protocol()).unwrap(), SHEET_S).unwrap()
+}
+
+fn patch(x_mm: f64, y_mm: f64, radius_mm: f64) -> ContactPatch {
+    ContactPatch { position_m: [1e-3 * x_mm, 1e-3 * y_mm], radius_m: 1e-3 * radius_mm, conductance_s_per_m2: 600.0 }
+}
+
+fn norm(values: &[f64]) -> f64 {
+    values.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+fn difference(a: &[f64], b: &[f64]) -> f64 {
+    norm(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>()) / norm(b)
+}
+
+/// The same patches as one electrode that carries no current: an independent way to the same physics.
+fn by_floating_electrode(patches: &[ContactPatch], size_m: f64) -> Vec<f64> {
+    let mut body = body(size_m);
+    let centre = |cell: &[u32]| -> [f64; 2] {
+        [0, 1].map(|axis| cell.iter().map(|&n| body.mesh.nodes()[n as usize][axis]).sum::<f64>() / 3.0)
+    };
+    let inside =
+        |at: [f64; 2]| patches.iter().any(|p| (at[0] - p.position_m[0]).hypot(at[1] - p.position_m[1]) <= p.radius_m);
+    let triangles: Vec<u32> =
+        body.mesh.elements().enumerate().filter(|(_, cell)| inside(centre(cell))).map(|(k, _)| k as u32).collect();
+    let protocol = protocol();
+    let bare = ForwardModel::new(body.clone(), protocol.clone()).unwrap();
+    let sigma = vec![SHEET_S; body.mesh.element_count()];
+    let at_rest = bare.voltages(&sigma).unwrap();
+    // First, so that the reference stays a pad: numbers of the others rise by one.
+    let z = 1.0 / patches[0].conductance_s_per_m2;
+    body.electrodes.insert(0, Electrode { contact: Contact::Area(triangles), contact_impedance: z });
+    let shifted = |pattern: &Pattern| Pattern::new(pattern.entries().iter().map(|&(e, w)| (e + 1, w)).collect());
+    let stimulations = protocol.stimulations().iter().map(shifted).collect();
+    let channels = protocol
+        .measurements()
+        .iter()
+        .map(|m| (shifted(&protocol.patterns()[m.pattern as usize]), m.stimulation as usize))
+        .collect();
+    let joined = Protocol::from_patterns(17, stimulations, channels).unwrap();
+    let pressed = ForwardModel::new(body, joined).unwrap().voltages(&sigma).unwrap();
+    pressed.iter().zip(&at_rest).map(|(a, b)| a - b).collect()
+}
+
+#[test]
+fn contacts_are_a_floating_electrode() {
+    for patches in [vec![patch(0.0, 0.0, 12.0)], vec![patch(-25.0, 5.0, 10.0), patch(20.0, -15.0, 12.5)]] {
+        let ours = sheet().change_v(&patches).unwrap();
+        let theirs = by_floating_electrode(&patches, 1.2e-3);
+        // The edge of a patch is resolved to half a triangle there (0.6 mm of 10) and blurred over 2.5 mm here.
+        let off = difference(&ours, &theirs);
+        assert!(off < 0.03, "{} patches: {off}", patches.len());
+    }
+}
+
+#[test]
+fn two_contacts_are_joined_by_the_layer() {
+    let sheet = sheet();
+    let (a, b) = (patch(-25.0, 0.0, 10.0), patch(25.0, 0.0, 10.0));
+    let both = sheet.change_v(&[a, b]).unwrap();
+    let sum: Vec<f64> =
+        sheet.change_v(&[a]).unwrap().iter().zip(sheet.change_v(&[b]).unwrap()).map(|(a, b)| a + b).collect();
+    assert!(difference(&both, &sum) > 0.5, "the layer between them carries most of the current");
+}
+
+#[test]
+fn known_patches_are_found_and_fitted() {
+    let sheet = sheet();
+    let places: Vec<[f64; 2]> =
+        (0..81).map(|k| [f64::from(k % 9) - 4.0, f64::from(k / 9) - 4.0].map(|v| 10e-3 * v)).collect();
+    let typical = ContactPatch { position_m: [0.0; 2], radius_m: 10e-3, conductance_s_per_m2: 500.0 };
+    let search = PatchSearch::new(&sheet, typical, &places).unwrap();
+    let options = FitOptions {
+        radius_m: 10e-3,
+        radius_log_deviation: 0.5,
+        conductance_s_per_m2: 500.0,
+        conductance_log_deviation: 0.5,
+        most_steps: 30,
+    };
+    let truth = [
+        vec![patch(7.0, -12.0, 9.0)],
+        vec![patch(-25.0, 12.0, 10.0), patch(14.0, -23.0, 12.0)],
+        vec![patch(-28.0, 0.0, 10.0), patch(22.0, 22.0, 10.0), patch(22.0, -22.0, 11.0)],
+    ];
+    for patches in truth {
+        let change = sheet.change_v(&patches).unwrap();
+        let deviation = vec![1e-3 * norm(&change) / (change.len() as f64).sqrt(); change.len()];
+        let starts = search.starts(&sheet, &change, &deviation, 3).unwrap();
+        let mut left = Vec::new();
+        let (fits, summary) = sheet.fit(&change, &deviation, &starts[patches.len() - 1], &options, &mut left).unwrap();
+        assert!(summary.misfit < 1.0, "{patches:?}: {summary:?}");
+        for truth in &patches {
+            let distance = |f: &ContactFit| {
+                let at = f.patch.position_m;
+                (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1])
+            };
+            let near = fits.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap();
+            // Data without noise: what is left is the pull of the prior.
+            assert!(distance(near) < 2e-4, "{} m off", distance(near));
+            assert!((near.patch.radius_m / truth.radius_m - 1.0).abs() < 0.05, "{near:?} for {truth:?}");
+        }
+    }
+}
+
+#[test]
+fn derivatives_are_those_of_differences() {
+    let sheet = sheet();
+    let patches = [patch(-20.0, 10.0, 10.3), patch(20.0, -12.0, 11.2)];
+    let derivatives = sheet.derivatives(&patches, &sheet.touch(&patches).unwrap());
+    for parameter in 0..8 {
+        // Steps stay well within the 3 mm over which an edge is blurred.
+        let moved = |sign: f64| {
+            let mut moved = patches;
+            let patch = &mut moved[parameter / 4];
+            match parameter % 4 {
+                0 => patch.position_m[0] += sign * 1e-7,
+                1 => patch.position_m[1] += sign * 1e-7,
+                2 => patch.radius_m *= (sign * 1e-5).exp(),
+                _ => patch.conductance_s_per_m2 *= (sign * 1e-5).exp(),
+            }
+            sheet.change_v(&moved).unwrap()
+        };
+        let step = if parameter % 4 < 2 { 1e-7 } else { 1e-5 };
+        let by_difference: Vec<f64> = moved(1.0).iter().zip(moved(-1.0)).map(|(a, b)| (a - b) / (2.0 * step)).collect();
+        let column: Vec<f64> = derivatives.chunks_exact(8).map(|row| row[parameter]).collect();
+        let off = difference(&column, &by_difference);
+        assert!(off < 1e-4, "parameter {parameter}: {off}");
+    }
+}
+
+#[test]
+fn nonsense_is_refused() {
+    let sheet = sheet();
+    let flat = ContactPatch { radius_m: 0.0, ..patch(0.0, 0.0, 1.0) };
+    assert!(matches!(sheet.change_v(&[flat]), Err(EitError::Contact { .. })));
+    assert_eq!(norm(&sheet.change_v(&[patch(500.0, 0.0, 5.0)]).unwrap()), 0.0, "off the skin nothing is touched");
+}

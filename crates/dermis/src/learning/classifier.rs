@@ -1,0 +1,171 @@
+//! The second step live: difference data in, the class of every pixel out, with probabilities, a novelty score, and a
+//! fall-back to thresholds on the first-step image where a frame is unlike those that the network was trained on.
+//! Allocates nothing per frame while the set of missing channels stays the same.
+
+use dermis_learn::metrics::most_likely;
+use dermis_learn::scene::BACKGROUND;
+use dermis_learn::{Model, Network, Novelty};
+
+use super::first_step::{FirstStep, InputImage};
+use super::masks::{MaskRule, label_image};
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+
+/// Classes of one frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Classes {
+    /// Rows of the images, row 0 at the top.
+    pub rows: usize,
+    /// Columns of the images.
+    pub columns: usize,
+    /// Probability of each class in each pixel, classes (in the order of [`super::CLASSES`]) x rows x columns. Background
+    /// outside the skin. Where the frame falls back, 1 for the label and 0 for the others: thresholds give none.
+    pub probabilities: Vec<f32>,
+    /// The most likely class of each pixel, rows x columns; background outside the skin.
+    pub labels: Vec<u8>,
+    /// How far the frame is from the training set; above 1 it is unlike it. `None` where the model has no score.
+    pub novelty: Option<f32>,
+    /// True where the frame is unlike the training set: the labels are those of thresholds on its first-step image.
+    pub falls_back: bool,
+}
+
+impl Classes {
+    /// Background everywhere, of images of this size.
+    pub fn new(rows: usize, columns: usize) -> Self {
+        let pixels = rows * columns;
+        let mut probabilities = vec![0.0; super::CLASSES.len() * pixels];
+        probabilities[..pixels].fill(1.0);
+        let labels = vec![BACKGROUND; pixels];
+        Self { rows, columns, probabilities, labels, novelty: None, falls_back: false }
+    }
+
+    /// Probabilities of one class, rows x columns; `None` for a label that is no class.
+    pub fn of_class(&self, class: u8) -> Option<&[f32]> {
+        self.probabilities.chunks_exact(self.labels.len().max(1)).nth(usize::from(class))
+    }
+}
+
+/// A network with what it is shown, for one skin.
+#[derive(Debug)]
+pub struct Classifier {
+    first_step: FirstStep,
+    network: Network,
+    novelty: Option<Novelty>,
+    scale: Vec<f32>,
+    temperature: f32,
+    /// The image that thresholds fall back to, its place among the inputs, and the sign that makes it of conductivity.
+    step: usize,
+    polarity: f32,
+    rule: MaskRule,
+    outside: Vec<u32>,
+    input: Vec<f32>,
+    probabilities: Vec<f32>,
+}
+
+impl Classifier {
+    /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a measured
+    /// baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
+    ///
+    /// # Errors
+    /// As [`Classifier::with_reference`].
+    pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
+        let reference = prepared.reference(std::slice::from_ref(&prepared.voltages))?;
+        Self::with_reference(prepared, &reference, model)
+    }
+
+    /// With operators for one reference.
+    ///
+    /// # Errors
+    /// A model of another skin, or whose inputs, classes or image size do not fit it.
+    pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
+        model.check_skin(&prepared.skin.name, &prepared.skin.imaging_sha256())?;
+        let card = &model.card;
+        let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
+        let inputs: Vec<InputImage> = card
+            .inputs
+            .iter()
+            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
+            .collect::<Result<_, Error>>()?;
+        let Some(step) = inputs.iter().position(|input| matches!(input, InputImage::Step(_))) else {
+            return Err(refuse("an image among the inputs".into(), card.inputs.join(", ")));
+        };
+        if card.classes != super::CLASSES {
+            return Err(refuse(format!("classes {}", super::CLASSES.join(", ")), card.classes.join(", ")));
+        }
+        let grid = prepared.map.grid();
+        if (card.rows, card.columns) != (grid.rows, grid.columns) {
+            let expected = format!("images of {} x {}", grid.rows, grid.columns);
+            return Err(refuse(expected, format!("{} x {}", card.rows, card.columns)));
+        }
+        let inside = prepared.map.inside_mask();
+        Ok(Self {
+            first_step: FirstStep::new(prepared, reference, &inputs)?,
+            network: model.network()?,
+            novelty: model.novelty(),
+            scale: card.input_scale.clone(),
+            temperature: card.temperature,
+            step,
+            polarity: prepared.skin.imaging.polarity.sign() as f32,
+            rule: MaskRule::linear(prepared.skin.touch.smallest_amplitude),
+            outside: (0..grid.len() as u32).filter(|&pixel| !inside[pixel as usize]).collect(),
+            input: vec![0.0; inputs.len() * grid.len()],
+            probabilities: vec![0.0; card.classes.len() * grid.len()],
+        })
+    }
+
+    /// Rows and columns of the images.
+    pub fn image_size(&self) -> (usize, usize) {
+        self.network.image_size()
+    }
+
+    /// Classes of one frame of difference data (model volts, `NaN` where missing), as `Reference::difference` gives it.
+    /// `out` takes the size of the images where it has another.
+    ///
+    /// # Errors
+    /// A frame of another length or without any channel.
+    pub fn classify(&mut self, difference: &[f64], out: &mut Classes) -> Result<(), Error> {
+        let (rows, columns) = self.image_size();
+        if (out.rows, out.columns) != (rows, columns) || out.probabilities.len() != self.probabilities.len() {
+            *out = Classes::new(rows, columns);
+        }
+        out.novelty = self.run(difference)?;
+        out.falls_back = out.novelty.is_some_and(|novelty| novelty > 1.0);
+        let pixels = rows * columns;
+        if out.falls_back {
+            let image = &self.input[self.step * pixels..(self.step + 1) * pixels];
+            // Multiplied by the network's scale; thresholds are of the image itself.
+            label_image(image, self.polarity / self.scale[self.step], &self.rule, &mut out.labels);
+            for (class, probabilities) in out.probabilities.chunks_exact_mut(pixels).enumerate() {
+                for (probability, label) in probabilities.iter_mut().zip(&out.labels) {
+                    *probability = f32::from(u8::from(usize::from(*label) == class));
+                }
+            }
+        } else {
+            out.probabilities.copy_from_slice(&self.probabilities);
+            for &pixel in &self.outside {
+                for (class, probabilities) in out.probabilities.chunks_exact_mut(pixels).enumerate() {
+                    probabilities[pixel as usize] = f32::from(u8::from(class == usize::from(BACKGROUND)));
+                }
+            }
+            most_likely(&out.probabilities, super::CLASSES.len(), &mut out.labels);
+        }
+        Ok(())
+    }
+
+    /// The network's probabilities, outside the skin too, are left in [`Classifier::probabilities`]; the novelty score.
+    pub(super) fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
+        self.first_step.images_of(difference, &mut self.input)?;
+        let pixels = self.input.len() / self.scale.len();
+        for (image, factor) in self.input.chunks_exact_mut(pixels).zip(&self.scale) {
+            image.iter_mut().for_each(|value| *value *= factor);
+        }
+        self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
+        Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
+    }
+
+    /// Of the last frame, classes x rows x columns.
+    pub(super) fn probabilities(&self) -> &[f32] {
+        &self.probabilities
+    }
+}

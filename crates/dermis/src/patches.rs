@@ -1,0 +1,263 @@
+//! Touches of a sandwich skin by its own physics: patches of contact with the layer above, which joins them to each other.
+//! Linear images show several touches as one bar between them; here places, radii and conductances of all patches are fitted
+//! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search where these do not do.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use dermis_tomo::eit::ForwardModel;
+use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch};
+use dermis_tomo::mesh::PixelGrid;
+use dermis_touch::{Contact, ContactSign, ContactStrength};
+
+use crate::Error;
+use crate::prepare::Prepared;
+
+/// Elements of the mesh that contacts are worked out on: about 2.5 mm on a skin of 100 mm.
+const ELEMENTS: usize = 4000;
+/// Patches at most.
+const MOST_PATCHES: usize = 5;
+/// Places that are searched, along the shorter side.
+const PLACES: usize = 10;
+/// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
+const SHARE: f64 = 0.02;
+const FLOOR: f64 = 0.005;
+/// Standard deviations of the logarithms of radius and conductance before anything is measured.
+const LOG_DEVIATIONS: [f64; 2] = [0.5, 0.5];
+/// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a fit may
+/// settle beside the best pair.
+const RADII: [f64; 2] = [1.0, 0.75];
+/// A fit that goes on from the frame before is believed up to this misfit, or so many times the one before.
+const BELIEVED: f64 = 2.0;
+const WORSENED: f64 = 1.5;
+/// One more patch must leave less than this share of the misfit.
+const WORTH: f64 = 0.6;
+/// Misfit at which no further patch is looked for.
+const GOOD: f64 = 0.5;
+/// Patches of less than this share of the strongest one's conductance, or less certain of their place than this, relative to
+/// half the shorter side, are not touches.
+const LEAST_SHARE: f64 = 0.02;
+const LEAST_CERTAIN: f64 = 0.1;
+/// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
+const APART: f64 = 0.8;
+/// Patches that leave more than this share of a frame do not explain it.
+const EXPLAINED: f64 = 0.3;
+/// Steps of a fit, from the frame before and from a search.
+const STEPS: [usize; 2] = [4, 25];
+
+/// Fits the patches of one frame after the other.
+#[derive(Debug)]
+pub(crate) struct PatchStage {
+    model: Arc<(ContactSheet, PatchSearch)>,
+    options: FitOptions,
+    grid: PixelGrid,
+    inside: Vec<bool>,
+    half_width_m: f64,
+    noise: Vec<f64>,
+    absent: Vec<bool>,
+    change: Vec<f64>,
+    deviation: Vec<f64>,
+    left: Vec<f64>,
+    fits: Vec<ContactFit>,
+    misfit: f64,
+}
+
+impl Prepared {
+    /// Whether touches make contact with a layer above.
+    pub(crate) fn is_sandwich(&self) -> bool {
+        self.skin.frontend.layer.kind == "sandwich"
+    }
+
+    /// What fits patches, at this noise of the channels (model volts).
+    pub(crate) fn patch_stage(&self, noise: &[f64]) -> Result<PatchStage, Error> {
+        let body = self.skin.body_with_elements(ELEMENTS)?;
+        let model = ForwardModel::new(body.mesh, self.protocol.clone())?;
+        let sheet = ContactSheet::new(&model, self.skin.sheet_conductance_s())?;
+        let touch = &self.skin.touch;
+        let typical = ContactPatch {
+            position_m: [0.0; 2],
+            radius_m: 2.0 * touch.relative_size * self.half_width_m(),
+            conductance_s_per_m2: touch.contact_s_per_m2,
+        };
+        let (low, high) = self.body.outline.bounds_m();
+        let step = (high[0] - low[0]).min(high[1] - low[1]) / PLACES as f64;
+        let count = |axis: usize| ((high[axis] - low[axis]) / step).round() as usize;
+        let at = |axis: usize, k: usize| low[axis] + (k as f64 + 0.5) * (high[axis] - low[axis]) / count(axis) as f64;
+        let inside = self.map.inside_mask();
+        let grid = *self.map.grid();
+        let places: Vec<[f64; 2]> = (0..count(1))
+            .flat_map(|row| (0..count(0)).map(move |column| (row, column)))
+            .map(|(row, column)| [at(0, column), at(1, row)])
+            .filter(|place| grid.pixel_at(*place).is_some_and(|pixel| inside[pixel]))
+            .collect();
+        let search = PatchSearch::new(&sheet, typical, &places)?;
+        Ok(PatchStage {
+            options: FitOptions {
+                radius_m: typical.radius_m,
+                radius_log_deviation: LOG_DEVIATIONS[0],
+                conductance_s_per_m2: typical.conductance_s_per_m2,
+                conductance_log_deviation: LOG_DEVIATIONS[1],
+                most_steps: STEPS[0],
+            },
+            absent: vec![false; sheet.channels()],
+            model: Arc::new((sheet, search)),
+            grid,
+            inside,
+            half_width_m: self.half_width_m(),
+            noise: noise.to_vec(),
+            change: Vec::new(),
+            deviation: Vec::new(),
+            left: Vec::new(),
+            fits: Vec::new(),
+            misfit: f64::INFINITY,
+        })
+    }
+}
+
+impl PatchStage {
+    /// Replaces the noise of the channels (model volts).
+    pub(crate) fn set_noise(&mut self, noise: &[f64]) {
+        self.noise.clear();
+        self.noise.extend_from_slice(noise);
+    }
+
+    /// Goes on without these channels.
+    pub(crate) fn leave_out(&mut self, channels: &[u32]) {
+        self.absent.fill(false);
+        channels.iter().for_each(|&channel| self.absent[channel as usize] = true);
+    }
+
+    /// What the last frame's patches do not explain: model volts, the whole frame where there were none.
+    pub(crate) fn left(&self) -> &[f64] {
+        &self.left
+    }
+
+    /// Replaces the contacts of an image by the patches of its frame (model volts); those of a frame that cannot be fitted
+    /// stay as the image has them.
+    pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
+        self.left.clear();
+        self.left.extend_from_slice(difference);
+        if contacts.is_empty() || difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
+            self.fits.clear();
+            return;
+        }
+        let significance = contacts[0].significance;
+        self.weigh(difference);
+        if !self.follow() && !self.search() {
+            self.fits.clear();
+            return;
+        }
+        let (typical, strongest) = (self.options, self.strongest());
+        contacts.clear();
+        let area = |radius_m: f64| PI * radius_m * radius_m;
+        let unit = typical.conductance_s_per_m2 * area(typical.radius_m);
+        let fits = self.fits.iter().filter(|fit| self.is_touch(fit, strongest));
+        contacts.extend(fits.map(|fit| {
+            let (patch, c) = (&fit.patch, &fit.covariance);
+            let amplitude = conductance_s(patch) / unit;
+            Contact {
+                peak_m: patch.position_m,
+                peak_value: amplitude,
+                centroid_m: patch.position_m,
+                area_m2: area(patch.radius_m),
+                amplitude,
+                volume: amplitude * area(patch.radius_m),
+                covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
+                significance: significance * conductance_s(patch) / strongest,
+                sign: ContactSign::Positive,
+                strength: ContactStrength::Strong,
+                force: None,
+                radius_m: Some(patch.radius_m),
+            }
+        }));
+        contacts.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+    }
+
+    /// The channels' variances for this frame.
+    fn weigh(&mut self, difference: &[f64]) {
+        let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
+        self.deviation.clear();
+        self.deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
+            (noise * noise + (SHARE * change).powi(2) + FLOOR * FLOOR * square).sqrt().max(f64::MIN_POSITIVE)
+        }));
+        self.change.clear();
+        self.change.extend(difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v }));
+    }
+
+    /// Goes on from the patches of the frame before; false where these do not explain this one.
+    fn follow(&mut self) -> bool {
+        if self.fits.is_empty() {
+            return false;
+        }
+        let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+        let before = self.misfit;
+        let Some((fits, summary)) = self.fit(&start, STEPS[0]) else { return false };
+        let believed = summary.misfit <= BELIEVED.max(WORSENED * before) && is_plausible(&fits, &summary);
+        (self.fits, self.misfit) = (fits, summary.misfit);
+        let strongest = self.strongest();
+        believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
+    }
+
+    /// Looks for one patch, two, and so on, until one more explains little.
+    fn search(&mut self) -> bool {
+        let (sheet, search) = &*self.model;
+        let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
+        let mut best: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
+        for start in starts {
+            let mut found: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
+            for share in RADII {
+                let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
+                let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
+                let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
+                if is_plausible(&fits, &summary)
+                    && found.as_ref().is_none_or(|(_, before, _)| summary.misfit < before.misfit)
+                {
+                    found = Some((fits, summary, self.left.clone()));
+                }
+            }
+            let Some(found) = found else { continue };
+            if best.as_ref().is_some_and(|(_, before, _)| found.1.misfit > WORTH * before.misfit) {
+                break;
+            }
+            let good = found.1.misfit < GOOD;
+            best = Some(found);
+            if good {
+                break;
+            }
+        }
+        let Some((fits, summary, left)) = best else { return false };
+        (self.fits, self.misfit, self.left) = (fits, summary.misfit, left);
+        true
+    }
+
+    fn fit(&mut self, start: &[ContactPatch], most_steps: usize) -> Option<(Vec<ContactFit>, FitSummary)> {
+        let options = FitOptions { most_steps, ..self.options };
+        self.model.0.fit(&self.change, &self.deviation, start, &options, &mut self.left).ok()
+    }
+
+    fn strongest(&self) -> f64 {
+        self.fits.iter().map(|fit| conductance_s(&fit.patch)).fold(f64::MIN_POSITIVE, f64::max)
+    }
+
+    fn is_touch(&self, fit: &ContactFit, strongest: f64) -> bool {
+        let variance = fit.covariance[0][0] + fit.covariance[1][1];
+        conductance_s(&fit.patch) >= LEAST_SHARE * strongest
+            && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
+            && self.grid.pixel_at(fit.patch.position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+}
+
+/// Whether patches explain a frame and lie apart.
+fn is_plausible(fits: &[ContactFit], summary: &FitSummary) -> bool {
+    let near = |a: &ContactPatch, b: &ContactPatch| {
+        let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+        distance < APART * (a.radius_m + b.radius_m)
+    };
+    let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
+    !overlap && summary.misfit <= EXPLAINED * summary.energy
+}
+
+/// What a patch conducts altogether, siemens.
+fn conductance_s(patch: &ContactPatch) -> f64 {
+    PI * patch.radius_m * patch.radius_m * patch.conductance_s_per_m2
+}
