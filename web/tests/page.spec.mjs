@@ -2,6 +2,9 @@
 // `dermis run`, whose default twin is pressed the same way.
 
 import assert from "node:assert/strict";
+import { mkdtemp, readFile, rm, writeFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
 import { isDemo, openPage, startBrowser, startServer, touchRows, waitForRows, windowFromSkin } from "./browser.mjs";
 
@@ -125,6 +128,33 @@ test("a press is let go when its page closes", async () => {
   await waitForRows(opened.page, (now) => now.some(near(4, 5)));
   await page.close();
   await waitForRows(opened.page, (now) => !now.some(near(4, 5)));
+});
+
+// Only the real command has an instrument that breaks; the demo has none.
+test("an electrode that is lost is named, with since when, and cleared when it is back", { skip: isDemo }, async () => {
+  const folder = await mkdtemp(join(tmpdir(), "dermis-page-"));
+  const skin = join(folder, "broken.toml");
+  const sound = await readFile(new URL("../../skins/healing-square.toml", import.meta.url), "utf8");
+  // Long after the baseline; long enough that a slow machine opens the page meanwhile.
+  await writeFile(skin, `${sound}\n[twin]\nfaults = [{ open_electrodes = [5], from_s = 5.0, until_s = 20.0 }]\n`);
+  const broken = await startServer(0, [skin]);
+  try {
+    const { page } = await openPage(browser, broken.address);
+    const shows = (text) => page.waitForFunction((wanted) => new RegExp(wanted).test(document.querySelector("#health").textContent), text, { timeout: 60_000 });
+    await shows("electrode 5 lost for \\d");
+    await shows("channels left out");
+    assert.deepEqual(await page.locator("#overlay .electrodes .lost text").allTextContents(), ["5"], "the lost electrode is marked, and no other");
+    await page.waitForFunction(() => /electrode 5 is lost since frame \d+/.test(document.querySelector("#messages").textContent));
+    // Since when: the time goes on.
+    await shows("electrode 5 lost for [3-9]");
+    await shows("all channels sound");
+    assert.equal(await page.locator("#overlay .electrodes .lost").count(), 0, "no electrode is marked any more");
+    await page.waitForFunction(() => /electrode 5 is sound again/.test(document.querySelector("#messages").textContent));
+    await page.close();
+  } finally {
+    await broken.stop();
+    await rm(folder, { recursive: true });
+  }
 });
 
 test("a page whose server comes back goes on by itself", async () => {

@@ -185,10 +185,19 @@ fn a_device_is_asked_and_measures_once() {
     let shot: Value = serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error}: {out} {said}"));
     assert_eq!((code, shot["values_v"].as_array().map(Vec::len)), (Some(0), Some(208)));
     assert_eq!(shot["status"], 8, "taken in answer to a single shot");
-    // A twin has no converter to test, and measures what its skin file says.
+    let (code, out, said) =
+        ask(&["twin:healing-square", "self-test", "--amplitude-ua", "350", "--gain", "auto", "--json"]);
+    let faults: Value = serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error}: {out} {said}"));
+    assert_eq!((code, &faults["self_test"][0]), (Some(0), &Value::from(0.0)), "nothing is broken");
+    let (code, out, said) = ask(&["twin:healing-square", "impedance", "--json"]);
+    let contacts: Value = serde_json::from_str(&out).unwrap_or_else(|error| panic!("{error}: {out} {said}"));
+    let ohms: Vec<f64> = contacts["impedance_ohm"].as_array().into_iter().flatten().filter_map(Value::as_f64).collect();
+    // 1e-4 ohm.m^2 over pads of 6 mm by 6 mm, in single precision.
+    assert!(code == Some(0) && ohms.len() == 16 && ohms.iter().all(|ohm| (ohm - 2.7778).abs() < 1e-3), "{ohms:?}");
+    // A twin measures what its skin file says, with the one gain that it has.
     for (arguments, reason) in [
-        (&["twin:healing-square", "self-test"][..], "does not have this command"),
-        (&["twin:healing-square", "--protocol", "adjacent"], "does not take a protocol"),
+        (&["twin:healing-square", "--protocol", "adjacent"][..], "does not take a protocol"),
+        (&["twin:healing-square", "--gain", "3"], "cannot take this"),
         (&["frames.csv"], "expected an instrument"),
         (&["twin:healing-square", "--gain", "300"], "a code of 0 to 254"),
     ] {

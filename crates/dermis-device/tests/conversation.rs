@@ -7,7 +7,7 @@ use std::time::Duration;
 use dermis_device::instruments::wire::{DeviceInfo, WireDevice, WireHost};
 use dermis_device::stream::{Dialogue, Inbox};
 use dermis_device::{Frame, HostStamp, Layout};
-use dermis_wire::Status;
+use dermis_wire::{Command, Decoder, Message, ReplyStatus, Request, Status, encode};
 
 const RATE: f32 = 50.0;
 const PERIOD_NS: u64 = 20_000_000;
@@ -234,4 +234,39 @@ fn frames_of_an_earlier_conversation_and_half_packets_before_the_first_are_no_lo
     fresh.send_frame(9);
     assert_eq!(fresh.received(), [(0, 9.0)]);
     assert_eq!(fresh.inbox.losses(), (0, 0));
+}
+
+/// The device's reply to a command, and its numbers.
+fn reply_to(device: &mut WireDevice, command: Command<'_>) -> (ReplyStatus, Vec<f32>) {
+    let (mut buffer, mut bytes) = ([0; 256], Vec::new());
+    device.receive(encode(&Message::Command(Request { tag: 5, command }), &mut buffer).unwrap(), &mut bytes);
+    let mut decoder = Decoder::new(vec![0; 4096]);
+    match decoder.feed(&mut &bytes[..]) {
+        Some(Ok(Message::Reply(reply))) => {
+            assert_eq!((reply.tag, reply.command), (5, command.code()));
+            (reply.status, reply.values.iter().collect())
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_device_says_how_it_is_set_and_what_it_measures_of_itself() {
+    let mut device = WireDevice::new(DeviceInfo { amplitude_a: 2e-3, frequency_hz: 954.0, ..info(7, 3) });
+    assert_eq!(reply_to(&mut device, Command::SelfTest), (ReplyStatus::Unknown, vec![]));
+    device.set_measured(&[1.0], &[3.5, f32::NAN]);
+    // What it cannot be set to, it answers with what it has.
+    assert_eq!(reply_to(&mut device, Command::Amplitude(1e-3)), (ReplyStatus::Done, vec![2e-3]));
+    assert_eq!(reply_to(&mut device, Command::Frequency(1e3)), (ReplyStatus::Done, vec![954.0]));
+    assert_eq!(reply_to(&mut device, Command::Rate(10.0)), (ReplyStatus::Done, vec![RATE]));
+    assert_eq!(reply_to(&mut device, Command::Amplitude(f32::NAN)).0, ReplyStatus::BadArgument);
+    assert_eq!(reply_to(&mut device, Command::Gain(255)), (ReplyStatus::Done, vec![]));
+    assert_eq!(reply_to(&mut device, Command::Gain(3)).0, ReplyStatus::BadArgument);
+    assert_eq!(reply_to(&mut device, Command::ProtocolName("other")).0, ReplyStatus::Unknown);
+    assert_eq!(reply_to(&mut device, Command::SelfTest), (ReplyStatus::Done, vec![1.0]));
+    let (status, contacts_ohm) = reply_to(&mut device, Command::ElectrodeImpedance);
+    assert_eq!((status, contacts_ohm[0], contacts_ohm.len()), (ReplyStatus::Done, 3.5, 2));
+    assert!(contacts_ohm[1].is_nan(), "open");
+    assert_eq!(reply_to(&mut device, Command::Start).0, ReplyStatus::Done);
+    assert_eq!(reply_to(&mut device, Command::ElectrodeImpedance).0, ReplyStatus::Busy);
 }

@@ -124,6 +124,40 @@ fn twenty_unplugged_devices_resume_with_every_gap_counted() {
 }
 
 #[test]
+fn a_stream_begins_when_its_first_frame_is_asked_for() {
+    const EARLY: u64 = 2000;
+    let (listener, selector) = listen();
+    let (asked, wait) = std::sync::mpsc::channel();
+    let (sent, ready) = std::sync::mpsc::channel();
+    let server = thread::spawn(move || {
+        let mut device = device();
+        let (mut stream, _) = listener.accept().expect("a host");
+        shake_hands(&mut stream, &mut device);
+        for sequence in 0..EARLY {
+            stream.write_all(&frame_bytes(&mut device, sequence)).expect("the host listens");
+        }
+        sent.send(()).expect("a test");
+        wait.recv().expect("a test");
+        for sequence in EARLY..EARLY + 200 {
+            stream.write_all(&frame_bytes(&mut device, sequence)).expect("the host listens");
+        }
+        // The host hangs up in the end.
+        let _ = stream.read(&mut [0; 64]);
+    });
+    let mut source = open(&selector, options()).expect("it answers");
+    ready.recv().expect("a device");
+    // What is on its way through the socket comes too.
+    thread::sleep(Duration::from_millis(200));
+    assert_eq!(source.next_frame(&mut Frame::default(), Duration::ZERO).unwrap(), SourceEvent::Idle);
+    asked.send(()).expect("a device");
+    let seen = collect(&mut source, 200);
+    assert!(seen.iter().zip(EARLY..).all(|((_, value), number)| *value == number as f64), "{seen:?}");
+    assert_eq!((source.counters().frames, source.counters().lost), (200, 0));
+    drop(source);
+    done(server);
+}
+
+#[test]
 fn a_stalled_device_is_idle_then_connected_anew_and_never_holds_up_its_reader() {
     let (listener, selector) = listen();
     let server = thread::spawn(move || {

@@ -6,6 +6,7 @@
 //! tolerance that whoever reconstructs does not know. An element is for the fields a sphere, or whatever body is given
 //! ([`EmElement`]).
 
+use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::Outline;
 use dermis_tomo::mit::{Bodies, Body, CoilArray, CoilTables, Complex, Coupling, Sphere};
 use rand::SeedableRng;
@@ -380,7 +381,10 @@ impl Twin<EmSkin> {
     /// Parameters that make no sense.
     pub fn em(options: &EmOptions) -> Result<Self, TwinError> {
         let frontend = EmSkin::new(options)?;
+        let coils = frontend.pairs().iter().flatten().max().map_or(0, |last| last + 1);
+        let pairs = Protocol::coil_pairs(coils, options.current_a)?;
         let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+        let instrument = instrument.with_coils(&pairs)?;
         let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
         Ok(Self::new(frontend, instrument, scene))
     }

@@ -84,6 +84,8 @@ pub struct IonicOptions {
     pub element_size_m: f64,
     /// Edge length at the bolts, metres.
     pub electrode_element_size_m: f64,
+    /// Electrodes passed over between the two of a drive, and between those of a measuring pair; 0 is adjacent, as published.
+    pub skip: usize,
     /// Amplitude of the current, amperes.
     pub current_a: f64,
     /// Frames a second for those who pace the twin.
@@ -115,6 +117,7 @@ impl Default for IonicOptions {
             fields: IonicFields::DepthAveraged,
             element_size_m: 4.5e-3,
             electrode_element_size_m: 1.2e-3,
+            skip: 0,
             current_a: 6e-3,
             frame_rate_hz: 16.0,
             instrument: InstrumentOptions::ionic(),
@@ -168,15 +171,16 @@ impl IonicOptions {
         }
     }
 
-    /// Adjacent drive and measurement, channels on driven electrodes dropped: 208 channels.
+    /// Adjacent drive and measurement (or pairs farther apart), channels on driven electrodes dropped: 208 channels where
+    /// adjacent.
     ///
     /// # Errors
-    /// A current that is not positive and finite.
+    /// A current that is not positive and finite, a skip of too many electrodes.
     pub fn protocol(&self) -> Result<Protocol, TwinError> {
         Ok(Protocol::generate(&ProtocolSpec {
             electrode_count: ELECTRODES,
-            drive: Drive::Adjacent,
-            measure: Measure::Adjacent,
+            drive: Drive::Skip(self.skip),
+            measure: Measure::Skip(self.skip),
             order: Order::Absolute,
             driven: Driven::Drop,
             amplitude_a: self.current_a,

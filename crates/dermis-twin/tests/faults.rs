@@ -1,8 +1,8 @@
 //! Faults of the instrument, through the twins of all skins: which channels they change, and how frames are numbered.
 
 use dermis_tomo::eit::Protocol;
-use dermis_twin::instrument::{Fault, FrameFate, InstrumentOptions, TimedFault};
-use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
+use dermis_twin::instrument::{Fault, FrameFate, InstrumentOptions, Reading, TimedFault};
+use dermis_twin::{EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 type Any = Twin<Box<dyn Frontend>>;
 
@@ -109,4 +109,39 @@ fn dropped_frames_leave_gaps_and_copies_repeat_numbers() {
     }
     // Binomial: 50 +- 7 and 45 +- 7, four standard deviations.
     assert!((23..78).contains(&fates[1]) && (18..73).contains(&fates[2]), "{fates:?}");
+}
+
+#[test]
+fn a_dead_coil_silences_exactly_its_channels() {
+    let instrument = InstrumentOptions { reading: Reading::Magnitude, ..InstrumentOptions::ideal() };
+    let twin = Twin::em(&EmOptions { instrument, ..EmOptions::em_8() }).unwrap();
+    let pairs = twin.frontend().pairs().to_vec();
+    let mut twin = twin.boxed();
+    let sound = step(&mut twin, 0.0);
+    twin.set_faults(vec![Fault::DeadCoil { coil: 2 }.into()]).unwrap();
+    let broken = step(&mut twin, 0.1);
+    for (channel, pair) in pairs.iter().enumerate() {
+        let expected = if pair.contains(&2) { 0.0 } else { sound[channel] };
+        assert_eq!(broken[channel], expected, "{pair:?}");
+    }
+    assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 8 }.into()]).is_err());
+    assert!(twin.set_faults(vec![Fault::OpenElectrode { electrode: 0 }.into()]).is_err(), "coils are no electrodes");
+}
+
+#[test]
+fn a_noisy_channel_has_the_noise_asked_for_and_no_other_changes() {
+    let (_, mut twin, _) = skins().swap_remove(0);
+    let sound = step(&mut twin, 0.0);
+    twin.set_faults(vec![Fault::NoisyChannel { channel: 9, deviation_v: 2e-3 }.into()]).unwrap();
+    let (mut sum, count) = (0.0, 400);
+    for tick in 1..=count {
+        let read = step(&mut twin, 0.01 * f64::from(tick));
+        assert!((0..sound.len()).all(|c| c == 9 || read[c] == sound[c]));
+        sum += (read[9] - sound[9]).powi(2);
+    }
+    // 400 values give a deviation within 3.5 % (one standard error).
+    let deviation_v = (sum / f64::from(count)).sqrt();
+    assert!((deviation_v / 2e-3 - 1.0).abs() < 0.15, "{deviation_v}");
+    assert!(twin.set_faults(vec![Fault::DeadCoil { coil: 0 }.into()]).is_err(), "electrodes are no coils");
+    assert!(twin.set_faults(vec![Fault::NoisyChannel { channel: 0, deviation_v: -1.0 }.into()]).is_err());
 }

@@ -26,6 +26,8 @@ const NOISY_TIMES: f64 = 10.0;
 const LEAST_CORRELATION: f64 = 0.9;
 /// Most that reciprocal channels may differ by, median relative to their size.
 const MOST_MISMATCH: f64 = 0.05;
+/// Contacts this many times as resistive as the median one are named.
+const POOR_TIMES: f64 = 5.0;
 /// Channels named at most.
 const MOST_NAMED: usize = 8;
 
@@ -84,11 +86,18 @@ struct Seen {
 }
 
 /// Examines the frames of a source, at most `most` of them, waiting at most `patience` for each: what was found, in the
-/// order in which it is worth looking at. The skin must not be touched.
+/// order in which it is worth looking at. The skin must not be touched. `contacts_ohm` is what the instrument has measured
+/// of its electrodes' contacts, where it can.
 ///
 /// # Errors
 /// A skin that cannot be prepared. What is wrong with the source is an answer.
-pub fn examine(skin: Skin, source: &mut dyn Source, most: u64, patience: Duration) -> Result<Vec<Check>, Error> {
+pub fn examine(
+    skin: Skin,
+    source: &mut dyn Source,
+    most: u64,
+    patience: Duration,
+    contacts_ohm: Option<&[f32]>,
+) -> Result<Vec<Check>, Error> {
     let prepared = Prepared::new(skin)?;
     let layout = source.layout().clone();
     let pipeline = match Pipeline::new(prepared, &layout, None) {
@@ -100,18 +109,20 @@ pub fn examine(skin: Skin, source: &mut dyn Source, most: u64, patience: Duratio
     };
     let mut seen = Seen { pipeline, layout, frames: 0, elapsed_s: 0.0, lost: 0, bad: 0, at_end: Vec::new() };
     let mut checks = Vec::new();
+    let contacts = contact_impedance(&seen.pipeline.prepared().skin, contacts_ohm);
     if let Err(reason) = seen.watch(source, most.max(FEWEST_FRAMES), patience) {
         let advice = "look at power and cable, and whether another program has the port; then run this again";
         checks.push(Check::bad("frames", reason, advice));
     }
     checks.push(seen.rate());
     if seen.pipeline.reference().is_none() {
+        checks.push(contacts);
         checks.push(Check::skipped("everything else", format!("no baseline: {} frames came", seen.frames)));
         return Ok(checks);
     }
     checks.extend([seen.noise(), seen.saturation()]);
     checks.extend(seen.faults());
-    checks.extend([seen.reciprocity(), seen.order(), seen.contact_impedance()]);
+    checks.extend([seen.reciprocity(), seen.order(), contacts]);
     Ok(checks)
 }
 
@@ -317,13 +328,46 @@ impl Seen {
         }
         Check::good("channel order", stated)
     }
+}
 
-    fn contact_impedance(&self) -> Check {
-        let found = match self.skin().modality {
-            Modality::Mit => "coils have none",
-            Modality::Eit => "this instrument does not report it; lost electrodes are found by their channels",
-        };
-        Check::skipped("contact impedance", found)
+/// Contacts that are open, or far more resistive than the others.
+fn contact_impedance(skin: &Skin, contacts_ohm: Option<&[f32]>) -> Check {
+    const NAME: &str = "contact impedance";
+    let Some(contacts_ohm) = contacts_ohm else {
+        return Check::skipped(
+            NAME,
+            match skin.modality {
+                Modality::Mit => "coils have none",
+                Modality::Eit => "this instrument does not report it; lost electrodes are found by their channels",
+            },
+        );
+    };
+    let mut sorted: Vec<f32> = contacts_ohm.iter().copied().filter(|ohm| ohm.is_finite()).collect();
+    sorted.sort_by(f32::total_cmp);
+    let Some(median) = sorted.get(sorted.len() / 2).copied() else {
+        return Check::bad(NAME, "every electrode is open", "look at the cable between skin and instrument");
+    };
+    let listed = |is_poor: &dyn Fn(f32) -> bool| {
+        let numbers = (1..).zip(contacts_ohm).filter(|(_, ohm)| is_poor(**ohm)).map(|(number, _): (usize, _)| number);
+        numbers.map(|number| number.to_string()).collect::<Vec<_>>().join(", ")
+    };
+    let open = listed(&|ohm| !ohm.is_finite());
+    let poor = listed(&|ohm| ohm.is_finite() && f64::from(ohm) > POOR_TIMES * f64::from(median));
+    let usual = format!("median {median:.1} ohm of {} electrodes", contacts_ohm.len());
+    match (open.as_str(), poor.as_str()) {
+        ("", "") => Check::good(NAME, usual),
+        (open, "") => {
+            Check::bad(NAME, format!("{usual}; open: {open}"), format!("fasten electrode {open} and its wire"))
+        }
+        ("", poor) => {
+            let found = format!("{usual}; more than {POOR_TIMES} times that: {poor}");
+            Check::bad(NAME, found, format!("clean, wet or tighten electrode {poor}"))
+        }
+        (open, poor) => Check::bad(
+            NAME,
+            format!("{usual}; open: {open}; more than {POOR_TIMES} times that: {poor}"),
+            format!("fasten electrode {open} and its wire; clean, wet or tighten electrode {poor}"),
+        ),
     }
 }
 
@@ -353,5 +397,22 @@ fn count_ends(raw: &[f64], last: &mut f64, ends: &mut [usize]) {
     let at_end = |v: &f64| largest > 0.0 && v.abs() == largest;
     if before == largest && raw.iter().filter(|v| at_end(v)).count() >= 2 {
         raw.iter().zip(ends).filter(|(v, _)| at_end(v)).for_each(|(_, count)| *count += 1);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn contacts_are_named_by_what_is_wrong_with_them() {
+        let skin = Skin::open("healing-square").unwrap();
+        let of = |ohms: &[f32]| contact_impedance(&skin, Some(ohms));
+        assert_eq!(of(&[2.0, 3.0, 2.5]).answer, Answer::Good);
+        let check = of(&[2.0, f32::NAN, 2.5, 30.0, 2.2, f32::INFINITY]);
+        assert_eq!(check.answer, Answer::Bad);
+        assert!(check.found.contains("open: 2, 6; more than 5 times that: 4"), "{}", check.found);
+        assert_eq!(of(&[f32::NAN; 4]).found, "every electrode is open");
+        assert_eq!(contact_impedance(&skin, None).answer, Answer::Skipped);
     }
 }

@@ -2,6 +2,10 @@
 //! taken back when it is good again. Everything here follows from the frames alone, in their order, so that a replay gives
 //! the same result as the live run.
 
+mod changes;
+
+pub use changes::{HealthChange, HealthWatch};
+
 use dermis_tomo::eit::{Pattern, Protocol};
 use dermis_tomo::inverse::Unexplained;
 use dermis_touch::Baseline;

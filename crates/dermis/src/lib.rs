@@ -43,3 +43,4 @@ pub mod twins;
 
 pub use clock::Marks;
 pub use error::Error;
+pub use health::{HealthChange, HealthWatch};

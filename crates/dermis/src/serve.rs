@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
 use dermis_device::{Frame, HostStamp, Source, SourceEvent};
+use dermis_twin::instrument::Fault;
 use dermis_wire::Status;
 
 use crate::Error;
@@ -72,7 +73,8 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
 
 /// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a host
 /// first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it goes on,
-/// host or not, as an instrument does.
+/// host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument, to an impedance
+/// check with the impedances of its electrodes' contacts, NaN where one is open.
 ///
 /// # Errors
 /// When the twin cannot go on, or the door fails.
@@ -85,12 +87,18 @@ pub fn serve(
 ) -> Result<Served, Error> {
     let failed = |source| Error::Io { file: "port of the served twin".into(), source };
     let mut device = WireDevice::new(info);
+    let mut faults: Option<Vec<Fault>> = None;
     let mut host: Option<Host> = None;
     let mut frame = Frame::default();
     let mut served = Served::default();
     let mut measuring = most.is_some();
     let mut overrun = false;
     while !stop.load(Ordering::Relaxed) && most.is_none_or(|most| served.frames < most) {
+        if faults.as_deref() != Some(twin.acting_faults()) {
+            let acting = twin.acting_faults().to_vec();
+            device.set_measured(&[acting.len() as f32], &twin.contacts_ohm());
+            faults = Some(acting);
+        }
         if let Some(new) = door.knock(host.is_some()).map_err(failed)? {
             device.reset_link();
             served.hosts += 1;

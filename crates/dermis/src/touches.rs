@@ -182,17 +182,23 @@ impl TouchStage {
                 contact.force = Some(forces.read(contact.centroid_m, contact.peak_value));
             });
         }
-        self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
-        self.events.splice(0..0, self.ended.drain(..));
-        Ok(())
+        self.track(time_ns)
     }
 
-    /// Follows the touches of a frame that says nothing: the contacts of the last image are taken to be there still.
+    /// Follows the touches of a frame that says nothing: the contacts of the last image are taken to be there still, unless
+    /// an interruption has made an end of them.
     ///
     /// # Errors
     /// A time before the last one.
     pub fn repeat(&mut self, time_ns: u64) -> Result<(), Error> {
-        Ok(self.tracker.update(time_ns, &self.contacts, &mut self.events)?)
+        self.track(time_ns)
+    }
+
+    /// Follows the contacts as they are; the events begin with the ends that an interruption has made.
+    fn track(&mut self, time_ns: u64) -> Result<(), Error> {
+        self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
+        self.events.splice(0..0, self.ended.drain(..));
+        Ok(())
     }
 
     /// A contact where a calibration sees a touch that the image's own threshold passed over: one pixel, with the image's
@@ -249,6 +255,7 @@ impl TouchStage {
             patches.forget();
         }
         self.tracker.end_all(time_ns, &mut self.ended);
+        self.contacts.clear();
     }
 
     /// True where so many frames in a row, taking so long, are an interruption: more than a touch may be missed, and longer than
@@ -263,5 +270,66 @@ impl TouchStage {
             patches.forget();
         }
         self.tracker.end_all(time_ns, &mut self.events);
+        self.events.splice(0..0, self.ended.drain(..));
+        self.contacts.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::skin::Skin;
+
+    const FRAME_NS: u64 = 10_000_000;
+
+    /// A stage that follows one touch, and its time.
+    fn touched() -> (TouchStage, u64) {
+        let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
+        let grid = prepared.map.grid().len();
+        let mut stage = TouchStage::new(&prepared, vec![0.01; grid]).unwrap();
+        let image: Vec<f32> = (0..prepared.map.grid().rows)
+            .flat_map(|row| (0..prepared.map.grid().columns).map(move |column| (row, column)))
+            .map(|(row, column)| {
+                let [x, y] = [column as f32 - 20.0, row as f32 - 20.0];
+                (-(x * x + y * y) / 18.0).exp()
+            })
+            .collect();
+        let difference = vec![0.0; prepared.channels()];
+        for frame in 1..=10 {
+            stage.process(frame * FRAME_NS, &image, &difference, None).unwrap();
+        }
+        assert_eq!(stage.touches().len(), 1);
+        (stage, 10 * FRAME_NS)
+    }
+
+    fn ends(stage: &TouchStage) -> usize {
+        stage.events().iter().filter(|event| matches!(event, TouchEvent::End(_))).count()
+    }
+
+    #[test]
+    fn a_frame_that_says_nothing_after_an_interruption_ends_touches_and_begins_none() {
+        let (mut stage, mut time_ns) = touched();
+        time_ns += 30 * FRAME_NS;
+        stage.interrupt(time_ns);
+        stage.repeat(time_ns).unwrap();
+        assert_eq!((ends(&stage), stage.touches().len()), (1, 0), "{:?}", stage.events());
+        for _ in 0..10 {
+            time_ns += FRAME_NS;
+            stage.repeat(time_ns).unwrap();
+            assert!(stage.events().is_empty() && !stage.is_loaded(), "a touch that nobody sees: {:?}", stage.events());
+        }
+    }
+
+    #[test]
+    fn a_blind_frame_after_an_interruption_has_its_ends_and_leaves_nothing_behind() {
+        let (mut stage, mut time_ns) = touched();
+        stage.interrupt(time_ns);
+        stage.forget(time_ns);
+        assert_eq!((ends(&stage), stage.touches().len()), (1, 0));
+        for _ in 0..10 {
+            time_ns += FRAME_NS;
+            stage.repeat(time_ns).unwrap();
+            assert!(stage.events().is_empty() && !stage.is_loaded(), "{:?}", stage.events());
+        }
     }
 }

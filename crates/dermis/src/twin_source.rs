@@ -50,6 +50,8 @@ pub struct TwinSource {
     demo: Option<Script>,
     /// What is broken, and when.
     faults: Vec<TimedFault>,
+    /// Contact impedances with all electrodes in contact.
+    contacts_ohm: Vec<f64>,
     commands: Receiver<TwinCommand>,
     notices: (Sender<String>, Receiver<String>),
     /// Pointers whose last press was refused.
@@ -94,6 +96,7 @@ impl TwinSource {
             press,
             demo: Some(demo),
             faults: skin.twin.timed_faults(),
+            contacts_ohm: skin.contact_impedances_ohm(),
             commands,
             notices: crossbeam_channel::bounded(NOTICES),
             refused: BTreeSet::new(),
@@ -123,6 +126,21 @@ impl TwinSource {
     /// What the twin has to say to people: presses refused, and, once, that its model has left its validity.
     pub fn notices(&self) -> Receiver<String> {
         self.notices.1.clone()
+    }
+
+    /// What is broken in its instrument now.
+    pub fn acting_faults(&self) -> &[Fault] {
+        self.twin.instrument().faults()
+    }
+
+    /// Contact impedance of every electrode now, ohm, NaN where open; empty for coils.
+    pub fn contacts_ohm(&self) -> Vec<f32> {
+        let open = |e: usize| {
+            let is_it = |fault: &Fault| matches!(fault, Fault::OpenElectrode { electrode } if *electrode as usize == e);
+            self.acting_faults().iter().any(is_it)
+        };
+        let contact = |(e, ohm): (usize, &f64)| if open(e) { f32::NAN } else { *ohm as f32 };
+        self.contacts_ohm.iter().enumerate().map(contact).collect()
     }
 
     /// What people may press with.

@@ -6,7 +6,7 @@ use dermis_twin::scene::Script;
 use dermis_twin::{EmArray, EmElement, EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
 
 use crate::Error;
-use crate::skin::{Reads, Skin};
+use crate::skin::{DrivePattern, Reads, Skin};
 
 /// A twin of any skin.
 pub type AnyTwin = Twin<Box<dyn Frontend>>;
@@ -121,6 +121,7 @@ impl TwinKit {
 
     /// A liquid skin, `length` times as large as the sandwich and far softer.
     fn ionic(mut options: IonicOptions, skin: &Skin, length: f64) -> Result<Self, Error> {
+        options.skip = if let DrivePattern::Skip(skip) = skin.backend.drive { skip } else { 0 };
         options.instrument = as_the_skin_reads(options.instrument, skin);
         options.seed = skin.twin.seed.unwrap_or(options.seed);
         Ok(Self::pressed(Twin::ionic(&options)?.boxed(), LIQUID, length))

@@ -197,11 +197,10 @@ fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
     line.run(200);
     assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
     // A faint cut: too little to be damage, but the baseline is off.
-    line.cut([-22.0, -20.0], [-18.0, -20.0]);
+    line.cut([-23.0, -20.0], [-17.0, -20.0]);
     line.run(100);
     assert!(line.pipeline.damage().proposal.is_none(), "20 s are not enough");
     line.run(100);
-    let t = line.run(1);
     let view = line.pipeline.damage();
     let proposal = view.proposal.unwrap_or_else(|| panic!("no proposal; {:?} {:?}", view.damages, line.names()));
     println!("{proposal:?} {:?}", line.damages());

@@ -17,7 +17,7 @@ fn skin(name: &str, faults: &str) -> Skin {
 /// The twin pressed by nobody: the demonstration begins after what is looked at here.
 fn examined(skin: Skin, frames: u64) -> Vec<Check> {
     let (source, _commands) = TwinSource::new(&skin).unwrap();
-    examine(skin, &mut source.unpaced(), frames, Duration::from_secs(5)).unwrap()
+    examine(skin, &mut source.unpaced(), frames, Duration::from_secs(5), None).unwrap()
 }
 
 fn bad(checks: &[Check]) -> Vec<String> {
@@ -135,7 +135,7 @@ fn exchanged_electrodes_reversed_signs_and_silence_are_said() {
         values.iter_mut().zip(&rest).zip(&swapped).for_each(|((v, rest), swapped)| *v += swapped - rest);
     };
     let say = |source: &mut Given, frames: u64| {
-        bad(&examine(skin.clone(), source, frames, Duration::from_millis(300)).unwrap()).join("\n")
+        bad(&examine(skin.clone(), source, frames, Duration::from_millis(300), None).unwrap()).join("\n")
     };
     let said = say(&mut given(&skin, 64, exchange), 64);
     assert!(said.contains("exchange the wires of electrodes 3 and 7"), "{said}");

@@ -7,9 +7,9 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use dermis::pipeline::Pipeline;
-use dermis::record::{LiveRecording, Recording, RecordingHead, RerunOptions, RerunReport, rerun};
+use dermis::record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, RerunReport, rerun};
 use dermis::sink::{JsonLines, LinesFor, Output, Sink};
-use dermis::skin::Skin;
+use dermis::skin::{Skin, builtin_text};
 use dermis::twin_source::TwinSource;
 use dermis_device::{Frame, Source, SourceEvent};
 
@@ -106,6 +106,53 @@ fn a_rerun_gives_the_live_result_to_the_bit_at_any_speed() {
             assert!(second.image == first.image, "image of frame {} at speed {speed}", first.sequence);
         }
         assert_eq!((report.frames, report.missing, report.refused, report.has_losses()), (FRAMES, 0, 0, false));
+    }
+}
+
+#[test]
+fn faults_and_recoveries_are_events_of_the_recording_and_found_again_in_the_same_frames() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("a.mcap");
+    // Between frames 49 and 50, and 64 and 65; taken back 50 good frames later.
+    let faults = "[twin]\nseed = 5\nfaults = [{ open_electrodes = [5], from_s = 1.98, until_s = 2.58 }]";
+    let skin = Skin::parse(&format!("{}\n{faults}\n", builtin_text(SKIN).unwrap()), "test").unwrap();
+    let (source, _commands) = TwinSource::new(&skin).unwrap();
+    let mut source = source.unpaced().undemonstrated();
+    let prepared = dermis::prepare::Prepared::new(skin).unwrap();
+    let (head, layout) =
+        (RecordingHead::of(&prepared, source.layout().clone(), source.name()), source.layout().clone());
+    let mut pipeline = Pipeline::new(prepared, &layout, None).unwrap();
+    let mut recording = LiveRecording::start(&path, &head, &pipeline, 0.0).unwrap();
+    let (mut frame, mut first) = (Frame::default(), Vec::new());
+    for _ in 0..145 {
+        assert_eq!(source.next_frame(&mut frame, Duration::ZERO).unwrap(), SourceEvent::Frame);
+        recording.frame(&frame);
+        let output = pipeline.process(&frame, 0).unwrap();
+        recording.results(&output);
+        first.push(Result::of(&output));
+    }
+    assert_eq!(recording.finish().error, None);
+    let (mut number, mut electrodes) = (0, Vec::new());
+    let mut recording = Recording::open(&path).unwrap();
+    while let Some(entry) = recording.next_entry().unwrap() {
+        match entry {
+            Entry::Frame(frame) => number = frame.sequence,
+            Entry::Event { entry, .. } if entry.event.starts_with("electrode") => {
+                electrodes.push((number, entry.event.clone(), entry.detail.clone(), entry.values.clone()));
+            }
+            _ => {}
+        }
+    }
+    let [lost, back] = &electrodes[..] else { panic!("{electrodes:?}") };
+    assert_eq!((lost.1.as_str(), &lost.3[..]), ("electrode-fault", &[5.0][..]));
+    assert!(lost.2.starts_with("electrode 5 is lost since frame ") && (50..62).contains(&lost.0), "{lost:?}");
+    assert_eq!((back.1.as_str(), back.2.as_str()), ("electrode-recovered", "electrode 5 is sound again"));
+    assert!((114..142).contains(&back.0), "{back:?}");
+    let (second, _) = again(&path, RerunOptions::default(), |_| {});
+    assert_eq!(second.len(), first.len());
+    for (second, first) in second.iter().zip(&first) {
+        assert_eq!((second.sequence, &second.line), (first.sequence, &first.line));
+        assert!(second.image == first.image, "image of frame {}", first.sequence);
     }
 }
 

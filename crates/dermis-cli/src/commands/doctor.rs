@@ -6,8 +6,11 @@ use std::time::Duration;
 use dermis::doctor::{Answer, Check, FEWEST_FRAMES, examine};
 use dermis::skin::Skin;
 use dermis::twin_source::TwinSource;
-use dermis_device::stream::StreamOptions;
-use dermis_device::{DeviceError, Pacing, Playback, Repeat, Source, SourceSelector, open_stream};
+use dermis_device::instruments::wire::Order;
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{
+    DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
+};
 
 use crate::exit::{Outcome, UsageError};
 
@@ -50,25 +53,20 @@ impl Arguments {
             .map_err(|_| UsageError(format!("--wait-s {}: expected a number of seconds", self.wait_s)))?;
         let skin = super::run::skin(&self.skin)?;
         let mut checks = Vec::new();
-        if let Some(mut source) = self.open(&skin, patience, &mut checks)? {
-            checks.extend(examine(skin, source.as_mut(), self.frames, patience)?);
+        if let Some((mut source, contacts_ohm)) = self.open(&skin, patience, &mut checks)? {
+            checks.extend(examine(skin, source.as_mut(), self.frames, patience, contacts_ohm.as_deref())?);
         }
         self.print(&checks, out)?;
         let bad = checks.iter().any(|check| check.answer == Answer::Bad);
         Ok(if bad { Outcome::ProblemsFound } else { Outcome::Done })
     }
 
-    /// The source, unless it is what is wrong.
-    fn open(
-        &self,
-        skin: &Skin,
-        patience: Duration,
-        checks: &mut Vec<Check>,
-    ) -> anyhow::Result<Option<Box<dyn Source>>> {
+    /// The source, unless it is what is wrong, and the impedances of its electrodes' contacts, where it measures them.
+    fn open(&self, skin: &Skin, patience: Duration, checks: &mut Vec<Check>) -> anyhow::Result<Option<Examined>> {
         if self.source == "twin" {
             let (source, _) = TwinSource::new(skin)?;
             checks.push(Check::good("connection", source.name()));
-            return Ok(Some(Box::new(source.unpaced())));
+            return Ok(Some((Box::new(source.unpaced()), None)));
         }
         match self.source.parse::<SourceSelector>().map_err(dermis::Error::from)? {
             SourceSelector::Twin { .. } => {
@@ -78,16 +76,16 @@ impl Arguments {
                 let table = dermis_device::read(&spec, None).map_err(dermis::Error::from)?;
                 let playback = Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis::Error::from)?;
                 checks.push(Check::good("connection", playback.name()));
-                Ok(Some(Box::new(playback)))
+                Ok(Some((Box::new(playback), None)))
             }
             live => {
                 let options = StreamOptions { patience, ..StreamOptions::default() };
-                match open_stream(&live, options) {
-                    Ok(source) => {
+                match open_live(&live, options) {
+                    Ok((source, contacts_ohm)) => {
                         let identity = source.identity().unwrap_or_else(|| "it does not say what it is".into());
                         checks.push(Check::good("connection", self.source.as_str()));
                         checks.push(Check::good("handshake", identity));
-                        Ok(Some(Box::new(source)))
+                        Ok(Some((Box::new(source), contacts_ohm)))
                     }
                     Err(DeviceError::SourceFailed { reason, .. }) => {
                         checks.push(Check::bad("connection", reason.as_str(), advice_on(&reason)));
@@ -118,6 +116,29 @@ impl Arguments {
         }
         Ok(())
     }
+}
+
+/// A source, and the impedances of its electrodes' contacts, ohm, where it measures them.
+type Examined = (Box<dyn Source>, Option<Vec<f32>>);
+
+/// Opens an instrument as it is set. One on the wire is asked for its contacts first, which it cannot measure while frames flow.
+fn open_live(
+    selector: &SourceSelector,
+    options: StreamOptions,
+) -> Result<(StreamSource, Option<Vec<f32>>), DeviceError> {
+    let on_the_wire = matches!(
+        selector,
+        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
+            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
+    );
+    if !on_the_wire {
+        return Ok((open_stream(selector, options)?, None));
+    }
+    let (source, control) = open_wire(selector, options, Vec::new(), false)?;
+    let measures = control.description().is_some_and(|known| known.obeys(&Order::ElectrodeImpedance));
+    let contacts_ohm = if measures { Some(control.call(Order::ElectrodeImpedance)?) } else { None };
+    control.call(Order::Start)?;
+    Ok((source, contacts_ohm))
 }
 
 /// What to do where no connection came about.

@@ -31,18 +31,8 @@ const QUEUE: usize = 1024;
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(default_value = "healing-square", value_name = "SKIN")]
-    skin: String,
-    /// Where frames come from: twin, a file, tcp:HOST:PORT, serial:PORT, as for `dermis run`.
-    #[arg(long, default_value = "twin", value_name = "SOURCE")]
-    source: String,
-    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
-    #[arg(long)]
-    as_set: bool,
-    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
-    #[arg(long, default_value_t = 1.0)]
-    speed: f64,
+    #[command(flatten)]
+    input: source::InputArguments,
     /// The recording; an existing one is not overwritten.
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
@@ -52,12 +42,6 @@ pub struct Arguments {
     /// Stop after so many seconds.
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
-    /// A calibration made by `dermis calibrate`.
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
-    /// A force calibration made by `dermis calibrate --forces`.
-    #[arg(long, value_name = "FILE")]
-    forces: Option<PathBuf>,
     /// Images and point clouds for viewers, at most so many a second; 0 for none. Raw frames are never thinned out.
     #[arg(long, value_name = "N", default_value_t = SkinView::IMAGES_PER_S)]
     images_per_s: f64,
@@ -71,8 +55,7 @@ impl Arguments {
                 return Err(UsageError(format!("{name} {value}: expected a number that is not negative")).into());
             }
         }
-        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
-        let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
+        let (opened, mut pipeline, head) = self.input.open()?;
         let mut recording = LiveRecording::start(&self.out, &head, &pipeline, self.images_per_s)?;
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut recording);

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use dermis::HealthWatch;
 use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
 use dermis::sink::{ImageStack, JsonLines, LinesFor, Output, Sink, TouchTable};
 use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
@@ -19,7 +20,7 @@ Examples:
   dermis replay press.mcap --prior laplace --hyperparameter 1e-3 --images laplace.npy --touches laplace.csv
 
 Prints what `dermis run --headless` printed while recording, one JSON line a frame, to the digit; with --images or --touches
-it writes files instead. `dermis run --source press.mcap` shows a recording in the page. Exit code 3: the recording lacks
+it writes files instead. Electrodes and channels that fail or recover are named on stderr. `dermis run --source press.mcap` shows a recording in the page. Exit code 3: the recording lacks
 frames, and how many was said.";
 
 /// Arguments of `dermis replay`.
@@ -86,10 +87,14 @@ impl Arguments {
         let stop = Arc::new(AtomicBool::new(false));
         let raised = stop.clone();
         ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let mut health = HealthWatch::new(&pipeline.prepared().skin);
         // What the shell's reader does is no error of the replay.
         let mut failed: Option<std::io::Error> = None;
         let report = rerun(&mut recording, &mut pipeline, options, &stop, |output: &Output<'_>| {
             sinks.iter_mut().try_for_each(|sink| sink.accept(output))?;
+            for change in health.changes(output.health) {
+                tracing::warn!(frame = output.sequence, "{}", change.detail);
+            }
             if let Some(lines) = &mut lines {
                 lines.accept(output)?;
                 if let Err(error) = out.write_all(lines.get_mut()).and_then(|()| out.flush()) {

@@ -13,11 +13,13 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 use dermis::acquire::{Acquisition, Next};
+use dermis::learning::built_in;
 use dermis::pipeline::Pipeline;
 use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
 use dermis::sink::{JsonLines, LinesFor, Sink};
 use dermis::skin::Skin;
 use dermis::twin_source::TwinCommand;
+use dermis::{HealthChange, HealthWatch};
 use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use dermis_device::{Frame, HostStamp};
 use dermis_learn::Model;
@@ -42,29 +44,15 @@ const QUEUE: usize = 64;
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(default_value = "healing-square", value_name = "SKIN")]
-    skin: String,
-    /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
-    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that send
-    /// just numbers.
-    #[arg(long, default_value = "twin", value_name = "SOURCE")]
-    source: String,
-    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
-    #[arg(long)]
-    as_set: bool,
-    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
-    #[arg(long, default_value_t = 1.0)]
-    speed: f64,
-    /// A calibration made by `dermis calibrate`.
-    #[arg(long, value_name = "FILE")]
-    calibration: Option<PathBuf>,
-    /// A force calibration made by `dermis calibrate --forces`.
-    #[arg(long, value_name = "FILE")]
-    forces: Option<PathBuf>,
-    /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged, compressed).
+    #[command(flatten)]
+    input: source::InputArguments,
+    /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged, compressed), in
+    /// place of the one that ships with it.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
+    /// No network.
+    #[arg(long, conflicts_with = "model")]
+    no_model: bool,
     /// Record raw frames from the start.
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
@@ -99,6 +87,7 @@ struct Run {
     not_recorded: u64,
     recording_failed: bool,
     head: RecordingHead,
+    health: HealthWatch,
     hub: Hub,
     feed: PageFeed,
 }
@@ -106,12 +95,8 @@ struct Run {
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let opened = source::open(&self.source, &self.skin, self.speed, self.as_set)?;
-        let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
-        if let Some(path) = &self.model {
-            let model = Model::load(path).map_err(dermis::Error::from)?;
-            pipeline.set_classifier(Some(&model))?;
-        }
+        let (opened, mut pipeline, head) = self.input.open()?;
+        self.classify_by_network(&mut pipeline)?;
         let hub = Hub::new();
         let (commands, requests) = crossbeam_channel::bounded(256);
         let server = if self.headless {
@@ -127,6 +112,7 @@ impl Arguments {
             Some(server)
         };
         let feed = PageFeed::new(&pipeline);
+        let health = HealthWatch::new(&pipeline.prepared().skin);
         let mut run = Run {
             pipeline,
             twin: opened.twin,
@@ -134,6 +120,7 @@ impl Arguments {
             not_recorded: 0,
             recording_failed: false,
             head,
+            health,
             hub,
             feed,
         };
@@ -151,6 +138,22 @@ impl Arguments {
         }
         outcome?;
         Ok(Outcome::of_frames(counters, run.not_recorded, run.recording_failed))
+    }
+
+    /// The network asked for, or the one that ships with the skin as long as the skin is what it was trained on.
+    fn classify_by_network(&self, pipeline: &mut Pipeline) -> anyhow::Result<()> {
+        if let Some(path) = &self.model {
+            let model = Model::load(path).map_err(dermis::Error::from)?;
+            return Ok(pipeline.set_classifier(Some(&model))?);
+        }
+        let name = pipeline.prepared().skin.name.clone();
+        let built_in = if self.no_model { None } else { built_in(&name).map_err(dermis::Error::from)? };
+        if let Some(model) = built_in
+            && let Err(error) = pipeline.set_classifier(Some(&model))
+        {
+            tracing::warn!("no classes of pixels: {error}");
+        }
+        Ok(())
     }
 
     fn address(&self) -> SocketAddr {
@@ -239,6 +242,10 @@ impl Run {
             let text = dermis::damage::told(event);
             tracing::warn!(frame = output.sequence, "{text}");
             self.hub.announce(Level::Warning, text);
+        }
+        for HealthChange { detail, is_fault, .. } in self.health.changes(output.health) {
+            tracing::warn!(frame = output.sequence, "{detail}");
+            self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
         }
         if output.marks.clock_jump_ns != 0 || output.marks.renumbered {
             let jump_s = output.marks.clock_jump_ns as f64 * 1e-9;

@@ -8,6 +8,9 @@ use std::time::Instant;
 
 use crate::{Frame, Layout};
 
+/// Frames kept for a reader that has not asked for any yet: fewer than any queue behind it holds.
+const EARLY: u64 = 32;
+
 /// Where a [`Dialogue`](super::Dialogue) puts frames and counts losses.
 #[derive(Debug)]
 pub struct Inbox {
@@ -27,11 +30,17 @@ impl Inbox {
         (Self { filled, empty, kept: None, shared: Arc::default(), taken: 0 }, frames, spare)
     }
 
-    /// A frame that `fill` fills; where the queue is full it is dropped and counted as lost.
+    /// A frame that `fill` fills; where the queue is full it is dropped and counted as lost. While nobody has
+    /// asked a source for frames, few are kept and none count.
     pub fn take(&mut self, fill: impl FnOnce(&mut Frame)) {
         let mut frame = self.kept.take().or_else(|| self.empty.try_recv().ok()).unwrap_or_default();
         fill(&mut frame);
         self.taken += 1;
+        if self.taken > EARLY && self.shared.is_early() {
+            self.shared.overflowed.store(true, Ordering::Release);
+            self.kept = Some(frame);
+            return;
+        }
         if let Err(refused) = self.filled.try_send(frame) {
             self.lost(1);
             let (std::sync::mpsc::TrySendError::Full(frame) | std::sync::mpsc::TrySendError::Disconnected(frame)) =
@@ -72,6 +81,10 @@ pub(super) struct Shared {
     lost: AtomicU64,
     bad: AtomicU64,
     connections: AtomicU64,
+    /// A source whose first frame nobody has asked for yet.
+    early: AtomicBool,
+    /// More came before than were kept.
+    overflowed: AtomicBool,
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -94,6 +107,20 @@ impl Shared {
 
     pub(super) fn losses(&self) -> (u64, u64) {
         (self.lost.load(Ordering::Relaxed), self.bad.load(Ordering::Relaxed))
+    }
+
+    pub(super) fn is_early(&self) -> bool {
+        self.early.load(Ordering::Acquire)
+    }
+
+    /// Whether the first frame is still to be asked for.
+    pub(super) fn set_early(&self, early: bool) {
+        self.early.store(early, Ordering::Release);
+    }
+
+    /// Whether more frames came before they were asked for than were kept.
+    pub(super) fn overflowed_unasked(&self) -> bool {
+        self.overflowed.load(Ordering::Acquire)
     }
 
     pub(super) fn connections(&self) -> u64 {

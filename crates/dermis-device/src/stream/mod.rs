@@ -90,6 +90,9 @@ pub trait Dialogue: Send {
 /// [`Source::next_frame`] never waits longer than it is told, whatever the device does. [`Counters::lost`] holds frames that
 /// the device numbered and that never came, frames that found the queue full, and, after a reset of the device, as many as
 /// its rate says it would have sent meanwhile.
+///
+/// A stream begins with the first call of [`Source::next_frame`]: of what a device sends while its host still makes ready, 32
+/// frames wait; where there were more, the stream begins with the next frame, and nothing before that was lost.
 #[derive(Debug)]
 pub struct StreamSource {
     name: String,
@@ -99,6 +102,8 @@ pub struct StreamSource {
     shared: Arc<Shared>,
     ended: Receiver<()>,
     delivered: u64,
+    /// Losses before the stream began, lost and bad.
+    before: (u64, u64),
 }
 
 impl StreamSource {
@@ -114,6 +119,7 @@ impl StreamSource {
         let name = connect.name().to_owned();
         let (inbox, frames, spare) = Inbox::new(options.queue);
         let shared = inbox.shared();
+        shared.set_early(true);
         let (ending, ended) = sync_channel(1);
         let failed = |reason: String| DeviceError::SourceFailed { name: name.clone(), reason };
         thread::Builder::new()
@@ -125,12 +131,23 @@ impl StreamSource {
             })
             .map_err(|error| failed(format!("no thread to read it: {error}")))?;
         match shared.wait_for_layout(Instant::now() + options.patience) {
-            Ok(layout) => Ok(Self { name, layout, frames, spare, shared, ended, delivered: 0 }),
+            Ok(layout) => Ok(Self { name, layout, frames, spare, shared, ended, delivered: 0, before: (0, 0) }),
             Err(reason) => {
                 shared.stop();
                 Err(failed(reason))
             }
         }
+    }
+
+    /// The first frame is asked for. Where more came by now than were kept, those stand before a gap and are passed over.
+    fn begin(&mut self) {
+        if self.shared.overflowed_unasked() {
+            while let Ok(frame) = self.frames.try_recv() {
+                let _ = self.spare.try_send(frame);
+            }
+            self.before = self.shared.losses();
+        }
+        self.shared.set_early(false);
     }
 
     /// What the device says that it is.
@@ -154,6 +171,9 @@ impl Source for StreamSource {
     }
 
     fn next_frame(&mut self, frame: &mut Frame, timeout: Duration) -> Result<SourceEvent, DeviceError> {
+        if self.shared.is_early() {
+            self.begin();
+        }
         match self.frames.recv_timeout(timeout) {
             Ok(mut next) => {
                 std::mem::swap(frame, &mut next);
@@ -172,7 +192,7 @@ impl Source for StreamSource {
 
     fn counters(&self) -> Counters {
         let (lost, bad) = self.shared.losses();
-        Counters { frames: self.delivered, lost, bad }
+        Counters { frames: self.delivered, lost: lost - self.before.0, bad: bad - self.before.1 }
     }
 
     fn problem(&self) -> Option<String> {

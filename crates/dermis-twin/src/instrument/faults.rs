@@ -4,7 +4,8 @@
 //! scale; a stimulation that drives through it carries no current, so all its channels read 0. A shorted pair takes the
 //! whole current of a stimulation across it (0 on all its channels) and ties the two potentials: a channel across it
 //! reads 0, and a channel on one of the two reads the mean of itself and the same stimulation's channel on the other,
-//! where there is one. That the short also redirects current inside the skin is left out.
+//! where there is one. That the short also redirects current inside the skin is left out. A dead coil neither makes nor
+//! sees a field: all its channels read 0.
 
 use dermis_tomo::eit::Protocol;
 use rand::{Rng, SeedableRng};
@@ -33,6 +34,18 @@ pub enum Fault {
         channel: usize,
         /// What it reads, volts.
         value_v: f64,
+    },
+    /// A channel with noise of its own besides that of all.
+    NoisyChannel {
+        /// Index from 0.
+        channel: usize,
+        /// Standard deviation of that noise, volts.
+        deviation_v: f64,
+    },
+    /// A coil whose winding or wire is broken.
+    DeadCoil {
+        /// Index from 0.
+        coil: u32,
     },
     /// Frames that are lost on the way.
     DroppedFrames {
@@ -64,6 +77,8 @@ pub enum FrameFate {
 pub(super) struct Faults {
     list: Vec<Fault>,
     protocol: Option<Protocol>,
+    /// The protocol is one of coils.
+    coils: bool,
     channels: usize,
     random: ChaCha8Rng,
     floating: Vec<usize>,
@@ -82,6 +97,7 @@ impl Faults {
         Self {
             list: Vec::new(),
             protocol: None,
+            coils: false,
             channels,
             random,
             floating: Vec::new(),
@@ -107,6 +123,11 @@ impl Faults {
         Ok(())
     }
 
+    pub fn set_coils(&mut self, pairs: &Protocol) -> Result<(), TwinError> {
+        self.coils = true;
+        self.set_protocol(pairs)
+    }
+
     pub fn set(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
         self.check_all(&faults)?;
         self.floating.clear();
@@ -118,6 +139,7 @@ impl Faults {
             match *fault {
                 Fault::OpenElectrode { electrode } => self.open(electrode),
                 Fault::ShortedPair { electrodes: [a, b] } => self.short(a, b),
+                Fault::DeadCoil { coil } => self.silence(coil),
                 _ => {}
             }
         }
@@ -130,10 +152,16 @@ impl Faults {
     }
 
     fn check(&self, fault: &Fault) -> Result<(), TwinError> {
-        let electrodes = self.protocol.as_ref().map_or(0, Protocol::electrode_count) as f64 - 1.0;
+        let count = |coils: bool| match &self.protocol {
+            Some(protocol) if self.coils == coils => protocol.electrode_count() as f64,
+            _ => 0.0,
+        };
         let electrode = |index: u32| {
             let expected = "an electrode of the instrument's protocol";
-            check("faulty electrode", f64::from(index), 0.0, electrodes, expected)
+            check("faulty electrode", f64::from(index), 0.0, count(false) - 1.0, expected)
+        };
+        let exists = |field: &'static str, channel: usize| {
+            check(field, channel as f64, 0.0, self.channels as f64 - 1.0, "a channel that exists")
         };
         match *fault {
             Fault::OpenElectrode { electrode: index } => electrode(index),
@@ -143,8 +171,15 @@ impl Faults {
                 check("distance of shorted electrodes", f64::from(a.abs_diff(b)), 1.0, f64::MAX, "two electrodes")
             }
             Fault::StuckChannel { channel, value_v } => {
-                check("stuck channel", channel as f64, 0.0, self.channels as f64 - 1.0, "a channel that exists")?;
+                exists("stuck channel", channel)?;
                 check("stuck value_v", value_v, f64::MIN, f64::MAX, "finite")
+            }
+            Fault::NoisyChannel { channel, deviation_v } => {
+                exists("noisy channel", channel)?;
+                check("noisy channel's deviation_v", deviation_v, 0.0, f64::MAX, "zero or more, finite")
+            }
+            Fault::DeadCoil { coil } => {
+                check("dead coil", f64::from(coil), 0.0, count(true) - 1.0, "a coil of the instrument")
             }
             Fault::DroppedFrames { probability } | Fault::DuplicatedFrames { probability } => {
                 check("fault probability", probability, 0.0, 1.0, "0 to 1")
@@ -158,6 +193,16 @@ impl Faults {
             if protocol.patterns()[measurement.pattern as usize].touches(electrode) {
                 self.floating.push(channel);
             } else if protocol.stimulations()[measurement.stimulation as usize].touches(electrode) {
+                self.dead.push(channel);
+            }
+        }
+    }
+
+    fn silence(&mut self, coil: u32) {
+        let Some(protocol) = &self.protocol else { return };
+        for (channel, measurement) in protocol.measurements().iter().enumerate() {
+            let [stimulation, pattern] = [measurement.stimulation, measurement.pattern].map(|index| index as usize);
+            if protocol.stimulations()[stimulation].touches(coil) || protocol.patterns()[pattern].touches(coil) {
                 self.dead.push(channel);
             }
         }
@@ -212,6 +257,11 @@ impl Faults {
                 Fault::StuckChannel { channel, value_v } => {
                     readings_v[channel] = value_v;
                     imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value = 0.0);
+                }
+                Fault::NoisyChannel { channel, deviation_v } => {
+                    let mut noise = || deviation_v * super::normal(&mut self.random);
+                    readings_v[channel] += noise();
+                    imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value += noise());
                 }
                 Fault::DroppedFrames { probability } if self.random.random_bool(probability) => {
                     self.fate = FrameFate::Dropped;

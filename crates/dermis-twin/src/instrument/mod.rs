@@ -189,6 +189,15 @@ impl Instrument {
         Ok(self)
     }
 
+    /// Tells it which coils its channels use, which faults of coils need.
+    ///
+    /// # Errors
+    /// Pairs of another number than its channels.
+    pub fn with_coils(mut self, pairs: &Protocol) -> Result<Self, TwinError> {
+        self.faults.set_coils(pairs)?;
+        Ok(self)
+    }
+
     /// The parameters.
     pub fn options(&self) -> &InstrumentOptions {
         &self.options
@@ -197,7 +206,7 @@ impl Instrument {
     /// Replaces the faults; none makes it sound again.
     ///
     /// # Errors
-    /// Channels or electrodes that do not exist, probabilities outside 0 to 1, faults of electrodes without a protocol.
+    /// Channels, electrodes or coils that do not exist, probabilities outside 0 to 1, faults of electrodes without a protocol.
     pub fn set_faults(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
         self.faults.set(faults)
     }

@@ -47,7 +47,14 @@ impl Rig {
     /// # Errors
     /// A skin without twin, or one that cannot be made.
     pub fn new(skin_name: &str) -> Result<Self, Error> {
-        let skin = Skin::open(skin_name)?;
+        Self::of(Skin::open(skin_name)?)
+    }
+
+    /// As [`Rig::new`], of a skin of one's own.
+    ///
+    /// # Errors
+    /// As [`Rig::new`].
+    pub fn of(skin: Skin) -> Result<Self, Error> {
         let kit = TwinKit::of(&skin)?;
         let (frontend, instrument, _) = kit.twin.into_parts();
         Self::from_parts(skin, frontend, instrument)

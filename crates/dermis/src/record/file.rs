@@ -4,9 +4,14 @@ use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
+use super::sync::Syncer;
 use crate::Error;
 use crate::sink::staged::StagedFile;
+
+/// What the operating system has been given is on the disk itself after this, and the time that the disk takes for it.
+const SYNC_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Where the bytes go.
 pub(super) trait Destination: Write + Send {
@@ -47,6 +52,7 @@ impl Destination for StagedFile {
 /// A file under its partial name.
 struct PartialFile {
     out: BufWriter<File>,
+    syncer: Syncer,
     partial: PathBuf,
     target: PathBuf,
 }
@@ -56,7 +62,11 @@ impl PartialFile {
         let partial = partial_name(path).ok_or_else(|| Error::io(path)(io::ErrorKind::IsADirectory.into()))?;
         refuse_existing(path)?;
         let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(Error::io(&partial))?;
-        Ok(Self { out: BufWriter::new(file), partial, target: path.to_owned() })
+        let handle = file.try_clone().map_err(Error::io(&partial))?;
+        let syncer = Syncer::spawn(SYNC_INTERVAL, move || handle.sync_data()).map_err(Error::io(&partial))?;
+        // The name, too, shall be there after a loss of power.
+        crate::sink::sync_directory(&partial);
+        Ok(Self { out: BufWriter::new(file), syncer, partial, target: path.to_owned() })
     }
 }
 
@@ -96,7 +106,8 @@ impl Write for PartialFile {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
+        self.out.flush()?;
+        self.syncer.written()
     }
 }
 

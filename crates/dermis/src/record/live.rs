@@ -7,9 +7,9 @@ use dermis_device::{Frame, HostStamp};
 use dermis_touch::damage::DamageEvent;
 
 use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, SkinView};
-use crate::Error;
 use crate::pipeline::Pipeline;
 use crate::sink::Output;
+use crate::{Error, HealthWatch};
 
 /// Frames that may wait for the disk.
 const QUEUE: usize = 1024;
@@ -27,6 +27,7 @@ pub struct LiveRecording {
     /// Time of the frame at hand, by the device's clock where it has one, so that a twin that runs faster than time is
     /// pictured as often as one that does not.
     time_ns: u64,
+    health: HealthWatch,
     failure_told: bool,
 }
 
@@ -55,7 +56,8 @@ impl LiveRecording {
             recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
         }
         let handle = RecorderHandle::spawn(recorder, QUEUE)?;
-        let live = Self { path: path.to_owned(), handle, last_sequence: None, time_ns: 0, failure_told: false };
+        let health = HealthWatch::new(&pipeline.prepared().skin);
+        let live = Self { path: path.to_owned(), handle, last_sequence: None, time_ns: 0, health, failure_told: false };
         live.baseline(pipeline, HostStamp::now().wall_ns);
         Ok(live)
     }
@@ -82,12 +84,16 @@ impl LiveRecording {
         self.handle.offer(frame);
     }
 
-    /// Takes what was made of the frame.
+    /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first frame,
+    /// what was broken before the recording began.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
         for event in output.damage.events {
             let (name, detail, values) = damage_event(event);
             self.handle.offer_event(output.wall_ns, name, &detail, &values);
+        }
+        for change in self.health.changes(output.health) {
+            self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
         }
     }
 

@@ -42,6 +42,7 @@ mod replay;
 mod rerun;
 mod scan;
 mod schema;
+mod sync;
 mod view;
 mod writer;
 

@@ -13,7 +13,9 @@ press X_MM Y_MM FORCE_N [RADIUS_MM]   press there, or go on pressing there
 release                               let go
 fault electrode N open                electrode N, counted from 1, loses its contact
 fault electrodes N M shorted          a wire connects two electrodes
+fault coil N dead                     coil N, counted from 1, neither makes nor sees a field
 fault channel N stuck MILLIVOLT       channel N, counted from 1, always reads the same
+fault channel N noisy MILLIVOLT       channel N has noise of this standard deviation besides
 fault frames lost SHARE               so many of the frames (0 to 1) are lost on the way
 fault frames repeated SHARE           so many of the frames are copies of the one before
 repair                                nothing is broken any more
@@ -66,7 +68,9 @@ enum Said {
 enum SaidFault {
     ElectrodeOpen(u32),
     ElectrodesShorted([u32; 2]),
+    CoilDead(u32),
     ChannelStuck { channel: usize, value_mv: f64 },
+    ChannelNoisy { channel: usize, noise_mv: f64 },
     FramesLost(f64),
     FramesRepeated(f64),
 }
@@ -113,6 +117,10 @@ fn in_words(line: &str) -> Option<Said> {
         ["fault", "channel", n, "stuck", value] => {
             Said::Fault(SaidFault::ChannelStuck { channel: n.parse().ok()?, value_mv: number(value)? })
         }
+        ["fault", "channel", n, "noisy", noise] => {
+            Said::Fault(SaidFault::ChannelNoisy { channel: n.parse().ok()?, noise_mv: number(noise)? })
+        }
+        ["fault", "coil", n, "dead"] => Said::Fault(SaidFault::CoilDead(n.parse().ok()?)),
         ["fault", "frames", "lost", share] => Said::Fault(SaidFault::FramesLost(number(share)?)),
         ["fault", "frames", "repeated", share] => Said::Fault(SaidFault::FramesRepeated(number(share)?)),
         ["repair"] => Said::Repair,
@@ -180,6 +188,10 @@ fn broken(fault: SaidFault) -> Result<Fault, String> {
         SaidFault::ChannelStuck { channel, value_mv } => {
             Fault::StuckChannel { channel: channel.checked_sub(1).ok_or_else(expected)?, value_v: value_mv * 1e-3 }
         }
+        SaidFault::ChannelNoisy { channel, noise_mv } => {
+            Fault::NoisyChannel { channel: channel.checked_sub(1).ok_or_else(expected)?, deviation_v: noise_mv * 1e-3 }
+        }
+        SaidFault::CoilDead(n) => Fault::DeadCoil { coil: electrode(n)? },
         SaidFault::FramesLost(probability) => Fault::DroppedFrames { probability },
         SaidFault::FramesRepeated(probability) => Fault::DuplicatedFrames { probability },
     })
@@ -210,6 +222,8 @@ mod tests {
             ("fault electrodes 3 4 shorted", r#"{"fault": {"electrodes_shorted": [3, 4]}}"#),
             ("fault channel 7 stuck -1.5", r#"{"fault": {"channel_stuck": {"channel": 7, "value_mv": -1.5}}}"#),
             ("fault frames lost 0.25", r#"{"fault": {"frames_lost": 0.25}}"#),
+            ("fault channel 9 noisy 2.5", r#"{"fault": {"channel_noisy": {"channel": 9, "noise_mv": 2.5}}}"#),
+            ("fault coil 3 dead", r#"{"fault": {"coil_dead": 3}}"#),
             ("fault frames repeated 0.5", r#"{"fault": {"frames_repeated": 0.5}}"#),
             ("repair", r#""repair""#),
             ("cut -10 0 10 5", r#"{"cut": {"x0_mm": -10, "y0_mm": 0, "x1_mm": 10, "y1_mm": 5}}"#),

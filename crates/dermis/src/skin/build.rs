@@ -153,6 +153,24 @@ impl Skin {
         }
     }
 
+    /// Contact impedance of every electrode, ohm: the specific one over the electrode's area, on the rim its length times the
+    /// layer's thickness. 0 for electrodes that are points; empty for coils, which have none.
+    pub fn contact_impedances_ohm(&self) -> Vec<f64> {
+        if self.modality == Modality::Mit {
+            return Vec::new();
+        }
+        let area_m2 = |shape: &ElectrodeShape| match *shape {
+            ElectrodeShape::RimArc { width_m, .. } | ElectrodeShape::RimSegment { width_m, .. } => {
+                width_m * self.frontend.layer.thickness_mm * MM
+            }
+            ElectrodeShape::PadCircle { radius_m, .. } => std::f64::consts::PI * radius_m * radius_m,
+            ElectrodeShape::PadRectangle { width_m, height_m, .. } => width_m * height_m,
+            ElectrodeShape::RimPoint { .. } | ElectrodeShape::Point { .. } => f64::INFINITY,
+        };
+        let specific = self.frontend.contact_impedance_ohm_m2;
+        self.electrode_shapes().iter().map(|shape| specific / area_m2(shape)).collect()
+    }
+
     /// The grid that images of this skin live on: exactly its bounding box.
     ///
     /// # Errors

@@ -18,7 +18,7 @@ pub use health::HealthSettings;
 pub(crate) use magnetic::ELEMENT_WIDTH;
 pub use magnetic::{Coils, ElementShape, Elements};
 pub use refinement::Refinement;
-pub use twin::{StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
+pub use twin::{NoisyChannel, StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
 
 use std::path::Path;
 
@@ -717,9 +717,10 @@ impl Skin {
             Modality::Eit => self.check_electrodes(file)?,
             Modality::Mit => self.check_magnetic(file).map(|()| 0)?,
         };
-        let stuck = self.twin.faults.iter().any(|faults| !faults.stuck_channels.is_empty());
-        let channels = if stuck { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
-        self.twin.check(electrodes, channels, &self.frontend.layer.kind, file)?;
+        let named = self.twin.names_channels();
+        let channels = if named { self.protocol().ok().map(|protocol| protocol.channel_count()) } else { None };
+        let coils = if self.modality == Modality::Mit { self.electrode_shapes().len() } else { 0 };
+        self.twin.check(twin::Parts { electrodes, coils, channels }, &self.frontend.layer.kind, file)?;
         self.health.check(file)?;
         self.damage.check(file)?;
         if !(4..=512).contains(&self.imaging.grid) {

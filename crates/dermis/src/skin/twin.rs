@@ -102,8 +102,12 @@ pub struct TwinFaults {
     pub open_electrodes: Vec<u32>,
     /// Pairs of electrodes connected by a wire, counted from 1.
     pub shorted_pairs: Vec<[u32; 2]>,
+    /// Coils that neither make nor see a field, counted from 1; of skins with coils only.
+    pub dead_coils: Vec<u32>,
     /// Channels that always read the same.
     pub stuck_channels: Vec<StuckChannel>,
+    /// Channels with noise of their own.
+    pub noisy_channels: Vec<NoisyChannel>,
     /// Probability of each frame to be lost on the way.
     pub dropped_share: f64,
     /// Probability of each frame to be a copy of the one before, number included.
@@ -120,10 +124,34 @@ pub struct StuckChannel {
     pub value_mv: f64,
 }
 
+/// A channel with noise of its own besides that of all.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoisyChannel {
+    /// Which, counted from 1 as on the page.
+    pub channel: usize,
+    /// Standard deviation of that noise.
+    pub noise_mv: f64,
+}
+
+/// What there is that faults can name.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Parts {
+    pub electrodes: usize,
+    pub coils: usize,
+    /// `None` where a protocol cannot be made, which is refused elsewhere, by name.
+    pub channels: Option<usize>,
+}
+
 impl TwinSettings {
     /// The faults as the twin takes them, electrodes counted from 0.
     pub fn timed_faults(&self) -> Vec<TimedFault> {
         self.faults.iter().flat_map(TwinFaults::timed).collect()
+    }
+
+    /// Whether any fault names a channel.
+    pub(super) fn names_channels(&self) -> bool {
+        self.faults.iter().any(|faults| !faults.stuck_channels.is_empty() || !faults.noisy_channels.is_empty())
     }
 
     /// The treatments as the twin takes them.
@@ -147,27 +175,12 @@ impl TwinSettings {
         Ok(())
     }
 
-    pub(super) fn check(
-        &self,
-        electrodes: usize,
-        channels: Option<usize>,
-        kind: &str,
-        file: &str,
-    ) -> Result<(), Error> {
+    pub(super) fn check(&self, parts: Parts, kind: &str, file: &str) -> Result<(), Error> {
         self.check_treatments(kind, file)?;
         if !(-90.0..=90.0).contains(&self.phase_error_deg) {
             return Err(refused(file, "twin.phase_error_deg", self.phase_error_deg, "-90 to 90"));
         }
-        let stuck = self.faults.iter().flat_map(|faults| &faults.stuck_channels);
-        for StuckChannel { channel, .. } in stuck {
-            // A protocol that cannot be made is refused elsewhere, by name.
-            let most = channels.unwrap_or(usize::MAX);
-            if !(1..=most).contains(channel) {
-                let expected = format!("channels 1 to {most}");
-                return Err(refused(file, "twin.faults.stuck_channels.channel", channel, &expected));
-            }
-        }
-        self.faults.iter().try_for_each(|faults| faults.check(electrodes, file))
+        self.faults.iter().try_for_each(|faults| faults.check(parts, file))
     }
 }
 
@@ -178,15 +191,23 @@ impl TwinFaults {
         let short = self.shorted_pairs.iter().map(|p| Fault::ShortedPair { electrodes: p.map(|n| n.wrapping_sub(1)) });
         let stuck =
             |s: &StuckChannel| Fault::StuckChannel { channel: s.channel.wrapping_sub(1), value_v: 1e-3 * s.value_mv };
+        let noisy = |n: &NoisyChannel| Fault::NoisyChannel {
+            channel: n.channel.wrapping_sub(1),
+            deviation_v: 1e-3 * n.noise_mv,
+        };
+        let coils = self.dead_coils.iter().map(|n| Fault::DeadCoil { coil: n.wrapping_sub(1) });
         let dropped = Fault::DroppedFrames { probability: self.dropped_share };
         let repeated = Fault::DuplicatedFrames { probability: self.repeated_share };
         let frames = [(self.dropped_share, dropped), (self.repeated_share, repeated)];
         let frames = frames.into_iter().filter(|(share, _)| *share > 0.0).map(|(_, fault)| fault);
-        let all = open.chain(short).chain(self.stuck_channels.iter().map(stuck)).chain(frames);
+        let channels = self.stuck_channels.iter().map(stuck).chain(self.noisy_channels.iter().map(noisy));
+        let all = open.chain(short).chain(coils).chain(channels).chain(frames);
         all.map(|fault| TimedFault { fault, from_s: self.from_s, until_s: self.until_s })
     }
 
-    fn check(&self, electrodes: usize, file: &str) -> Result<(), Error> {
+    fn check(&self, parts: Parts, file: &str) -> Result<(), Error> {
+        let Parts { electrodes, coils, .. } = parts;
+        self.check_channels(parts.channels.unwrap_or(usize::MAX), file)?;
         let exists = |number: u32| number >= 1 && number as usize <= electrodes;
         let expected = format!("electrodes 1 to {electrodes}");
         if let Some(number) = self.open_electrodes.iter().find(|&&number| !exists(number)) {
@@ -196,8 +217,10 @@ impl TwinFaults {
             let expected = format!("two different {expected}");
             return Err(refused(file, "twin.faults.shorted_pairs", format!("[{a}, {b}]"), &expected));
         }
-        if let Some(stuck) = self.stuck_channels.iter().find(|stuck| !stuck.value_mv.is_finite()) {
-            return Err(refused(file, "twin.faults.stuck_channels.value_mv", stuck.value_mv, "a finite number"));
+        if let Some(number) = self.dead_coils.iter().find(|&&number| !(1..=coils).contains(&(number as usize))) {
+            let expected =
+                if coils == 0 { "coils, which this skin has none of".into() } else { format!("coils 1 to {coils}") };
+            return Err(refused(file, "twin.faults.dead_coils", number, &expected));
         }
         for (field, share) in
             [("twin.faults.dropped_share", self.dropped_share), ("twin.faults.repeated_share", self.repeated_share)]
@@ -214,6 +237,26 @@ impl TwinFaults {
                 Err(refused(file, "twin.faults.until_s", until, "a number above from_s"))
             }
             _ => Ok(()),
+        }
+    }
+
+    /// Channels 1 to `most`, and what they read.
+    fn check_channels(&self, most: usize, file: &str) -> Result<(), Error> {
+        let expected = format!("channels 1 to {most}");
+        let stuck = self.stuck_channels.iter().map(|s| ("twin.faults.stuck_channels.channel", s.channel));
+        let noisy = self.noisy_channels.iter().map(|n| ("twin.faults.noisy_channels.channel", n.channel));
+        if let Some((field, channel)) = stuck.chain(noisy).find(|(_, channel)| !(1..=most).contains(channel)) {
+            return Err(refused(file, field, channel, &expected));
+        }
+        if let Some(stuck) = self.stuck_channels.iter().find(|stuck| !stuck.value_mv.is_finite()) {
+            return Err(refused(file, "twin.faults.stuck_channels.value_mv", stuck.value_mv, "a finite number"));
+        }
+        let good = |noise_mv: f64| noise_mv >= 0.0 && noise_mv.is_finite();
+        match self.noisy_channels.iter().find(|noisy| !good(noisy.noise_mv)) {
+            Some(noisy) => {
+                Err(refused(file, "twin.faults.noisy_channels.noise_mv", noisy.noise_mv, "zero or more, finite"))
+            }
+            None => Ok(()),
         }
     }
 }
@@ -284,6 +327,23 @@ mod tests {
         let stuck = error("{ stuck_channels = [{ channel = 209, value_mv = 0.0 }] }");
         assert_eq!(stuck, "a page: twin.faults.stuck_channels.channel = 209: expected channels 1 to 208");
         assert!(error("{ stuck_channels = [{ channel = 0, value_mv = 0.0 }] }").contains("channel = 0"));
+        let noisy = error("{ noisy_channels = [{ channel = 209, noise_mv = 1.0 }] }");
+        assert_eq!(noisy, "a page: twin.faults.noisy_channels.channel = 209: expected channels 1 to 208");
+        assert!(error("{ noisy_channels = [{ channel = 9, noise_mv = -1.0 }] }").contains("noise_mv = -1"));
+        assert!(error("{ dead_coils = [1] }").contains("which this skin has none of"));
         assert!(error("{ open = [1] }").contains("unknown field"));
+    }
+
+    #[test]
+    fn coils_break_where_there_are_coils() {
+        let text = builtin_text("em-8").unwrap();
+        let with = |faults: &str| Skin::parse(&format!("{text}\n[twin]\nfaults = [{faults}]\n"), "a page");
+        let skin = with("{ dead_coils = [3], noisy_channels = [{ channel = 28, noise_mv = 2.0 }] }").unwrap();
+        let faults: Vec<Fault> = skin.twin.timed_faults().iter().map(|timed| timed.fault).collect();
+        assert_eq!(faults, [Fault::DeadCoil { coil: 2 }, Fault::NoisyChannel { channel: 27, deviation_v: 2e-3 }]);
+        assert!(
+            with("{ dead_coils = [9] }").unwrap_err().to_string().contains("dead_coils = 9: expected coils 1 to 8")
+        );
+        assert!(with("{ open_electrodes = [1] }").is_err());
     }
 }

@@ -1,6 +1,6 @@
 //! Where the frames of a run come from, by what the user wrote.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
@@ -16,6 +16,40 @@ use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire};
 
 use crate::exit::UsageError;
+
+/// The arguments that say which frames, of which skin, read by which calibrations.
+#[derive(clap::Args)]
+pub struct InputArguments {
+    /// Built-in skin or skin file.
+    #[arg(default_value = "healing-square", value_name = "SKIN")]
+    skin: String,
+    /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
+    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that send
+    /// just numbers.
+    #[arg(long, default_value = "twin", value_name = "SOURCE")]
+    source: String,
+    /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
+    #[arg(long)]
+    as_set: bool,
+    /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// A calibration made by `dermis calibrate`.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// A force calibration made by `dermis calibrate --forces`.
+    #[arg(long, value_name = "FILE")]
+    forces: Option<PathBuf>,
+}
+
+impl InputArguments {
+    /// Opens the source, its pipeline, and what a recording of it says at its beginning.
+    pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
+        let opened = open(&self.source, &self.skin, self.speed, self.as_set)?;
+        let (pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
+        Ok((opened, pipeline, head))
+    }
+}
 
 /// A source and what goes with it.
 pub struct Opened {

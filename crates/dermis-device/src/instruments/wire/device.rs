@@ -36,11 +36,15 @@ pub struct DeviceInfo {
     pub magnitude: bool,
 }
 
-/// The device's side of a conversation over the wire. It obeys start, stop and single shot, sends readings as f32 in
-/// volts, and refuses all other commands as unknown.
+/// The device's side of a conversation over the wire. It obeys start, stop and single shot and sends readings as f32 in
+/// volts. Amplitude, frequency and rate are fixed: whatever is asked for, the answer is what it has, the nearest that it can
+/// come; its one gain has code 0. Self-test and impedance check are answered where [`WireDevice::set_measured`] has said
+/// with what. It has no other protocol than its own.
 #[derive(Debug)]
 pub struct WireDevice {
     info: DeviceInfo,
+    self_test: Vec<f32>,
+    impedances_ohm: Vec<f32>,
     decoder: Decoder<Vec<u8>>,
     running: bool,
     shots: u32,
@@ -56,6 +60,8 @@ impl WireDevice {
         let longest = encoded_len(64 + 12 * usize::from(info.channels)).max(encoded_len(2048));
         Self {
             info,
+            self_test: Vec::new(),
+            impedances_ohm: Vec::new(),
             decoder: Decoder::new(vec![0; LONGEST_COMMAND]),
             running: false,
             shots: 0,
@@ -64,6 +70,15 @@ impl WireDevice {
             times_ns: Vec::new(),
             buffer: vec![0; longest],
         }
+    }
+
+    /// What it measures of itself from now on: the answers to a self-test and to an impedance check (ohm, one an electrode, NaN
+    /// where open). Where one is empty, the device does not have that command.
+    pub fn set_measured(&mut self, self_test: &[f32], impedances_ohm: &[f32]) {
+        self.self_test.clear();
+        self.self_test.extend_from_slice(self_test);
+        self.impedances_ohm.clear();
+        self.impedances_ohm.extend_from_slice(impedances_ohm);
     }
 
     /// A host has connected, or gone: nothing is sent until it asks.
@@ -93,7 +108,7 @@ impl WireDevice {
                     speaks: (hello.lowest_version..=hello.highest_version).contains(&dermis_wire::VERSION),
                 },
                 Some(Ok(Message::Command(Request { tag, command }))) => {
-                    Asked::Command { tag, code: command.code(), status: status_of(&command) }
+                    Asked::Command { tag, code: command.code(), argument: argument_of(&command) }
                 }
                 Some(_) => continue,
                 None => return,
@@ -101,7 +116,7 @@ impl WireDevice {
             match asked {
                 Asked::Hello { nonce, speaks: true } => self.describe(nonce, send),
                 Asked::Hello { speaks: false, .. } => {}
-                Asked::Command { tag, code, status } => self.answer(tag, code, status, send),
+                Asked::Command { tag, code, argument } => self.answer(tag, code, argument, send),
             }
         }
     }
@@ -136,7 +151,7 @@ impl WireDevice {
 
     /// Describes itself; `nonce` is 0 unless a host has asked.
     pub fn describe(&mut self, nonce: u32, send: &mut Vec<u8>) {
-        let known = [Command::Start, Command::Stop, Command::SingleShot];
+        let known = (0..Command::COUNT).filter(|code| self.has(*code)).fold(0, |bits, code| bits | (1 << code));
         let running = if self.running { Features::RUNNING } else { Features::default() };
         let magnitude = if self.info.magnitude { Features::MAGNITUDE } else { Features::default() };
         let message = Message::Describe(Describe {
@@ -147,7 +162,7 @@ impl WireDevice {
             element: Element::F32,
             adc_bits: 0,
             features: running.with(magnitude),
-            commands: known.iter().fold(0, |bits, command| bits | (1 << command.code())),
+            commands: known,
             frames_per_s: self.info.frames_per_s,
             most_frames_per_s: self.info.frames_per_s,
             amplitude_a: self.info.amplitude_a,
@@ -161,29 +176,75 @@ impl WireDevice {
         push(&message, &mut self.buffer, send);
     }
 
-    fn answer(&mut self, tag: u16, code: u8, status: ReplyStatus, send: &mut Vec<u8>) {
-        if status == ReplyStatus::Done {
-            match code {
-                6 => self.running = true,
-                7 => self.running = false,
-                _ => self.shots = self.shots.saturating_add(1),
-            }
+    /// Whether it has the command of this code.
+    fn has(&self, code: u8) -> bool {
+        match code {
+            AMPLITUDE => self.info.amplitude_a > 0.0,
+            FREQUENCY => self.info.frequency_hz > 0.0,
+            SELF_TEST => !self.self_test.is_empty(),
+            IMPEDANCE => !self.impedances_ohm.is_empty(),
+            _ => (GAIN..=SINGLE_SHOT).contains(&code),
         }
-        let reply = Reply { tag, command: code, status, values: List::from(&[][..]) };
-        push(&Message::Reply(reply), &mut self.buffer, send);
+    }
+
+    /// Does what a command asks for; the numbers to answer with.
+    fn obey(&mut self, code: u8, argument: f32) -> Result<&[f32], ReplyStatus> {
+        let sensible = argument > 0.0 && argument.is_finite();
+        match code {
+            _ if !self.has(code) => return Err(ReplyStatus::Unknown),
+            AMPLITUDE | FREQUENCY | RATE if !sensible => return Err(ReplyStatus::BadArgument),
+            GAIN if argument != 0.0 && argument != f32::from(u8::MAX) => return Err(ReplyStatus::BadArgument),
+            SELF_TEST | IMPEDANCE if self.running => return Err(ReplyStatus::Busy),
+            START => self.running = true,
+            STOP => self.running = false,
+            SINGLE_SHOT => self.shots = self.shots.saturating_add(1),
+            _ => {}
+        }
+        Ok(match code {
+            AMPLITUDE => std::slice::from_ref(&self.info.amplitude_a),
+            FREQUENCY => std::slice::from_ref(&self.info.frequency_hz),
+            RATE => std::slice::from_ref(&self.info.frames_per_s),
+            SELF_TEST => &self.self_test,
+            IMPEDANCE => &self.impedances_ohm,
+            _ => &[],
+        })
+    }
+
+    fn answer(&mut self, tag: u16, code: u8, argument: f32, send: &mut Vec<u8>) {
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let (status, values) = match self.obey(code, argument) {
+            Ok(values) => (ReplyStatus::Done, values),
+            Err(status) => (status, &[][..]),
+        };
+        let reply = Reply { tag, command: code, status, values: List::from(values) };
+        push(&Message::Reply(reply), &mut buffer, send);
+        self.buffer = buffer;
     }
 }
+
+/// Codes of the commands that it may have, as on the wire.
+const AMPLITUDE: u8 = 2;
+const FREQUENCY: u8 = 3;
+const GAIN: u8 = 4;
+const RATE: u8 = 5;
+const START: u8 = 6;
+const STOP: u8 = 7;
+const SINGLE_SHOT: u8 = 8;
+const SELF_TEST: u8 = 9;
+const IMPEDANCE: u8 = 10;
 
 /// What a host has asked, owned, so that it outlives the decoder's borrow.
 enum Asked {
     Hello { nonce: u32, speaks: bool },
-    Command { tag: u16, code: u8, status: ReplyStatus },
+    Command { tag: u16, code: u8, argument: f32 },
 }
 
-fn status_of(command: &Command<'_>) -> ReplyStatus {
-    match command {
-        Command::Start | Command::Stop | Command::SingleShot => ReplyStatus::Done,
-        _ => ReplyStatus::Unknown,
+/// The number that a command comes with, 0 for those without.
+fn argument_of(command: &Command<'_>) -> f32 {
+    match *command {
+        Command::Amplitude(value) | Command::Frequency(value) | Command::Rate(value) => value,
+        Command::Gain(code) => f32::from(code),
+        _ => 0.0,
     }
 }
 

@@ -47,6 +47,8 @@ const DAMPING: [f64; 2] = [1e-4, 1e4];
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
     data: Vec<f32>,
+    /// A response in the combinations of the table.
+    tabulated: Vec<f32>,
     /// Response and derivatives of every spot.
     rows: Vec<f32>,
     trial_rows: Vec<f32>,
@@ -83,6 +85,7 @@ impl SpotModel {
         let parameters = OF_SPOT * most + 1;
         FitScratch {
             data: vec![0.0; length],
+            tabulated: self.responses.scratch(),
             rows: vec![0.0; OF_SPOT * length * most],
             trial_rows: vec![0.0; OF_SPOT * length * most],
             residual: vec![0.0; length],
@@ -144,6 +147,34 @@ impl SpotModel {
         Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
     }
 
+    /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the inverse of
+    /// the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
+    ///
+    /// # Errors
+    /// A place or radius outside the table; channels that do not tell the parameters apart.
+    pub fn bound(&self, position_m: [f64; 2], amplitude: f64, radius_m: f64) -> Result<[[f64; 4]; 4], InverseError> {
+        let (mut scratch, log_radius) = (self.scratch(), radius_m.ln());
+        let rows = &mut scratch.rows[..OF_SPOT * self.combinations()];
+        self.responses.evaluate(position_m, log_radius, &mut scratch.tabulated, rows).ok_or(InverseError::Value {
+            what: "radius of a spot (m), or its place",
+            index: None,
+            value: radius_m,
+            expected: "within the table",
+        })?;
+        scratch.state.push(State { position_m, amplitude, log_radius });
+        self.normal_equations(0.0, &mut scratch);
+        self.finish(1.0, &mut scratch);
+        let covariance = scratch.spots[0].covariance;
+        if covariance[0][0].is_finite() {
+            Ok(covariance)
+        } else {
+            Err(InverseError::Singular {
+                what: "the Fisher matrix of a spot",
+                hint: "give it an amplitude that is not 0",
+            })
+        }
+    }
+
     fn check_fit(&self, difference: &[f64], starts_m: &[[f64; 2]]) -> Result<(), InverseError> {
         if difference.len() != self.channels() {
             let (expected, got) = (self.channels(), difference.len());
@@ -154,7 +185,7 @@ impl SpotModel {
         if starts_m.is_empty() || starts_m.len() > most {
             return Err(InverseError::Size { what: "spots to fit", expected: most, got: starts_m.len() });
         }
-        match starts_m.iter().position(|start| !self.table.holds(*start)) {
+        match starts_m.iter().position(|start| !self.responses.holds(*start)) {
             Some(index) => Err(InverseError::Value {
                 what: "place of a spot (m), x",
                 index: Some(index),
@@ -167,7 +198,7 @@ impl SpotModel {
 
     /// Starts at the radius, the same for all spots, at which amplitudes alone explain most.
     fn begin(&self, starts_m: &[[f64; 2]], scratch: &mut FitScratch) -> Result<f64, InverseError> {
-        let [least, most] = self.table.log_radii();
+        let [least, most] = self.responses.log_radii();
         let typical = self.options().typical_radius_m.ln().clamp(least, most);
         let mut best = (f64::INFINITY, typical);
         for candidate in [typical, 0.5 * (least + typical), 0.5 * (most + typical)] {
@@ -186,7 +217,7 @@ impl SpotModel {
         for (k, start) in starts_m.iter().enumerate() {
             scratch.state.push(State { position_m: *start, amplitude: 0.0, log_radius });
             let rows = &mut scratch.rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
-            if self.table.evaluate(*start, log_radius, rows).is_none() {
+            if self.responses.evaluate(*start, log_radius, &mut scratch.tabulated, rows).is_none() {
                 return (f64::INFINITY, 0.0);
             }
         }
@@ -268,7 +299,8 @@ impl SpotModel {
     fn step(&self, damping: f64, uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
         let parameters = OF_SPOT * scratch.state.len() + 1;
-        let FitScratch { normal, factor, right, state, trial, trial_rows, trial_residual, data, .. } = scratch;
+        let FitScratch { normal, factor, right, state, trial, trial_rows, trial_residual, data, tabulated, .. } =
+            scratch;
         let floor = 1e-12 * (0..parameters).map(|k| normal[k * parameters + k]).fold(0.0, f64::max);
         for k in 0..parameters {
             normal[k * parameters + k] += damping * normal[k * parameters + k] + floor;
@@ -277,7 +309,7 @@ impl SpotModel {
             return None;
         }
         solve(factor, right, parameters);
-        let [least, most] = self.table.log_radii();
+        let [least, most] = self.responses.log_radii();
         let mut moved: f64 = 0.0;
         trial.clear();
         for (k, state) in state.iter().enumerate() {
@@ -291,7 +323,7 @@ impl SpotModel {
             let wider = log_radius - state.log_radius;
             moved = moved.max(share * distance / radius).max(0.1 * wider.abs());
             let rows = &mut trial_rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
-            self.table.evaluate(position_m, log_radius, rows)?;
+            self.responses.evaluate(position_m, log_radius, tabulated, rows)?;
             let amplitude = (state.amplitude + change[2]) * (-2.0 * wider).exp();
             trial.push(State { position_m, amplitude, log_radius });
         }

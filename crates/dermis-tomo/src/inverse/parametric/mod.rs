@@ -10,6 +10,7 @@
 //! Cramer-Rao bound where the model is right (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
 
 mod fit;
+mod responses;
 mod table;
 
 pub use fit::{FitOutcome, FitScratch, Spot};
@@ -17,6 +18,7 @@ pub use fit::{FitOutcome, FitScratch, Spot};
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, MatRef, Side};
 
+use self::responses::Responses;
 use self::table::Table;
 use super::InverseError;
 
@@ -42,7 +44,7 @@ const LEAST_ENERGY: f64 = 1e-9;
 #[derive(Clone, Debug)]
 pub struct SpotModel {
     options: SpotOptions,
-    table: Table,
+    responses: Responses,
     /// One row a channel: whitens and projects a frame.
     projection: Vec<f32>,
     channels: usize,
@@ -89,11 +91,11 @@ impl SpotModel {
         let uniform = (0..count).map(|k| of_uniform(k) as f32).collect();
         let volts = |channel: usize| if root(channel) > 0.0 { deviations[channel] } else { 0.0 };
         let lift = Mat::from_fn(response.nrows(), count, |c, k| volts(c) * basis[(c, k)]);
-        Ok(Self { options, table, projection, channels: response.nrows(), uniform, lift })
+        Ok(Self { options, responses: Responses::new(table), projection, channels: response.nrows(), uniform, lift })
     }
 
-    /// The same responses at another noise, at a hundredth of the cost: within the combinations that are kept, estimates are
-    /// those of generalised least squares. Channels without a positive, finite deviation count as the noisiest of the
+    /// The same responses at another noise, at a thousandth of the cost, from the same table: within the combinations that are
+    /// kept, estimates are those of generalised least squares. Channels without a positive, finite deviation count as the noisiest of the
     /// others.
     ///
     /// # Errors
@@ -117,7 +119,7 @@ impl SpotModel {
         let row = |row: &[f32]| -> Vec<f32> { (&single * faer::ColRef::from_slice(row)).iter().copied().collect() };
         Ok(Self {
             options: self.options,
-            table: self.table.transformed(single.as_ref()),
+            responses: self.responses.combined(single.as_ref()),
             projection: self.projection.chunks_exact(count).flat_map(row).collect(),
             channels,
             uniform: row(&self.uniform),
@@ -125,8 +127,8 @@ impl SpotModel {
         })
     }
 
-    /// The same responses at another noise and without some channels, whose values no longer matter. The table, brought back
-    /// to channels and whitened anew, is `W^1/2 L t`, and with `W^1/2 L = Q R` its projection on Q is `R t`: what the kept
+    /// The same responses at another noise and without some channels, whose values no longer matter, from the same table.
+    /// This, brought back to channels and whitened anew, is `W^1/2 L t`, and with `W^1/2 L = Q R` its projection on Q is `R t`: what the kept
     /// combinations can tell apart, the remaining channels still do. Channels without a positive, finite deviation count as
     /// the noisiest of the others.
     ///
@@ -159,8 +161,8 @@ impl SpotModel {
             }
         }
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
-        let table = self.table.transformed(single.as_ref());
-        Ok(Self { options: self.options, table, projection, channels, uniform, lift })
+        let responses = self.responses.combined(single.as_ref());
+        Ok(Self { options: self.options, responses, projection, channels, uniform, lift })
     }
 
     /// Number of channels of a frame.
@@ -184,7 +186,8 @@ impl SpotModel {
     /// A place or radius outside the table.
     pub fn response(&self, position_m: [f64; 2], radius_m: f64) -> Result<Vec<f64>, InverseError> {
         let mut rows = vec![0.0; 4 * self.combinations()];
-        self.table.evaluate(position_m, radius_m.ln(), &mut rows).ok_or(InverseError::Value {
+        let mut tabulated = self.responses.scratch();
+        self.responses.evaluate(position_m, radius_m.ln(), &mut tabulated, &mut rows).ok_or(InverseError::Value {
             what: "radius of a spot (m), or its place",
             index: None,
             value: radius_m,

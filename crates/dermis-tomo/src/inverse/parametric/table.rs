@@ -104,13 +104,9 @@ impl Table {
         Some(())
     }
 
-    /// The table with every response multiplied by a matrix.
-    pub(super) fn transformed(&self, matrix: MatRef<'_, f32>) -> Self {
-        let columns = self.values.len() / self.length;
-        let before = MatRef::from_column_major_slice(&self.values, self.length, columns);
-        let after = matrix * before;
-        let values = after.col_iter().flat_map(|column| column.iter().copied().collect::<Vec<_>>()).collect();
-        Self { values, length: matrix.nrows(), ..*self }
+    /// Length of a response.
+    pub(super) fn length(&self) -> usize {
+        self.length
     }
 
     /// Whether a place lies where spots are tabulated.

@@ -70,6 +70,7 @@ fn errors_of_noisy_fits_are_those_that_covariances_say() {
     let clean = frame(&jacobian, &positions, &[truth]);
     let mut random = StdRng::seed_from_u64(3);
     let mut scratch = model.scratch();
+    let bound = model.bound(truth.0, truth.2, truth.1).unwrap();
     let (mut squares, mut expected, runs) = ([0.0; 3], [0.0; 3], 500);
     for _ in 0..runs {
         let noisy: Vec<f64> = clean.iter().map(|v| v + noise_v * normal(&mut random)).collect();
@@ -85,7 +86,10 @@ fn errors_of_noisy_fits_are_those_that_covariances_say() {
         let ratio: f64 = (squares[k] / expected[k]).sqrt();
         // 500 fits give a deviation within 3.2 % (one standard error); covariances are the bound times the residual.
         assert!((ratio - 1.0).abs() < 0.15, "{k}: {ratio}");
+        let ratio = (squares[k] / f64::from(runs) / bound[k][k]).sqrt();
+        assert!((ratio - 1.0).abs() < 0.15, "{k}: {ratio} of the bound");
     }
+    assert!(model.bound([1.0, 0.0], 0.1, 0.012).is_err() && model.bound(truth.0, 0.0, 0.012).is_err());
 }
 
 #[test]
@@ -117,7 +121,7 @@ fn derivatives_are_those_of_the_values() {
     let length = model.combinations();
     let at = |p: [f64; 2], log_r: f64| {
         let mut out = vec![0.0; 4 * length];
-        model.table.evaluate(p, log_r, &mut out).unwrap();
+        model.responses.evaluate(p, log_r, &mut [], &mut out).unwrap();
         out
     };
     let (p, log_r, step) = ([0.0031, -0.0123], 0.0125_f64.ln(), 2e-4);

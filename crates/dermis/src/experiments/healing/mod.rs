@@ -5,6 +5,7 @@ mod damage;
 mod live;
 mod touches;
 
+use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_tomo::quality::{SsimOptions, icc, rie, ssim};
 use dermis_touch::Contact;
@@ -12,6 +13,7 @@ use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 use super::{Experiment, Kind, Rig, Row};
 use crate::Error;
+use crate::learning::{Classes, Classifier, built_in};
 
 /// All of them.
 pub(super) const EXPERIMENTS: [Experiment; 6] = [
@@ -44,16 +46,19 @@ fn indenter(centre_mm: [f64; 2], diameter_mm: f64) -> Indenter {
 enum Step {
     /// The linear image over its own peak.
     First,
+    /// Compressed less damaged, by the network's probabilities.
+    Network,
     /// Discs at the places and of the radii that the forward model fits.
     Fit,
 }
 
 impl Step {
-    const ALL: [Self; 2] = [Self::First, Self::Fit];
+    const ALL: [Self; 3] = [Self::First, Self::Network, Self::Fit];
 
     fn name(self) -> &'static str {
         match self {
             Self::First => "first step",
+            Self::Network => "U-Net",
             Self::Fit => "fitted discs",
         }
     }
@@ -69,11 +74,19 @@ struct Seen {
 /// The twin on the bench, and what makes images of its frames.
 struct Bench {
     rig: Rig,
+    classifier: Option<Classifier>,
+    classes: Classes,
 }
 
 impl Bench {
     fn new() -> Result<Self, Error> {
-        Ok(Self { rig: Rig::new(SKIN)? })
+        let rig = Rig::new(SKIN)?;
+        let prepared = rig.prepared();
+        let model = built_in(SKIN)?;
+        let classifier =
+            model.map(|model| Classifier::with_reference(prepared, rig.reference(), &model)).transpose()?;
+        let grid = prepared.map.grid();
+        Ok(Self { classifier, classes: Classes::new(grid.rows, grid.columns), rig })
     }
 
     fn grid(&self) -> &PixelGrid {
@@ -96,7 +109,22 @@ impl Bench {
         let discs: Vec<([f64; 2], f64)> =
             contacts.iter().map(|contact| (contact.centroid_m, radius_m(contact))).collect();
         let fit = self.discs(&discs);
-        Ok(Seen { images: [first, fit], contacts })
+        let network = self.classified(&frame, &image)?;
+        Ok(Seen { images: [first, network, fit], contacts })
+    }
+
+    /// Probability of compressed less that of damaged; NaN outside the skin. Nothing where no network ships.
+    fn classified(&mut self, frame: &[f64], image: &[f32]) -> Result<Vec<f64>, Error> {
+        if let Some(classifier) = &mut self.classifier {
+            classifier.classify(&self.rig.reference().difference(frame, None), &mut self.classes)?;
+        }
+        let pixels = image.len();
+        let probability =
+            |class: u8, pixel: usize| f64::from(self.classes.probabilities[class as usize * pixels + pixel]);
+        let value = |(pixel, seen): (usize, &f32)| {
+            if seen.is_finite() { probability(RAISED, pixel) - probability(LOWERED, pixel) } else { f64::NAN }
+        };
+        Ok(image.iter().enumerate().map(value).collect())
     }
 
     /// Share of each pixel that lies in any of these discs (centre, radius); NaN outside the skin.

@@ -46,7 +46,7 @@ impl Scores {
         let mut rows = Vec::new();
         for (step, scores) in Step::ALL.iter().zip(&self.by_step) {
             for (k, figure) in ["ICC", "RIE", "SSIM"].into_iter().enumerate() {
-                let paper = (*step != Step::First).then_some(published[k]);
+                let paper = (*step == Step::Network).then_some(published[k]);
                 let here = mean(scores.iter().map(|score| score[k]));
                 rows.push(row(format!("{name}, {}: mean {figure}", step.name()), "", paper, here, Kind::Algorithm));
             }
@@ -103,7 +103,7 @@ pub(super) fn positions() -> Result<Report, Error> {
         for (k, step) in Step::ALL.into_iter().enumerate() {
             let place = match step {
                 Step::Fit => seen.contacts.first().map(|contact| contact.centroid_m),
-                Step::First => Some(centroid_above_m(&seen.images[k], &grid, 1.0, 0.5)?),
+                Step::First | Step::Network => centroid_above_m(&seen.images[k], &grid, 1.0, 0.5).ok(),
             };
             let place = place.unwrap_or([f64::NAN; 2]);
             errors[k].push(distance_mm(place, pressed.centre_m));

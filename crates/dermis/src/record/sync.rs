@@ -1,0 +1,117 @@
+//! Has the operating system put a recording on the disk every now and then, so that a loss of power costs no more than that.
+//! A thread of its own waits for the disk; who writes never does.
+
+use std::io;
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// Calls a synchronisation at most so often.
+#[derive(Debug)]
+pub(super) struct Syncer {
+    interval: Duration,
+    asked: Instant,
+    /// None once it ends.
+    ask: Option<SyncSender<()>>,
+    /// What went wrong, until it is told.
+    failed: Arc<Mutex<Option<io::Error>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Syncer {
+    /// Starts the thread that runs `sync`.
+    pub(super) fn spawn(
+        interval: Duration,
+        mut sync: impl FnMut() -> io::Result<()> + Send + 'static,
+    ) -> io::Result<Self> {
+        // One more may be asked for while one is under way.
+        let (ask, asked) = sync_channel(1);
+        let failed = Arc::new(Mutex::new(None));
+        let told = failed.clone();
+        let thread = thread::Builder::new().name("sync recording".to_owned()).spawn(move || {
+            for () in asked {
+                if let Err(error) = sync() {
+                    told.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+                }
+            }
+        })?;
+        Ok(Self { interval, asked: Instant::now(), ask: Some(ask), failed, thread: Some(thread) })
+    }
+
+    /// To be called when the operating system has been given more.
+    ///
+    /// # Errors
+    /// What the disk refused since the last call, once.
+    pub(super) fn written(&mut self) -> io::Result<()> {
+        if self.asked.elapsed() >= self.interval
+            && let Some(ask) = &self.ask
+            // A disk that has not finished the one before is asked at the next call.
+            && !matches!(ask.try_send(()), Err(TrySendError::Full(())))
+        {
+            self.asked = Instant::now();
+        }
+        self.failed.lock().unwrap_or_else(PoisonError::into_inner).take().map_or(Ok(()), Err)
+    }
+}
+
+impl Drop for Syncer {
+    fn drop(&mut self) {
+        self.ask = None;
+        if let Some(thread) = self.thread.take() {
+            // Its panic has been printed by the runtime.
+            let _ = thread.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    #[test]
+    fn the_disk_is_asked_again_after_the_interval_and_not_before() {
+        let calls = Arc::new(AtomicU64::new(0));
+        let (done, wait) = channel();
+        let count = calls.clone();
+        let sync = move || {
+            count.fetch_add(1, Ordering::Relaxed);
+            done.send(()).map_err(io::Error::other)
+        };
+        let mut often = Syncer::spawn(Duration::ZERO, sync).unwrap();
+        for _ in 0..3 {
+            often.written().unwrap();
+            wait.recv().unwrap();
+        }
+        drop(often);
+        assert_eq!(calls.load(Ordering::Relaxed), 3);
+        let mut seldom = Syncer::spawn(Duration::from_secs(3600), || Err(io::Error::other("never asked"))).unwrap();
+        (0..100).for_each(|_| seldom.written().unwrap());
+    }
+
+    #[test]
+    fn what_the_disk_refuses_reaches_who_writes_once_and_never_holds_it_up() {
+        let (go, wait) = channel::<()>();
+        let (done, ended) = channel();
+        let sync = move || {
+            let _ = wait.recv();
+            done.send(()).map_err(io::Error::other)?;
+            Err(io::Error::other("no space"))
+        };
+        let mut syncer = Syncer::spawn(Duration::ZERO, sync).unwrap();
+        // The disk hangs in the first, one more waits, and all further calls come back at once.
+        (0..1000).for_each(|_| syncer.written().unwrap());
+        drop(go);
+        ended.recv().unwrap();
+        let error = loop {
+            if let Err(error) = syncer.written() {
+                break error;
+            }
+            thread::yield_now();
+        };
+        assert_eq!(error.to_string(), "no space");
+    }
+}
