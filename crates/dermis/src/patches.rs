@@ -44,10 +44,10 @@ const LEAST_CERTAIN: f64 = 0.1;
 const APART: f64 = 1.3;
 /// Patches that leave more than this share of a frame do not explain it.
 const EXPLAINED: f64 = 0.3;
-/// After a search in vain so many frames are shown as the image has them before the next.
-const REST: u32 = 4;
-/// Steps of a fit, from the frame before and from a search.
-const STEPS: [usize; 2] = [4, 25];
+/// After a search in vain so many frames pass before the next, twice as many after each further one, up to the most.
+const REST: [u32; 2] = [4, 64];
+/// Steps of a fit: from the frame before, to judge what a search proposes, and to settle the best of that.
+const STEPS: [usize; 3] = [4, 10, 20];
 
 /// Fits the patches of one frame after the other.
 #[derive(Debug)]
@@ -67,6 +67,7 @@ pub(crate) struct PatchStage {
     sheet_s: f64,
     smallest_amplitude: f64,
     rest: u32,
+    next_rest: u32,
 }
 
 impl Prepared {
@@ -120,6 +121,7 @@ impl Prepared {
             sheet_s: self.skin.sheet_conductance_s(),
             smallest_amplitude: touch.smallest_amplitude,
             rest: 0,
+            next_rest: REST[0],
         })
     }
 }
@@ -140,7 +142,7 @@ impl PatchStage {
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
         self.fits.clear();
-        self.rest = 0;
+        (self.rest, self.next_rest) = (0, REST[0]);
     }
 
     /// What the last frame's patches do not explain: model volts, the whole frame where there were none.
@@ -153,6 +155,9 @@ impl PatchStage {
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         self.left.clear();
         self.left.extend_from_slice(difference);
+        if contacts.is_empty() {
+            (self.rest, self.next_rest) = (0, REST[0]);
+        }
         if contacts.is_empty() || difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
             self.fits.clear();
             return;
@@ -228,38 +233,37 @@ impl PatchStage {
             return false;
         }
         let found = self.search_now();
-        self.rest = if found { 0 } else { REST };
+        (self.rest, self.next_rest) =
+            if found { (0, REST[0]) } else { (self.next_rest, (2 * self.next_rest).min(REST[1])) };
         found
     }
 
     fn search_now(&mut self) -> bool {
         let (sheet, search) = &*self.model;
         let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
-        let mut best: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
+        let mut best: Option<(Vec<ContactPatch>, FitSummary)> = None;
         for start in starts {
-            let mut found: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
-            for share in RADII {
-                let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
-                let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
-                let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
-                if self.is_plausible(&fits, &summary)
-                    && found.as_ref().is_none_or(|(_, before, _)| summary.cost < before.cost)
-                {
-                    found = Some((fits, summary, self.left.clone()));
+            let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
+            let worth = |before: f64| summary.cost < WORTH.1 * before && summary.cost < before - WORTH.0;
+            if self.is_plausible(&fits, &summary) && best.as_ref().is_none_or(|(_, before)| worth(before.cost)) {
+                best = Some((start, summary));
+                if summary.misfit < GOOD {
+                    break;
                 }
             }
-            let Some(found) = found else { continue };
-            let worth = |before: f64, now: f64| now < WORTH.1 * before && now < before - WORTH.0;
-            if best.as_ref().is_some_and(|(_, before, _)| !worth(before.cost, found.1.cost)) {
-                continue;
-            }
-            let good = found.1.misfit < GOOD;
-            best = Some(found);
-            if good {
-                break;
+        }
+        let Some((start, _)) = best else { return false };
+        let mut found: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
+        for share in RADII {
+            let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
+            let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
+            let Some((fits, summary)) = self.fit(&start, STEPS[2]) else { continue };
+            let better = found.as_ref().is_none_or(|(_, before, _)| summary.cost < before.cost);
+            if better && self.is_plausible(&fits, &summary) {
+                found = Some((fits, summary, self.left.clone()));
             }
         }
-        let Some((fits, summary, left)) = best else { return false };
+        let Some((fits, summary, left)) = found else { return false };
         (self.fits, self.misfit, self.left) = (fits, summary.misfit, left);
         true
     }

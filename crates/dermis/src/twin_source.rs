@@ -48,6 +48,8 @@ pub struct TwinSource {
     twin: AnyTwin,
     press: PressRange,
     demo: Option<Script>,
+    /// The demonstration is what touches the twin.
+    demonstrates: bool,
     /// What is broken, and when.
     faults: Vec<TimedFault>,
     /// Contact impedances with all electrodes in contact.
@@ -95,6 +97,7 @@ impl TwinSource {
             twin,
             press,
             demo: Some(demo),
+            demonstrates: false,
             faults: skin.twin.timed_faults(),
             contacts_ohm: skin.contact_impedances_ohm(),
             commands,
@@ -169,6 +172,7 @@ impl TwinSource {
 
     fn obey(&mut self) -> Result<(), TwinError> {
         if self.ticks >= REST_FRAMES && self.demo.is_some() {
+            self.demonstrates = true;
             self.twin.scene_mut().set_script(self.demo.take())?;
         }
         while let Ok(command) = self.commands.try_recv() {
@@ -181,6 +185,11 @@ impl TwinSource {
                     self.twin.scene_mut().release(pointer);
                 }
                 TwinCommand::Treat(treatment) => {
+                    // Who cuts and heals wants to see that, and not a demonstration of touches.
+                    self.demo = None;
+                    if std::mem::take(&mut self.demonstrates) {
+                        self.twin.scene_mut().set_script(None)?;
+                    }
                     if let Err(error) = self.twin.frontend_mut().treat(&treatment) {
                         self.notice(format!("treatment refused: {error}"));
                     }

@@ -284,6 +284,15 @@ impl PipelineState {
     }
 }
 
+impl ClassImage {
+    fn copy_from(&mut self, other: &Self) {
+        (self.rows, self.cols) = (other.rows, other.cols);
+        self.lowered.clone_from(&other.lowered);
+        self.raised.clone_from(&other.raised);
+        (self.novelty, self.falls_back) = (other.novelty, other.falls_back);
+    }
+}
+
 impl Update {
     /// Copies `other` into `self`, reusing every allocation that is large enough.
     pub fn copy_from(&mut self, other: &Update) {
@@ -302,6 +311,11 @@ impl Update {
         self.health.left_out = other.health.left_out;
         self.health.electrodes.clone_from(&other.health.electrodes);
         self.health.channels.clone_from(&other.health.channels);
+        match (&mut self.classes, &other.classes) {
+            (Some(own), Some(other)) => own.copy_from(other),
+            (own, other) => own.clone_from(other),
+        }
+        self.damage.clone_from(&other.damage);
     }
 
     /// Checks that the image fills its grid and that channel indices match values.
