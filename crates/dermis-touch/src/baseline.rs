@@ -174,6 +174,7 @@ pub struct Baseline {
     /// Product of the shares that uniform drift was followed by.
     drift_factor: f64,
     drift_held: bool,
+    follows_rest: bool,
     time_ns: Option<u64>,
     learned_time_ns: Option<u64>,
     load: Load,
@@ -204,6 +205,7 @@ impl Baseline {
             kept: Vec::new(),
             drift_factor: 1.0,
             drift_held: false,
+            follows_rest: false,
             time_ns: None,
             learned_time_ns: None,
             load: Load::Free,
@@ -265,6 +267,12 @@ impl Baseline {
     /// Holds drift compensation still, or lets it go on, whatever the load: something is suspected that is no drift.
     pub fn hold_drift(&mut self, held: bool) {
         self.drift_held = held;
+    }
+
+    /// Lets uniform compensation follow all other changes too, as exponential compensation does, or no longer: while a sheet
+    /// heals, it changes here and there.
+    pub fn follow_rest(&mut self, follows: bool) {
+        self.follows_rest = follows;
     }
 
     /// How far the baseline is.
@@ -486,7 +494,9 @@ impl Baseline {
                 self.baseline.iter_mut().for_each(|baseline| *baseline *= factor);
                 self.drift_factor *= factor;
             }
-            return;
+            if !self.follows_rest {
+                return;
+            }
         }
         for (baseline, raw) in self.baseline.iter_mut().zip(&self.raw) {
             if raw.is_finite() {

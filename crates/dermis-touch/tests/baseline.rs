@@ -143,3 +143,71 @@ fn bad_input_is_named() {
     assert!(baseline.set_drift(DriftCompensation::Exponential { time_constant_s: 0.0, settle_s: 0.0 }).is_err());
     assert!(Baseline::new(2, params(0)).is_err());
 }
+
+/// A baseline of four channels in use, with uniform compensation of 10 s.
+fn uniform() -> Baseline {
+    let drift = DriftCompensation::Uniform { time_constant_s: 10.0, settle_s: 0.0 };
+    let mut baseline = Baseline::new(4, BaselineParams { startup_frames: 8, drift }).unwrap();
+    for frame in 0..8_u64 {
+        // Noise of one part in a thousand, so that the noise is known.
+        let wobble = if frame % 2 == 0 { 1e-3 } else { -1e-3 };
+        let values = REST.map(|rest| rest + wobble);
+        baseline.observe(frame * 100_000_000, &values).unwrap();
+        baseline.learn(Load::Free);
+    }
+    baseline
+}
+
+const REST: [f64; 4] = [1.0, -2.0, 0.5, 3.0];
+
+#[test]
+fn uniform_compensation_follows_what_is_alike_everywhere_and_nothing_else() {
+    let follow = |values: [f64; 4]| {
+        let mut baseline = uniform();
+        for frame in 8..1008_u64 {
+            baseline.observe(frame * 100_000_000, &values).unwrap();
+            baseline.learn(Load::Free);
+        }
+        baseline
+    };
+    // 2 % everywhere: within 100 s, ten time constants, all but e^-10 of it.
+    let warm = follow(REST.map(|rest| 1.02 * rest));
+    assert!(warm.baseline().iter().zip(REST).all(|(b, rest)| (b / rest - 1.02).abs() < 2e-3), "{:?}", warm.baseline());
+    assert!((warm.drift_factor() - 1.02).abs() < 2e-3, "{}", warm.drift_factor());
+    // One channel: a touch, however slow.
+    let touched = follow([1.0, -2.0, 0.5, 3.3]);
+    assert!((touched.compensated()[3] - 0.3).abs() < 2e-3 && touched.drift_factor() == 1.0, "{touched:?}");
+    // Held, nothing is followed; with the rest, everything.
+    let mut held = uniform();
+    held.hold_drift(true);
+    let mut healing = uniform();
+    healing.follow_rest(true);
+    for frame in 8..1008_u64 {
+        for (baseline, values) in [(&mut held, REST.map(|rest| 1.02 * rest)), (&mut healing, [1.0, -2.0, 0.5, 3.3])] {
+            baseline.observe(frame * 100_000_000, &values).unwrap();
+            baseline.learn(Load::Free);
+        }
+    }
+    assert!((held.compensated()[3] - 0.06).abs() < 2e-3);
+    assert!(healing.compensated()[3].abs() < 2e-3, "{:?}", healing.compensated());
+}
+
+#[test]
+fn baselines_are_kept_and_can_be_taken_up_again() {
+    let mut baseline = uniform();
+    let first = baseline.baseline().to_vec();
+    baseline.adopt(900_000_000, &[1.1, -2.1, 0.6, 3.1], 10, "includes damage 1").unwrap();
+    assert_eq!((baseline.kept(0), baseline.kept(1)), (Some(&first[..]), Some(&[1.1, -2.1, 0.6, 3.1][..])));
+    assert_eq!(baseline.records()[1].origin, ReferenceOrigin::Damage);
+    baseline.reuse(950_000_000, 0, "the damage was none").unwrap();
+    assert_eq!(baseline.baseline(), first);
+    assert_eq!(baseline.records().len(), 3);
+    let error = baseline.reuse(960_000_000, 7, "").unwrap_err().to_string();
+    assert!(error.contains("baseline = 7"), "{error}");
+    // The first and the last 64 keep their values.
+    for _ in 0..80 {
+        baseline.adopt(970_000_000, &first, 1, "again").unwrap();
+    }
+    let kept = (0..baseline.records().len()).filter(|record| baseline.kept(*record).is_some()).count();
+    assert_eq!((kept, baseline.kept(0).is_some(), baseline.kept(1).is_some()), (65, true, false));
+}

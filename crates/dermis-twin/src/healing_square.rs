@@ -112,6 +112,8 @@ pub struct HealingSquare {
     cuts: Vec<Cut>,
     /// Cuts and heat of its own life.
     wear: Wear,
+    /// Half an element, by which cuts are drawn in at their ends, as elements are blocked whole.
+    cut_inset_m: f64,
     cover: Cover,
     contact: ContactLaw,
     state: PressureState,
@@ -170,6 +172,7 @@ impl HealingSquare {
             sheet_s: options.sheet_s(),
             cuts: Vec::new(),
             wear: Wear::default(),
+            cut_inset_m: 0.5 * options.element_size_m,
             cover: options.cover,
             contact: options.contact,
             state: PressureState::new(options.memory, nodes),
@@ -220,8 +223,8 @@ impl HealingSquare {
     }
 
     fn renew_sheet(&mut self) {
-        let mut cuts = self.wear.cuts();
-        cuts.extend_from_slice(&self.cuts);
+        let mut cuts = self.wear.cuts(self.cut_inset_m);
+        cuts.extend(self.cuts.iter().map(|cut| cut.shortened(self.cut_inset_m)));
         let (sheet_s, wear) = (self.sheet_s, &self.wear);
         self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point), &cuts);
         self.solved = false;

@@ -300,6 +300,7 @@ impl Pipeline {
         };
         let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline)?;
         self.baseline.hold_drift(verdict.suspicious);
+        self.baseline.follow_rest(verdict.healing);
         if verdict.adopted {
             self.renew(at)?;
         }

@@ -1,16 +1,16 @@
 //! Damage told from touch on the sandwich's twin, whose mesh, physics and noise are not the model's: cuts are found and stay
 //! known, touches work beside them, drift and slow presses are told apart, and no baseline hides a damage.
 
-use dermis::damage::ProposalReason;
+use dermis::damage::{CrackModel, ProposalReason, estimate_cut};
 use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis::twins::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
-use dermis_touch::damage::{Damage, DamageEvent, DamageState};
+use dermis_touch::damage::{Damage, DamageEvent, DamageShape, DamageState};
 use dermis_touch::{ReferenceOrigin, Touch};
 use dermis_twin::physics::Cut;
-use dermis_twin::{Frontend, Treatment};
+use dermis_twin::{Frontend, Heating, Treatment};
 
 /// A twin and the pipeline that follows it.
 struct Line {
@@ -95,6 +95,10 @@ fn a_cut_is_found_covered_by_a_press_and_found_again() {
     assert_eq!(line.names(), ["begin"]);
     assert!(line.pipeline.health().is_sound(), "a cut is no fault of a channel");
     let before = line.damages()[0];
+    let [x, y] = before.shape.centre_m;
+    let off_mm = 1e3 * (x - 1e-3 * MIDDLE_MM[0]).hypot(y - 1e-3 * MIDDLE_MM[1]);
+    println!("off {off_mm:.2} mm, length {:.2} mm", 1e3 * before.shape.length_m);
+    assert!(off_mm < 3.0 && (before.shape.length_m - 0.02).abs() < 4e-3, "{off_mm:.2} mm: {:?}", before.shape);
     // On the cut: one touch, and the damage is covered.
     line.press(MIDDLE_MM[0], MIDDLE_MM[1]);
     let touches = line.run(60);
@@ -137,7 +141,7 @@ fn touches_beside_a_cut_are_placed_as_well_as_before() {
     println!("intact {intact:.3} cut {cut:.3} mm; {:?}", line.names());
     // Both are far below what noise and the indenter's own width leave of use; the linear model of the intact sheet that
     // places them is off by this much beside a cut.
-    assert!(cut <= (1.3 * intact).max(0.4), "{cut:.2} mm with the cut, {intact:.2} mm without");
+    assert!(cut <= (1.3 * intact).max(0.6), "{cut:.2} mm with the cut, {intact:.2} mm without");
 }
 
 #[test]
@@ -197,7 +201,7 @@ fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
     line.run(200);
     assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
     // A faint cut: too little to be damage, but the baseline is off.
-    line.cut([-23.0, -20.0], [-17.0, -20.0]);
+    line.cut([-22.5, -20.0], [-17.5, -20.0]);
     line.run(100);
     assert!(line.pipeline.damage().proposal.is_none(), "20 s are not enough");
     line.run(100);
@@ -208,4 +212,74 @@ fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
     line.pipeline.tare(false, "proposed").unwrap();
     line.run(220);
     assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
+}
+
+#[test]
+fn cuts_are_measured_by_their_fields() {
+    let skin = Skin::open("healing-square").unwrap();
+    let prepared = Prepared::new(skin.clone()).unwrap();
+    let model = CrackModel::new(&prepared).unwrap();
+    let mut twin = TwinKit::of(&skin).unwrap().twin;
+    let mut ticks = 0;
+    let mut frames = |twin: &mut AnyTwin, count: usize| -> Vec<Vec<f64>> {
+        let mut step = || {
+            let mut values = Vec::new();
+            twin.step(f64::from(ticks) * 0.04, &mut values).unwrap();
+            ticks += 1;
+            values
+        };
+        (0..count).map(|_| step()).collect()
+    };
+    let reference = prepared.reference(&frames(&mut twin, 32)).unwrap();
+    for (middle_mm, length_mm, degrees) in [([23.0, 24.0], 20.0, 37.0), ([-20.0, 10.0], 20.0, -60.0)] {
+        let (sin, cos) = f64::to_radians(degrees).sin_cos();
+        let end = |sign: f64| {
+            [1e-3 * (middle_mm[0] + sign * 0.5 * length_mm * cos), 1e-3 * (middle_mm[1] + sign * 0.5 * length_mm * sin)]
+        };
+        twin.frontend_mut().treat(&Treatment::Renew).unwrap();
+        twin.frontend_mut().treat(&Treatment::Cut(Cut::open(end(-1.0), end(1.0)))).unwrap();
+        let after = frames(&mut twin, 25);
+        let mean: Vec<f64> = (0..208).map(|c| after.iter().map(|frame| frame[c]).sum::<f64>() / 25.0).collect();
+        // The image's middle is off by up to a centimetre.
+        let centre_m = [1e-3 * (middle_mm[0] * 1.25 + 4.0), 1e-3 * (middle_mm[1] * 1.25 - 3.0)];
+        let start = DamageShape { centre_m, length_m: 0.03, width_m: 0.0, direction_rad: 0.0, deviations: None };
+        let difference = reference.difference(&mean, None);
+        let estimate = estimate_cut(&prepared, &model, &difference, &reference.noise, &start).unwrap().unwrap();
+        let found = estimate.crack;
+        let off_mm = 1e3 * (found.centre_m[0] - 1e-3 * middle_mm[0]).hypot(found.centre_m[1] - 1e-3 * middle_mm[1]);
+        let longer_mm = 1e3 * found.length_m - length_mm;
+        println!(
+            "{middle_mm:?} {length_mm} mm {degrees}: off {off_mm:.2} mm, longer {longer_mm:.2} mm, direction {:.1}, explained {:.4}, dev {:?} uniform {:.1e}",
+            found.direction_rad.to_degrees(),
+            estimate.explained,
+            estimate.deviations(),
+            estimate.uniform
+        );
+        assert!(off_mm < 3.0 && longer_mm.abs() < 4.0, "{middle_mm:?}: off {off_mm:.2} mm, {longer_mm:.2} mm longer");
+    }
+}
+
+#[test]
+fn healing_is_followed_and_ends_with_a_new_baseline() {
+    let mut line = Line::new();
+    line.cut(FROM_MM, TO_MM);
+    line.run(60);
+    line.frame_s = 0.2;
+    line.run(10);
+    let centre_m = MIDDLE_MM.map(|mm| 1e-3 * mm);
+    line.treat(Treatment::Heat(Heating::published(centre_m, 0.025)));
+    line.treat(Treatment::TimeLapse(200.0));
+    let mut course = Vec::new();
+    for _ in 0..10 {
+        line.run(25);
+        let truth = line.twin.frontend().wounds()[0].healed;
+        let state = line.pipeline.damage().healing[0];
+        println!("truth {truth:.3} {state:?}");
+        course.push((truth, state.joined.min(1.0)));
+    }
+    // Coarse: the sheet's rise about the cut and what is left of the cut answer alike in part.
+    assert!(course.iter().all(|(truth, joined)| (truth - joined).abs() < 0.5), "{course:?}");
+    assert!(course.windows(2).all(|pair| pair[1].1 >= pair[0].1 - 0.1), "{course:?}");
+    assert!(course[9].1 > 0.9, "{course:?}");
+    assert_eq!(line.damages().len(), 1, "the record stays");
 }

@@ -17,11 +17,13 @@ pub struct DamageSettings {
     pub smallest_depth: f64,
     /// How long it must be seen before it is believed.
     pub confirm_s: f64,
+    /// Length of intact sheet that a healed scar is worth, by which progress of healing is told.
+    pub healed_scar_mm: f64,
 }
 
 impl Default for DamageSettings {
     fn default() -> Self {
-        Self { watch: false, begin_sigma: 8.0, smallest_depth: 0.05, confirm_s: 1.5 }
+        Self { watch: false, begin_sigma: 8.0, smallest_depth: 0.05, confirm_s: 1.5, healed_scar_mm: 8.7 }
     }
 }
 

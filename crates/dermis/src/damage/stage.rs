@@ -1,0 +1,405 @@
+//! The stage itself: the second image, the references that it and the touches are taken against, and what follows from the
+//! monitor's events.
+
+use dermis_touch::damage::{
+    ClassProbabilities, Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageState,
+};
+use dermis_touch::{Baseline, ImageGeometry, PixelNoise, ReferenceOrigin, Touch};
+
+use super::healing::HealingMonitor;
+use super::{Crack, CrackModel, CrackScratch, DamageView, Proposal, ProposalReason, estimate_cut, shape_of};
+use crate::Error;
+use crate::imager::Imager;
+use crate::prepare::Prepared;
+
+/// A fit that explains less of the data's energy is not believed: what is damaged is no cut.
+const LEAST_EXPLAINED: f64 = 0.7;
+/// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes of a
+/// cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
+const LOBE_SHARE: f64 = 0.8;
+/// Rest that a proposal wants, seconds.
+const REST_S: f64 = 30.0;
+/// Readings that moved by less than this many standard deviations (root mean square over the channels, of means) rest.
+const RESTING: f64 = 0.5;
+/// A baseline that is off by less than this is good enough, in the same terms.
+const OFF: f64 = 1.0;
+/// Time constant of the mean readings, seconds.
+const MEAN_S: f64 = 0.4;
+/// Its least number of frames, by weight.
+const FEWEST_IN_MEAN: f64 = 12.0;
+/// Healing is estimated so often, seconds.
+const HEALING_S: f64 = 0.5;
+/// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a touch
+/// but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
+const WARM_S: f64 = 20.0;
+const WARM_HEIGHT: f64 = 0.45;
+const WARM_TRAVEL_M: f64 = 3e-3;
+/// And lies within so much of it, metres.
+const WARM_REACH_M: f64 = 20e-3;
+
+/// What one frame has shown.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct DamageVerdict {
+    /// The baseline of touches was replaced by one that includes the damage.
+    pub adopted: bool,
+    /// Something is suspected: the baseline must not follow it.
+    pub suspicious: bool,
+    /// Damage is in the baseline, which has to follow as it heals.
+    pub healing: bool,
+}
+
+/// The stage's view of a frame.
+pub(crate) struct DamageInput<'a> {
+    pub time_ns: u64,
+    /// Difference data against the touch baseline, model volts, NaN where channels are left out.
+    pub difference: &'a [f64],
+    pub scale: &'a [f64],
+    /// Standard deviations of the channels, model volts.
+    pub noise: &'a [f64],
+    pub touches: &'a [Touch],
+    pub loaded: bool,
+    pub classes: Option<ClassProbabilities<'a>>,
+}
+
+/// Mean of the readings over free frames.
+#[derive(Debug, Default)]
+struct Readings {
+    mean: Vec<f64>,
+    frames: usize,
+    last_ns: u64,
+}
+
+impl Readings {
+    fn take(&mut self, time_ns: u64, raw: &[f64]) {
+        let elapsed_s = time_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
+        self.last_ns = time_ns;
+        self.frames += 1;
+        // However slow the frames, the mean is one of several.
+        let follow = (-(-elapsed_s / MEAN_S).exp_m1()).min(1.0 / FEWEST_IN_MEAN);
+        let gain = if self.frames == 1 { 1.0 } else { (1.0 / self.frames as f64).max(follow) };
+        if self.frames == 1 {
+            self.mean.clear();
+            self.mean.extend_from_slice(raw);
+        }
+        for (mean, &value) in self.mean.iter_mut().zip(raw) {
+            *mean = if mean.is_finite() && value.is_finite() { *mean + gain * (value - *mean) } else { value };
+        }
+    }
+}
+
+/// Something that rests on a damage.
+#[derive(Debug)]
+struct Warm {
+    at_m: [f64; 2],
+    since_ns: u64,
+    readings: Readings,
+}
+
+/// The monitor of a skin, the reference it judges by, and the rest that proposals wait for.
+#[derive(Debug)]
+pub(crate) struct DamageStage {
+    monitor: DamageMonitor,
+    /// Readings of the intact skin, and the drift that was followed when they were taken.
+    intact: Vec<f64>,
+    intact_drift: f64,
+    intact_record: usize,
+    difference: Vec<f64>,
+    image: Vec<f32>,
+    noise: Vec<f32>,
+    readings: Readings,
+    suspicious: bool,
+    /// What cuts do, where the skin is a sheet that is read by electrodes.
+    cracks: Option<CrackModel>,
+    scratch: CrackScratch,
+    /// Fitted cuts by the damage's identity.
+    fitted: Vec<(u64, Crack)>,
+    healing: HealingMonitor,
+    healing_ns: u64,
+    /// Joining of a healed scar, 1/m.
+    healed_per_m: f64,
+    warm: Option<Warm>,
+    /// Readings and drift where the rest began.
+    rest: Vec<f64>,
+    rest_drift: f64,
+    rest_since_ns: Option<u64>,
+    proposal: Option<Proposal>,
+    /// Damage has been confirmed or has grown, and is not in the baseline yet.
+    pending: Option<u64>,
+    ready: bool,
+}
+
+impl DamageStage {
+    pub fn new(prepared: &Prepared) -> Result<Self, Error> {
+        let grid = prepared.map.grid();
+        let geometry = ImageGeometry {
+            columns: grid.columns,
+            rows: grid.rows,
+            pixel_m: grid.pixel_m,
+            left_m: grid.left_m,
+            top_m: grid.top_m,
+        };
+        let settings = &prepared.skin.damage;
+        let half_width = prepared.half_width_m();
+        let params = DamageParams {
+            begin_sigma: settings.begin_sigma,
+            smallest_depth: settings.smallest_depth,
+            confirm_s: settings.confirm_s,
+            reach_m: 0.1 * half_width,
+            point_spread_m: 0.12 * half_width,
+            // The last of a scar is hard to tell from the heat that closed it.
+            healed_share: 0.3,
+            ..DamageParams::default()
+        };
+        let channels = prepared.channels();
+        Ok(Self {
+            monitor: DamageMonitor::new(geometry, params)?,
+            intact: vec![f64::NAN; channels],
+            intact_drift: 1.0,
+            intact_record: 0,
+            difference: vec![0.0; channels],
+            image: vec![f32::NAN; grid.len()],
+            noise: Vec::new(),
+            suspicious: false,
+            cracks: prepared.has_cracks().then(|| CrackModel::new(prepared)).transpose()?,
+            scratch: CrackScratch::default(),
+            fitted: Vec::new(),
+            healing: HealingMonitor::default(),
+            healing_ns: 0,
+            healed_per_m: 1e3 / settings.healed_scar_mm,
+            warm: None,
+            readings: Readings { mean: Vec::with_capacity(channels), ..Readings::default() },
+            rest: Vec::with_capacity(channels),
+            rest_drift: 1.0,
+            rest_since_ns: None,
+            proposal: None,
+            pending: None,
+            ready: false,
+        })
+    }
+
+    /// A new baseline stands. It becomes the intact reference only where nothing is damaged or suspected: re-zeroing never
+    /// hides damage.
+    pub fn renew(&mut self, baseline: &Baseline, noise: Vec<f32>) {
+        self.noise = noise;
+        let adopted = baseline.records().last().is_some_and(|record| record.origin == ReferenceOrigin::Damage);
+        if !self.ready || (!adopted && self.monitor.is_intact()) {
+            self.intact.copy_from_slice(baseline.baseline());
+            self.intact_drift = baseline.drift_factor();
+            self.intact_record = baseline.records().len().saturating_sub(1);
+            self.monitor.renew();
+            let monitor = &self.monitor;
+            let stands = |id: u64| monitor.damages().iter().any(|damage| damage.id == id);
+            self.fitted.retain(|(id, _)| stands(*id));
+            self.healing.retain(stands);
+        }
+        self.ready = true;
+        (self.rest_since_ns, self.proposal) = (None, None);
+    }
+
+    /// Another operator or other noise is in use.
+    pub fn set_noise(&mut self, noise: Vec<f32>) {
+        self.noise = noise;
+        self.monitor.restart();
+    }
+
+    /// Below this, rises of the touch image are lobes of damage that its baseline does not include.
+    pub fn floor(image: &[f32]) -> f64 {
+        let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0_f32, f32::min);
+        LOBE_SHARE * -f64::from(lowest)
+    }
+
+    /// Judges one frame.
+    ///
+    /// # Errors
+    /// Data that cannot be imaged.
+    pub fn process(
+        &mut self,
+        input: &DamageInput<'_>,
+        prepared: &Prepared,
+        imager: &mut Imager,
+        baseline: &mut Baseline,
+    ) -> Result<DamageVerdict, Error> {
+        let drift = baseline.drift_factor() / self.intact_drift;
+        for (channel, value) in self.difference.iter_mut().enumerate() {
+            let left_out = input.difference[channel].is_nan();
+            let difference = input.scale[channel] * (baseline.raw()[channel] - drift * self.intact[channel]);
+            *value = if left_out { f64::NAN } else { difference };
+        }
+        imager.image(&self.difference, &mut self.image)?;
+        self.monitor.process(&DamageFrame {
+            time_ns: input.time_ns,
+            image: &self.image,
+            noise: PixelNoise::PerPixel(&self.noise),
+            touches: input.touches,
+            loaded: input.loaded,
+            classes: input.classes,
+        })?;
+        let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
+        if input.loaded || (self.suspicious && !began) {
+            // What was before has no part in the mean of what is now.
+            self.readings.frames = 0;
+        }
+        let news = |event: &DamageEvent| match event {
+            DamageEvent::Begin(damage) => Some(*damage),
+            DamageEvent::Update(damage) if damage.state == DamageState::Confirmed => Some(*damage),
+            _ => None,
+        };
+        for index in 0..self.monitor.events().len() {
+            if let Some(damage) = news(&self.monitor.events()[index]) {
+                self.pending = Some(damage.id);
+                self.place(&damage, input, prepared, drift)?;
+            }
+        }
+        if input.loaded {
+            (self.rest_since_ns, self.proposal) = (None, None);
+        } else {
+            self.readings.take(input.time_ns, baseline.raw());
+        }
+        let adopted = self.adopt(input, baseline)? || self.adopt_warmth(input, baseline)?;
+        self.follow_healing(input, prepared, drift);
+        if !input.loaded && !adopted {
+            self.propose(input.time_ns, baseline);
+        }
+        let healing = self.pending.is_none() && self.monitor.damages().iter().any(Damage::is_open);
+        Ok(DamageVerdict { adopted, suspicious: self.monitor.is_suspicious(), healing })
+    }
+
+    /// Mean readings, of the free skin or of a warm one, against the intact one, model volts, NaN where channels are left out.
+    fn mean_difference(&self, mean: &[f64], input: &DamageInput<'_>, drift: f64) -> Vec<f64> {
+        let mean = |(channel, scale): (usize, &f64)| {
+            let change = scale * (mean[channel] - drift * self.intact[channel]);
+            if input.difference[channel].is_nan() { f64::NAN } else { change }
+        };
+        input.scale.iter().enumerate().map(mean).collect()
+    }
+
+    /// Fits a cut to a new damage, beside those known already.
+    fn place(
+        &mut self,
+        damage: &Damage,
+        input: &DamageInput<'_>,
+        prepared: &Prepared,
+        drift: f64,
+    ) -> Result<(), Error> {
+        if self.readings.frames == 0 {
+            return Ok(());
+        }
+        let mut difference = self.mean_difference(&self.readings.mean, input, drift);
+        let Some(model) = &self.cracks else { return Ok(()) };
+        self.fitted.retain(|(id, _)| *id != damage.id);
+        let mut response = vec![0.0; difference.len()];
+        for (_, crack) in &self.fitted {
+            if model.respond(crack, &mut self.scratch, &mut response) {
+                difference.iter_mut().zip(&response).for_each(|(sum, change)| *sum -= change);
+            }
+        }
+        let estimate = estimate_cut(prepared, model, &difference, input.noise, &damage.shape)?;
+        if let Some(estimate) = estimate.filter(|estimate| estimate.explained >= LEAST_EXPLAINED) {
+            self.fitted.push((damage.id, estimate.crack));
+            self.healing.watch(damage.id, &estimate.crack, model, prepared);
+            self.monitor.refine(damage.id, shape_of(&estimate), None);
+        }
+        Ok(())
+    }
+
+    /// Estimates, now and then, how far fitted cuts have healed.
+    fn follow_healing(&mut self, input: &DamageInput<'_>, prepared: &Prepared, drift: f64) {
+        let due = input.time_ns.saturating_sub(self.healing_ns) as f64 * 1e-9 >= HEALING_S;
+        let warm = self.warm.as_ref().map(|warm| &warm.readings).filter(|_| input.loaded);
+        let readings = warm.unwrap_or(&self.readings);
+        if !due || readings.frames < 8 || self.healing.states().is_empty() {
+            return;
+        }
+        self.healing_ns = input.time_ns;
+        let difference = self.mean_difference(&readings.mean, input, drift);
+        self.healing.take(input.time_ns, &difference, input.noise, &prepared.voltages, self.healed_per_m);
+        for state in self.healing.states() {
+            let damage = self.monitor.damages().iter().find(|damage| damage.id == state.id && damage.is_open());
+            if let Some(shape) = damage.map(|damage| damage.shape) {
+                self.monitor.refine(state.id, shape, Some(1.0 - state.joined.clamp(0.0, 1.0)));
+            }
+        }
+    }
+
+    /// Takes into the baseline what rests on a damage for so long and so low that it is warmth and no touch.
+    fn adopt_warmth(&mut self, input: &DamageInput<'_>, baseline: &mut Baseline) -> Result<bool, Error> {
+        let on_damage = |touch: &Touch| {
+            let near = |damage: &Damage| damage.is_open() && damage.shape.distance_m(touch.position_m) <= WARM_REACH_M;
+            touch.amplitude <= WARM_HEIGHT && self.monitor.damages().iter().any(near)
+        };
+        let first = input.touches.first().filter(|_| input.touches.iter().all(on_damage));
+        let Some(touch) = first else {
+            self.warm = None;
+            return Ok(false);
+        };
+        let here = touch.position_m;
+        let stays = |warm: &Warm| (warm.at_m[0] - here[0]).hypot(warm.at_m[1] - here[1]) <= WARM_TRAVEL_M;
+        if !self.warm.as_ref().is_some_and(stays) {
+            self.warm = Some(Warm { at_m: here, since_ns: input.time_ns, readings: Readings::default() });
+        }
+        let Some(warm) = &mut self.warm else { return Ok(false) };
+        warm.readings.take(input.time_ns, baseline.raw());
+        if input.time_ns.saturating_sub(warm.since_ns) as f64 * 1e-9 < WARM_S {
+            return Ok(false);
+        }
+        baseline.adopt(input.time_ns, &warm.readings.mean, warm.readings.frames, "warmth about a damage")?;
+        self.warm = None;
+        Ok(true)
+    }
+
+    /// Takes the readings as the baseline of touches once they include a damage that is believed.
+    fn adopt(&mut self, input: &DamageInput<'_>, baseline: &mut Baseline) -> Result<bool, Error> {
+        let settled = self.readings.frames as f64 >= 8.0 && !self.monitor.is_suspicious();
+        let Some(id) = self.pending.filter(|_| settled && !input.loaded) else { return Ok(false) };
+        self.pending = None;
+        baseline.adopt(input.time_ns, &self.readings.mean, self.readings.frames, &format!("includes damage {id}"))?;
+        Ok(true)
+    }
+
+    /// Watches the rest that a proposal wants.
+    fn propose(&mut self, time_ns: u64, baseline: &Baseline) {
+        let quiet = self.readings.frames >= 16 && !self.monitor.is_suspicious() && self.monitor.events().is_empty();
+        let drift = baseline.drift_factor();
+        let moved = |from: &[f64], factor: f64| {
+            let (mut sum, mut noise) = (0.0, 0.0);
+            let channels = self.readings.mean.iter().zip(from).zip(baseline.noise_std());
+            for ((mean, from), sigma) in channels.filter(|((m, f), s)| m.is_finite() && f.is_finite() && s.is_finite())
+            {
+                sum += (mean - factor * from).powi(2);
+                noise += sigma * sigma;
+            }
+            if noise > 0.0 { (sum / noise).sqrt() } else { 0.0 }
+        };
+        let resting = self.rest_since_ns.filter(|_| quiet && moved(&self.rest, drift / self.rest_drift) < RESTING);
+        let Some(since_ns) = resting else {
+            self.proposal = None;
+            self.rest_since_ns = quiet.then_some(time_ns);
+            self.rest.clear();
+            self.rest.extend_from_slice(&self.readings.mean);
+            self.rest_drift = drift;
+            return;
+        };
+        let offset_sigma = moved(baseline.baseline(), 1.0);
+        let rested = time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= REST_S;
+        let healed = self.monitor.damages().iter().any(|damage| damage.state == DamageState::Healed);
+        let settled = self.healing.states().iter().all(|state| state.settled);
+        let reason = if healed { ProposalReason::Healed } else { ProposalReason::Offset };
+        let useful = offset_sigma >= OFF || healed;
+        self.proposal = (rested && settled && useful).then_some(Proposal { reason, since_ns, offset_sigma });
+    }
+
+    /// What is known now.
+    pub fn view<'a>(&'a self, baseline: &'a Baseline) -> DamageView<'a> {
+        DamageView {
+            watched: self.ready,
+            damages: self.monitor.damages(),
+            events: self.monitor.events(),
+            image: &self.image,
+            baselines: baseline.records(),
+            intact: self.ready.then_some(self.intact_record),
+            healing: self.healing.states(),
+            proposal: self.proposal,
+            drift: baseline.drift_factor() - 1.0,
+        }
+    }
+}
