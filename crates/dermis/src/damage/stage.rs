@@ -391,6 +391,7 @@ impl DamageStage {
     /// What is known now.
     pub fn view<'a>(&'a self, baseline: &'a Baseline) -> DamageView<'a> {
         DamageView {
+            now_ns: 0,
             watched: self.ready,
             damages: self.monitor.damages(),
             events: self.monitor.events(),
