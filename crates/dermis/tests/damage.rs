@@ -1,7 +1,7 @@
 //! Damage told from touch on the sandwich's twin, whose mesh, physics and noise are not the model's: cuts are found and stay
 //! known, touches work beside them, drift and slow presses are told apart, and no baseline hides a damage.
 
-use dermis::damage::{CrackModel, estimate_cut};
+use dermis::damage::{CrackModel, ProposalReason, estimate_cut};
 use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
@@ -192,6 +192,25 @@ fn drift_of_the_whole_sheet_is_followed_and_a_slow_press_is_not() {
     line.release();
     assert!(line.run(40).is_empty());
     assert!(line.events.is_empty() && line.damages().is_empty(), "{:?}", line.damages());
+}
+
+#[test]
+fn a_new_baseline_is_proposed_once_the_skin_rests_elsewhere() {
+    let mut line = Line::new();
+    line.frame_s = 0.2;
+    line.run(200);
+    assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
+    // A faint cut: too little to be damage, but the baseline is off.
+    line.cut([-22.5, -20.0], [-17.5, -20.0]);
+    line.run(100);
+    assert!(line.pipeline.damage().proposal.is_none(), "20 s are not enough");
+    line.run(100);
+    let proposal = line.pipeline.damage().proposal.expect("a proposal");
+    println!("{proposal:?} {:?}", line.damages());
+    assert_eq!(proposal.reason, ProposalReason::Offset);
+    line.pipeline.tare(false, "proposed").unwrap();
+    line.run(220);
+    assert!(line.pipeline.damage().proposal.is_none(), "{:?}", line.pipeline.damage().proposal);
 }
 
 #[test]
