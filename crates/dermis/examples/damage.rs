@@ -22,13 +22,20 @@ const GAP: f64 = 14.0;
 const FALL: f32 = 0.2;
 const RISE: f32 = 0.8;
 
+/// An image with its name and the ends of the cuts fitted in it.
+struct Panel {
+    name: String,
+    image: Vec<f32>,
+    ends: Vec<[[f64; 2]; 2]>,
+}
+
 /// A twin and the pipeline that follows it.
 struct Line {
     twin: AnyTwin,
     pipeline: Pipeline,
     ticks: u64,
     time_s: f64,
-    panels: Vec<(String, Vec<f32>, Vec<[[f64; 2]; 2]>)>,
+    panels: Vec<Panel>,
 }
 
 impl Line {
@@ -58,7 +65,7 @@ impl Line {
     fn draw(&mut self, name: &str) {
         let view = self.pipeline.damage();
         let ends = view.damages.iter().map(|damage| damage.shape.ends_m()).collect();
-        self.panels.push((name.to_owned(), view.image.to_vec(), ends));
+        self.panels.push(Panel { name: name.to_owned(), image: view.image.to_vec(), ends });
         let truth = self.twin.frontend().wounds().first().map_or(0.0, |wound| wound.healed);
         for state in view.healing {
             println!(
@@ -89,7 +96,7 @@ fn svg(line: &Line) -> String {
     let height = SIDE + 2.0 * GAP + 20.0;
     let mut text = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\">\n");
     let pixel = SIDE / grid.columns as f64;
-    for (index, (name, image, ends)) in line.panels.iter().enumerate() {
+    for (index, Panel { name, image, ends }) in line.panels.iter().enumerate() {
         let left = GAP + index as f64 * (SIDE + GAP);
         for (row, values) in image.chunks(grid.columns).enumerate() {
             let mut start = 0;

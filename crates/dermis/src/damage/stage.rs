@@ -118,9 +118,8 @@ pub(crate) struct DamageStage {
     /// Joining of a healed scar, 1/m.
     healed_per_m: f64,
     warm: Option<Warm>,
-    /// Readings and drift where the rest began.
+    /// Readings where the rest began.
     rest: Vec<f64>,
-    rest_drift: f64,
     rest_since_ns: Option<u64>,
     proposal: Option<Proposal>,
     /// Damage has been confirmed or has grown, and is not in the baseline yet.
@@ -169,7 +168,6 @@ impl DamageStage {
             warm: None,
             readings: Readings { mean: Vec::with_capacity(channels), ..Readings::default() },
             rest: Vec::with_capacity(channels),
-            rest_drift: 1.0,
             rest_since_ns: None,
             proposal: None,
             pending: None,
@@ -359,27 +357,25 @@ impl DamageStage {
     /// Watches the rest that a proposal wants.
     fn propose(&mut self, time_ns: u64, baseline: &Baseline) {
         let quiet = self.readings.frames >= 16 && !self.monitor.is_suspicious() && self.monitor.events().is_empty();
-        let drift = baseline.drift_factor();
-        let moved = |from: &[f64], factor: f64| {
+        let moved = |from: &[f64]| {
             let (mut sum, mut noise) = (0.0, 0.0);
             let channels = self.readings.mean.iter().zip(from).zip(baseline.noise_std());
             for ((mean, from), sigma) in channels.filter(|((m, f), s)| m.is_finite() && f.is_finite() && s.is_finite())
             {
-                sum += (mean - factor * from).powi(2);
+                sum += (mean - from).powi(2);
                 noise += sigma * sigma;
             }
             if noise > 0.0 { (sum / noise).sqrt() } else { 0.0 }
         };
-        let resting = self.rest_since_ns.filter(|_| quiet && moved(&self.rest, drift / self.rest_drift) < RESTING);
+        let resting = self.rest_since_ns.filter(|_| quiet && moved(&self.rest) < RESTING);
         let Some(since_ns) = resting else {
             self.proposal = None;
             self.rest_since_ns = quiet.then_some(time_ns);
             self.rest.clear();
             self.rest.extend_from_slice(&self.readings.mean);
-            self.rest_drift = drift;
             return;
         };
-        let offset_sigma = moved(baseline.baseline(), 1.0);
+        let offset_sigma = moved(baseline.baseline());
         let rested = time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= REST_S;
         let healed = self.monitor.damages().iter().any(|damage| damage.state == DamageState::Healed);
         let settled = self.healing.states().iter().all(|state| state.settled);
