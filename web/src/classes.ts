@@ -4,7 +4,7 @@
 import type { Classes } from "./protocol";
 
 /** Canvas words (alpha comes from the probability): blue, green, red from the highest byte. */
-const COMPRESSED = 0x00f0e6;
+const COMPRESSED = 0xf0e600;
 const DAMAGED = 0x7a3bff;
 /** Below this nothing is drawn. */
 const LEAST = 0.1;

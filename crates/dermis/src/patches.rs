@@ -40,6 +40,8 @@ const LARGEST: f64 = 0.5;
 /// the shorter side, are not touches.
 const LEAST_SHARE: f64 = 0.05;
 const LEAST_CERTAIN: f64 = 0.1;
+/// A peak so many times as high as the image is low stands out by itself.
+const OUTSTANDING: f64 = 2.0;
 /// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
 const APART: f64 = 1.3;
 /// Patches that leave more than this share of a frame do not explain it.
@@ -151,8 +153,9 @@ impl PatchStage {
     }
 
     /// Replaces the contacts of an image by the patches of its frame (model volts). Those of a frame that patches do not explain
-    /// stay as the image has them, but begin no touch.
-    pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
+    /// stay as the image has them; they begin no touch, unless one stands far out of the image, of which `lowest` is the lowest
+    /// value.
+    pub(crate) fn refine(&mut self, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
         self.left.clear();
         self.left.extend_from_slice(difference);
         if contacts.is_empty() {
@@ -169,9 +172,14 @@ impl PatchStage {
         }
         self.weigh(difference);
         if !self.follow() && !self.search() {
-            // Lobes of damage look like this, and touches that are only beginning: nothing begins, what is there may stay.
             self.fits.clear();
-            contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+            if contacts[0].amplitude > OUTSTANDING * -lowest {
+                // A press on a cut looks like this: the image knows one touch.
+                contacts.truncate(1);
+            } else {
+                // Lobes of damage, and touches that are only beginning: nothing begins, what is there may stay.
+                contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+            }
             return;
         }
         let strongest = self.strongest();

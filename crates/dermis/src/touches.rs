@@ -172,7 +172,8 @@ impl TouchStage {
         }
         if placement.is_none() {
             if let Some(patches) = &mut self.patches {
-                patches.refine(difference, &mut self.contacts);
+                let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
+                patches.refine(difference, f64::from(lowest), &mut self.contacts);
             } else if let Some(spots) = &mut self.spots {
                 spots.refine(difference, &mut self.contacts);
             }

@@ -15,17 +15,25 @@ pub(super) fn take(known: &Known<'_>, shown: &mut Option<DamageView>) {
     let for_s = |since_ns: u64| known.now_ns.saturating_sub(since_ns) as f64 * 1e-9;
     let shown = shown.get_or_insert_default();
     shown.list.clear();
-    shown.list.extend(known.damages.iter().map(|damage| DamageRow {
-        id: damage.id,
-        state: damage.state.name(),
-        x_mm: damage.shape.centre_m[0] * MM,
-        y_mm: damage.shape.centre_m[1] * MM,
-        length_mm: damage.shape.length_m * MM,
-        direction_deg: damage.shape.direction_rad.to_degrees(),
-        ends_mm: damage.shape.ends_m().map(|end| end.map(|v| v * MM)),
-        depth: damage.depth,
-        healed: (1.0 - damage.share).clamp(0.0, 1.0),
-        for_s: for_s(damage.since_ns),
+    shown.list.extend(known.damages.iter().map(|damage| {
+        DamageRow {
+            id: damage.id,
+            state: damage.state.name(),
+            x_mm: damage.shape.centre_m[0] * MM,
+            y_mm: damage.shape.centre_m[1] * MM,
+            length_mm: damage.shape.length_m * MM,
+            direction_deg: damage.shape.direction_rad.to_degrees(),
+            ends_mm: damage.shape.ends_m().map(|end| end.map(|v| v * MM)),
+            depth: damage.depth,
+            // Where the cut was fitted its faces are followed themselves; the image also sees what heat does about it.
+            healed: known
+                .healing
+                .iter()
+                .find(|state| state.id == damage.id)
+                .map_or(1.0 - damage.share, |state| state.joined)
+                .clamp(0.0, 1.0),
+            for_s: for_s(damage.since_ns),
+        }
     }));
     shown.baselines.clear();
     shown.baselines.extend(known.baselines.iter().map(|record| BaselineRow {
