@@ -3,7 +3,6 @@
 //! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search where these do not do.
 
 use std::f64::consts::PI;
-use std::sync::Arc;
 
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch};
@@ -51,10 +50,66 @@ const REST: [u32; 2] = [4, 64];
 /// Steps of a fit: from the frame before, to judge what a search proposes, and to settle the best of that.
 const STEPS: [usize; 3] = [4, 10, 20];
 
+/// What is left of the conductance of an element that a cut crosses: it blocks the current, and no matrix becomes singular.
+const LEFT_BY_A_CUT: f64 = 1e-4;
+
+/// What sheets are made of.
+#[derive(Debug)]
+struct Bare {
+    model: ForwardModel,
+    typical: ContactPatch,
+    places: Vec<[f64; 2]>,
+    sheet_s: f64,
+}
+
+impl Bare {
+    /// The sheet with these cuts, which block the elements that they cross whole; elements that conduct along a cut but not
+    /// across it would hold its sides together.
+    fn with(&self, cuts: &[[[f64; 2]; 2]]) -> Result<(ContactSheet, PatchSearch), Error> {
+        let mesh = &self.model.body().mesh;
+        let corner = |node: u32| [mesh.nodes()[node as usize][0], mesh.nodes()[node as usize][1]];
+        let size = mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64;
+        // Blocked whole, a cut is longer by about half an element at each end.
+        let cuts: Vec<[[f64; 2]; 2]> = cuts.iter().map(|cut| shortened(*cut, 0.5 * size.sqrt())).collect();
+        let conductance: Vec<f64> = mesh
+            .elements()
+            .map(|cell| {
+                let corners = [corner(cell[0]), corner(cell[1]), corner(cell[2])];
+                let blocked = cuts.iter().any(|cut| crosses(corners, *cut));
+                self.sheet_s * if blocked { LEFT_BY_A_CUT } else { 1.0 }
+            })
+            .collect();
+        let sheet = ContactSheet::new(&self.model, &conductance)?;
+        let search = PatchSearch::new(&sheet, self.typical, &self.places)?;
+        Ok((sheet, search))
+    }
+}
+
+/// A segment without so much at either end; its middle where little is left.
+fn shortened([a, b]: [[f64; 2]; 2], by_m: f64) -> [[f64; 2]; 2] {
+    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
+    let share = (by_m / length.max(f64::MIN_POSITIVE)).min(0.499);
+    let at = |share: f64| [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
+    [at(share), at(1.0 - share)]
+}
+
+/// Whether a segment meets a triangle.
+fn crosses(corners: [[f64; 2]; 3], [a, b]: [[f64; 2]; 2]) -> bool {
+    let side = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
+    let meets = |p: [f64; 2], q: [f64; 2]| side(p, q, a) * side(p, q, b) <= 0.0 && side(a, b, p) * side(a, b, q) <= 0.0;
+    let edges = [(0, 1), (1, 2), (2, 0)];
+    let inside = edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) >= 0.0)
+        || edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) <= 0.0);
+    inside || edges.iter().any(|&(i, j)| meets(corners[i], corners[j]))
+}
+
 /// Fits the patches of one frame after the other.
 #[derive(Debug)]
 pub(crate) struct PatchStage {
-    model: Arc<(ContactSheet, PatchSearch)>,
+    bare: Bare,
+    /// Ends of the cuts that the sheet of `model` has, metres.
+    cuts: Vec<[[f64; 2]; 2]>,
+    model: (ContactSheet, PatchSearch),
     options: FitOptions,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -66,7 +121,6 @@ pub(crate) struct PatchStage {
     left: Vec<f64>,
     fits: Vec<ContactFit>,
     misfit: f64,
-    sheet_s: f64,
     smallest_amplitude: f64,
     rest: u32,
     next_rest: u32,
@@ -82,7 +136,6 @@ impl Prepared {
     pub(crate) fn patch_stage(&self, noise: &[f64]) -> Result<PatchStage, Error> {
         let body = self.skin.body_with_elements(ELEMENTS)?;
         let model = ForwardModel::new(body.mesh, self.protocol.clone())?;
-        let sheet = ContactSheet::new(&model, self.skin.sheet_conductance_s())?;
         let touch = &self.skin.touch;
         let typical = ContactPatch {
             position_m: [0.0; 2],
@@ -100,8 +153,12 @@ impl Prepared {
             .map(|(row, column)| [at(0, column), at(1, row)])
             .filter(|place| grid.pixel_at(*place).is_some_and(|pixel| inside[pixel]))
             .collect();
-        let search = PatchSearch::new(&sheet, typical, &places)?;
+        let sheet_s = self.skin.sheet_conductance_s();
+        let bare = Bare { model, typical, places, sheet_s };
+        let (sheet, search) = bare.with(&[])?;
         Ok(PatchStage {
+            bare,
+            cuts: Vec::new(),
             options: FitOptions {
                 radius_m: typical.radius_m,
                 radius_log_deviation: LOG_DEVIATIONS[0],
@@ -110,7 +167,7 @@ impl Prepared {
                 most_steps: STEPS[0],
             },
             absent: vec![false; sheet.channels()],
-            model: Arc::new((sheet, search)),
+            model: (sheet, search),
             grid,
             inside,
             half_width_m: self.half_width_m(),
@@ -120,7 +177,6 @@ impl Prepared {
             left: Vec::new(),
             fits: Vec::new(),
             misfit: f64::INFINITY,
-            sheet_s: self.skin.sheet_conductance_s(),
             smallest_amplitude: touch.smallest_amplitude,
             rest: 0,
             next_rest: REST[0],
@@ -133,6 +189,17 @@ impl PatchStage {
     pub(crate) fn set_noise(&mut self, noise: &[f64]) {
         self.noise.clear();
         self.noise.extend_from_slice(noise);
+    }
+
+    /// Takes the sheet to have these cuts (both ends, metres) from now on: works out its Green's function anew, which takes a
+    /// good part of a second. Does nothing where they are those that it has.
+    pub(crate) fn set_cuts(&mut self, cuts: &[[[f64; 2]; 2]]) -> Result<(), Error> {
+        if self.cuts != cuts {
+            self.model = self.bare.with(cuts)?;
+            self.cuts = cuts.to_vec();
+            self.forget();
+        }
+        Ok(())
     }
 
     /// Goes on without these channels.
@@ -247,7 +314,7 @@ impl PatchStage {
     }
 
     fn search_now(&mut self) -> bool {
-        let (sheet, search) = &*self.model;
+        let (sheet, search) = &self.model;
         let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
         let mut best: Option<(Vec<ContactPatch>, FitSummary)> = None;
         for start in starts {
@@ -300,7 +367,7 @@ impl PatchStage {
     /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is at the
     /// mean potential of its rim by symmetry.
     fn effect_m2(&self, patch: &ContactPatch) -> f64 {
-        let x = (patch.conductance_s_per_m2 / self.sheet_s).sqrt() * patch.radius_m;
+        let x = (patch.conductance_s_per_m2 / self.bare.sheet_s).sqrt() * patch.radius_m;
         let [zeroth, second] = bessel_i0_i2(x);
         patch.radius_m * patch.radius_m * second / zeroth
     }

@@ -1,5 +1,5 @@
 //! The live pipeline: frame, channels, baseline, image, touches. Typed stages called one after another; after start-up
-//! nothing is allocated per frame. It knows neither where frames come from nor where results go.
+//! nothing is allocated per frame, but where touches are fitted as contacts or elements are solved for. It knows neither where frames come from nor where results go.
 
 use std::time::{Duration, Instant};
 
@@ -307,6 +307,16 @@ impl Pipeline {
         Ok(())
     }
 
+    /// Touches are fitted to the sheet with the cuts that the baseline includes.
+    fn follow_cuts(&mut self) -> Result<(), Error> {
+        let (Some(damage), Some(ready)) = (&self.damage, &mut self.ready) else { return Ok(()) };
+        let Some(patches) = ready.touches.patches_mut() else { return Ok(()) };
+        let open = damage.view(&self.baseline).damages.iter().filter(|damage| damage.is_open());
+        let cuts: Vec<[[f64; 2]; 2]> =
+            open.filter(|damage| damage.shape.length_m > 0.0).map(|damage| damage.shape.ends_m()).collect();
+        patches.set_cuts(&cuts)
+    }
+
     /// Damage, the baselines that were in use, and a new one where that is proposed.
     pub fn damage(&self) -> DamageView<'_> {
         let now_ns = self.clock.time_ns();
@@ -370,6 +380,7 @@ impl Pipeline {
         if let (Some(damage), Some(ready)) = (&mut self.damage, &self.ready) {
             damage.renew(&self.baseline, ready.imager.noise_image());
         }
+        self.follow_cuts()?;
         Ok(())
     }
 

@@ -68,17 +68,17 @@ pub(super) struct Touched {
 }
 
 impl ContactSheet {
-    /// Works out the Green's function of a sheet of this conductance (siemens, everywhere alike).
+    /// Works out the Green's function of a sheet of this conductance (siemens, one value an element).
     ///
     /// # Errors
     /// As [`ForwardModel::solve`]; point electrodes.
-    pub fn new(model: &ForwardModel, sheet_s: f64) -> Result<Self, EitError> {
+    pub fn new(model: &ForwardModel, sheet_s: &[f64]) -> Result<Self, EitError> {
         let mesh = &model.body.mesh;
-        let solution = model.solve(&vec![sheet_s; mesh.element_count()])?;
+        let solution = model.solve(sheet_s)?;
         let unknowns = model.system.node_unknowns.iter().copied().collect::<Option<Vec<usize>>>();
         let unknowns = unknowns.ok_or(EitError::PointElectrode)?;
         let mut values = Vec::new();
-        model.system.assemble(&vec![sheet_s; mesh.element_count()], &mut values);
+        model.system.assemble(sheet_s, &mut values);
         let factor = model.system.factor(&values)?;
         let inverse = model.system.structure.inverse_columns(&factor, &unknowns);
         let nodes = unknowns.len();

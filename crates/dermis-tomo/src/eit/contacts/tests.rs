@@ -28,7 +28,9 @@ fn body(element_size_m: f64) -> ElectrodedMesh {
 }
 
 fn sheet() -> ContactSheet {
-    ContactSheet::new(&ForwardModel::new(body(2.5e-3), protocol()).unwrap(), SHEET_S).unwrap()
+    let model = ForwardModel::new(body(2.5e-3), protocol()).unwrap();
+    let elements = model.body().mesh.element_count();
+    ContactSheet::new(&model, &vec![SHEET_S; elements]).unwrap()
 }
 
 fn patch(x_mm: f64, y_mm: f64, radius_mm: f64) -> ContactPatch {
