@@ -444,7 +444,7 @@ fn a_replay_leaves_table_figures_data_and_report() {
         assert!(desk.path("replay").join(file).is_file(), "{file}");
     }
     let table: [(&[&str], &str); 3] = [
-        (&["reproduce", "Z"], "paper Z: expected one of E, I"),
+        (&["reproduce", "Z"], "paper Z: expected one of E, H, I, P"),
         (&["reproduce", "I", "I99"], "experiment I99: expected one of I1, I2"),
         (&["reproduce"], "<PAPER>"),
     ];

@@ -101,6 +101,7 @@ pub fn serve(
         }
         if let Some(new) = door.knock(host.is_some()).map_err(failed)? {
             device.reset_link();
+            twin.calm()?;
             served.hosts += 1;
             host = Some(new);
         }

@@ -50,6 +50,8 @@ pub struct TwinSource {
     demo: Option<Script>,
     /// The demonstration is what touches the twin.
     demonstrates: bool,
+    /// Until this frame nothing is demonstrated.
+    calm_until: u64,
     /// What is broken, and when.
     faults: Vec<TimedFault>,
     /// Contact impedances with all electrodes in contact.
@@ -98,6 +100,7 @@ impl TwinSource {
             press,
             demo: Some(demo),
             demonstrates: false,
+            calm_until: REST_FRAMES,
             faults: skin.twin.timed_faults(),
             contacts_ohm: skin.contact_impedances_ohm(),
             commands,
@@ -119,6 +122,18 @@ impl TwinSource {
     /// The same without its demonstration: nothing touches it but who commands it.
     pub fn undemonstrated(self) -> Self {
         Self { demo: None, ..self }
+    }
+
+    /// Somebody new looks: the demonstration stops for as long as a baseline takes, and then begins again.
+    ///
+    /// # Errors
+    /// None of a twin that could be made.
+    pub fn calm(&mut self) -> Result<(), Error> {
+        self.calm_until = self.ticks + REST_FRAMES;
+        if std::mem::take(&mut self.demonstrates) {
+            self.twin.scene_mut().set_script(None)?;
+        }
+        Ok(())
     }
 
     /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps up.
@@ -171,9 +186,12 @@ impl TwinSource {
     }
 
     fn obey(&mut self) -> Result<(), TwinError> {
-        if self.ticks >= REST_FRAMES && self.demo.is_some() {
+        if self.ticks >= self.calm_until
+            && !self.demonstrates
+            && let Some(demo) = &self.demo
+        {
+            self.twin.scene_mut().set_script(Some(demo.clone()))?;
             self.demonstrates = true;
-            self.twin.scene_mut().set_script(self.demo.take())?;
         }
         while let Ok(command) = self.commands.try_recv() {
             match command {

@@ -36,8 +36,6 @@ pub struct ContactPatch {
 
 /// Nodes of which less than this share is covered by a patch are not touched.
 const LEAST_COVERAGE: f64 = 1e-3;
-/// The edge of a patch is blurred over so many distances between nodes, that what it does changes smoothly with its place.
-const EDGE: f64 = 3.0;
 
 /// The bare sheet, ready for any contacts.
 #[derive(Debug)]
@@ -45,8 +43,8 @@ pub struct ContactSheet {
     positions_m: Vec<[f64; 2]>,
     /// Area of the sheet that goes with each node, m^2.
     areas_m2: Vec<f64>,
-    /// Distance between nodes, metres.
-    spacing_m: f64,
+    /// Width over which the edge of a patch is blurred, metres.
+    edge_m: f64,
     /// Nodes x nodes, ohm.
     green: Mat<f32>,
     /// Patterns x nodes: potentials for the stimulations, volts, then for the measuring patterns, ohm.
@@ -68,11 +66,13 @@ pub(super) struct Touched {
 }
 
 impl ContactSheet {
-    /// Works out the Green's function of a sheet of this conductance (siemens, one value an element).
+    /// Works out the Green's function of a sheet of this conductance (siemens, one value an element). The edge of a patch is
+    /// blurred over `edge_m`, or over the distance between nodes where that is more: what a patch does then changes
+    /// smoothly with its place, and a cover spreads pressure so.
     ///
     /// # Errors
     /// As [`ForwardModel::solve`]; point electrodes.
-    pub fn new(model: &ForwardModel, sheet_s: &[f64]) -> Result<Self, EitError> {
+    pub fn new(model: &ForwardModel, sheet_s: &[f64], edge_m: f64) -> Result<Self, EitError> {
         let mesh = &model.body.mesh;
         let solution = model.solve(sheet_s)?;
         let unknowns = model.system.node_unknowns.iter().copied().collect::<Option<Vec<usize>>>();
@@ -97,7 +97,7 @@ impl ContactSheet {
         let area: f64 = areas_m2.iter().sum();
         Ok(Self {
             positions_m: mesh.nodes().iter().map(|p| [p[0], p[1]]).collect(),
-            spacing_m: (area / nodes as f64).sqrt(),
+            edge_m: edge_m.max((area / nodes as f64).sqrt()),
             areas_m2,
             green,
             fields: Mat::from_fn(columns.len(), nodes, |pattern, node| columns[pattern][node]),
@@ -132,7 +132,7 @@ impl ContactSheet {
 
     /// Share of a node that a patch covers, and its derivative with the distance from the middle (1/m).
     fn coverage(&self, radius_m: f64, distance_m: f64) -> (f64, f64) {
-        let width_m = EDGE * self.spacing_m;
+        let width_m = self.edge_m;
         let x = (radius_m - distance_m) / width_m + 0.5;
         if x <= 0.0 {
             (0.0, 0.0)
