@@ -51,7 +51,7 @@ const EXPLAINED: f64 = 0.3;
 /// After a search in vain so many frames pass before the next, twice as many after each further one, up to the most.
 const REST: [u32; 2] = [4, 64];
 /// Steps of a fit: from the frame before, to judge what a search proposes, and to settle the best of that.
-const STEPS: [usize; 3] = [4, 10, 20];
+const STEPS: [usize; 3] = [4, 25, 25];
 
 /// What is left of the conductance of an element that a cut crosses: it blocks the current, and no matrix becomes singular.
 const LEFT_BY_A_CUT: f64 = 1e-4;
