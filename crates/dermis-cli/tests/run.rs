@@ -112,13 +112,13 @@ fn a_twin_that_is_served_is_run_from_its_address() {
     BufReader::new(served.0.stdout.take().expect("a pipe")).read_line(&mut said).expect("an address");
     let words: Vec<&str> = said.split_whitespace().collect();
     assert_eq!(words[..4], ["serving:", "dermis", "run", "healing-square"], "{said}");
-    let live = run(desk.path(), &[&words[3..], &["--headless", "--frames", "100"]].concat());
+    let live = run(desk.path(), &[&words[3..], &["--headless", "--frames", "220"]].concat());
     assert_done(&live);
     let lines = lines(&live);
-    assert_eq!(lines.len(), 100);
+    assert_eq!(lines.len(), 220);
     let touched = lines.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
-    // As with the twin inside the command: the host that asks first sees it untouched and then the demonstration.
-    assert!(touched > 20, "only {touched} of 100 lines have touches");
+    // As with the twin inside the command: a host sees it untouched at first, for as long as it needs to get ready, and then the demonstration.
+    assert!(touched > 20, "only {touched} of 220 lines have touches");
 }
 
 #[test]

@@ -80,6 +80,8 @@ pub struct TwinSource {
 const QUEUE: usize = 256;
 /// Notices that may wait for a reader.
 const NOTICES: usize = 64;
+/// Hosts make their operators while frames come already.
+const READY: Duration = Duration::from_secs(5);
 /// Frames without any touch at the start, for a baseline; then the demonstration begins.
 const REST_FRAMES: u64 = crate::pipeline::TARE_FRAMES as u64 + 4;
 
@@ -124,12 +126,13 @@ impl TwinSource {
         Self { demo: None, ..self }
     }
 
-    /// Somebody new looks: the demonstration stops for as long as a baseline takes, and then begins again.
+    /// Somebody new looks: the demonstration stops for as long as a host takes to get ready and to take a baseline, and then
+    /// begins again.
     ///
     /// # Errors
     /// None of a twin that could be made.
     pub fn calm(&mut self) -> Result<(), Error> {
-        self.calm_until = self.ticks + REST_FRAMES;
+        self.calm_until = self.ticks + REST_FRAMES + (READY.as_secs_f64() / self.period.as_secs_f64()) as u64;
         if std::mem::take(&mut self.demonstrates) {
             self.twin.scene_mut().set_script(None)?;
         }
