@@ -60,11 +60,11 @@ fn contacts(c: &mut Criterion) {
         group.bench_function(format!("best set of {count}"), |b| {
             b.iter(|| {
                 let mut sets = search.begin(&sheet, &change, &deviation).ok()?;
-                (0..count).filter_map(|_| search.next(&sheet, &mut sets)).last()
+                (0..count).filter_map(|_| search.next(&mut sets)).last()
             });
         });
         let mut sets = search.begin(&sheet, &change, &deviation).expect("lengths agree");
-        let start = (0..count).filter_map(|_| search.next(&sheet, &mut sets)).last().unwrap_or_default();
+        let start = (0..count).filter_map(|_| search.next(&mut sets)).last().unwrap_or_default();
         let options = FitOptions { most_steps: 25, ..options };
         group.bench_function(format!("{count} patches fitted from the best set"), |b| {
             b.iter(|| sheet.fit(&change, &deviation, &start, &options, &mut left).map(|(_, summary)| summary.steps));

@@ -8,13 +8,15 @@ use crate::eit::protocol::Measurement;
 
 /// Sets that are extended by one more port.
 const EXTENDED: usize = 12;
+/// Ports of the largest set.
+const MOST: usize = 4;
+/// Channels that are worked on side by side.
+const LANES: usize = 16;
 
 /// The ports of a sheet.
 #[derive(Debug)]
 pub struct PatchSearch {
     patches: Vec<ContactPatch>,
-    /// Ports x patterns: potential of the bare sheet at a port.
-    fields: Vec<Vec<f64>>,
     /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
     resistance: Vec<Vec<f64>>,
     /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
@@ -29,8 +31,31 @@ pub struct PatchSearch {
 /// A set of ports and how much of the data it leaves.
 #[derive(Clone, Debug)]
 struct Candidate {
-    ports: Vec<usize>,
+    ports: Ports,
     left: f64,
+}
+
+/// One to [`MOST`] ports.
+#[derive(Clone, Copy, Debug)]
+struct Ports {
+    ports: [usize; MOST],
+    count: usize,
+}
+
+impl Ports {
+    fn one(port: usize) -> Self {
+        Self { ports: [port; MOST], count: 1 }
+    }
+
+    fn list(&self) -> &[usize] {
+        &self.ports[..self.count]
+    }
+
+    fn and(mut self, port: usize) -> Self {
+        self.ports[self.count] = port;
+        self.count += 1;
+        self
+    }
 }
 
 /// The sets of one frame, larger by a patch each time: [`PatchSearch::next`] looks for them one size after the other, since
@@ -40,6 +65,8 @@ pub struct PatchSets {
     /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
     scaled: Vec<f64>,
     weight: Vec<f64>,
+    /// Sum of the squares of the former.
+    energy: f64,
     /// Those of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
@@ -87,7 +114,7 @@ impl PatchSearch {
         };
         let driven = of_channels(&|m| m.stimulation as usize);
         let measured = of_channels(&|m| sheet.stimulations + m.pattern as usize);
-        Ok(Self { patches, fields, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
+        Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
     /// Begins the search in changes of the channels (volts, not finite where missing) with these standard deviations.
@@ -101,36 +128,33 @@ impl PatchSearch {
             channels.map(|(change, sigma)| if change.is_finite() { value(*change, *sigma) } else { 0.0 }).collect()
         };
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
-        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0 })
+        let energy = scaled.iter().map(|v| v * v).sum();
+        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0 })
     }
 
-    /// The best set of one patch, at the next call of two, and so on: starts for [`ContactSheet::fit`]. `None` where no more
-    /// patches find room.
-    pub fn next(&self, sheet: &ContactSheet, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
+    /// The best set of one patch, at the next call of two, and so on to four: starts for [`ContactSheet::fit`]. `None` where no
+    /// more patches find room.
+    pub fn next(&self, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
         let count = self.patches.len();
-        let grown: Vec<Vec<usize>> = match sets.size {
-            0 => (0..count).map(|port| vec![port]).collect(),
+        let mut grown: Vec<Ports> = Vec::new();
+        match sets.size {
+            0 => grown.extend((0..count).map(Ports::one)),
+            MOST.. => return None,
             size => {
                 // All pairs are looked at, since one port between two touches explains much and leads nowhere.
-                let extended = if size == 1 { count } else { EXTENDED.min(sets.best.len()) };
-                let grown = |candidate: &Candidate| {
-                    let ports = candidate.ports.clone();
-                    let first = if size == 1 { ports[0] + 1 } else { 0 };
-                    let room = |port: &usize| ports.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
-                    let free: Vec<usize> = (first..count).filter(room).collect();
-                    free.into_iter().map(move |port| ports.iter().copied().chain([port]).collect())
-                };
-                sets.best.iter().take(extended).flat_map(grown).collect()
+                let extended = if size == 1 { count } else { EXTENDED };
+                for candidate in sets.best.iter().take(extended) {
+                    let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
+                    let list = candidate.ports.list();
+                    let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
+                    grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
+                }
             }
-        };
-        let judge = |ports: Vec<usize>| {
-            let left = self.left(sheet, &ports, &sets.scaled, &sets.weight);
-            Candidate { ports, left }
-        };
-        sets.best = grown.into_iter().map(judge).collect();
+        }
+        sets.best = grown.into_iter().map(|ports| Candidate { ports, left: self.left(&ports, sets) }).collect();
         sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
         sets.size += 1;
-        Some(sets.best.first()?.ports.iter().map(|&port| self.patches[port]).collect())
+        Some(sets.best.first()?.ports.list().iter().map(|&port| self.patches[port]).collect())
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -138,77 +162,90 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Whitened energy that a set leaves, at the scale that suits it best.
-    fn left(&self, sheet: &ContactSheet, ports: &[usize], scaled: &[f64], weight: &[f64]) -> f64 {
-        match *ports {
-            [a] => left_by(self.alone_v[a].iter().copied(), scaled, weight),
-            // What current flows between two is one unknown.
-            [a, b] => {
-                let loops = self.resistance[a][a] + self.resistance[b][b] - 2.0 * self.resistance[a][b];
-                let alone = self.alone_v[a].iter().zip(&self.alone_v[b]);
-                let driven = self.driven[a].iter().zip(&self.driven[b]);
-                let measured = self.measured[a].iter().zip(&self.measured[b]);
-                let value = |((alone, driven), measured): (((&f64, &f64), (&f64, &f64)), (&f64, &f64))| {
-                    alone.0 + alone.1 - (driven.0 - driven.1) * (measured.0 - measured.1) / loops
-                };
-                left_by(alone.zip(driven).zip(measured).map(value), scaled, weight)
-            }
-            _ => {
-                let exchange = self.exchange(ports, sheet.stimulations);
-                let value = |(channel, measurement): (usize, &Measurement)| {
-                    let of_port = |(row, &port): (usize, &usize)| {
-                        let current = exchange[row][measurement.stimulation as usize];
-                        self.alone_v[port][channel] - self.measured[port][channel] * current
-                    };
-                    ports.iter().enumerate().map(of_port).sum()
-                };
-                left_by(sheet.measurements.iter().enumerate().map(value), scaled, weight)
+    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are unknowns,
+    /// since all add up to nothing: with differences `d` of fields from the last port's and `D_jk = R_jk - R_jn - R_nk + R_nn`,
+    /// a channel changes by the sum of what ports do by themselves less `d_m' D^-1 d_s`.
+    fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
+        let (ports, unknowns) = (ports.list(), ports.count - 1);
+        let last = ports[unknowns];
+        let mut loops = [[0.0; MOST - 1]; MOST - 1];
+        for j in 0..unknowns {
+            for k in 0..unknowns {
+                let r = |a: usize, b: usize| self.resistance[a][b];
+                loops[j][k] = r(ports[j], ports[k]) - r(ports[j], last) - r(last, ports[k]) + r(last, last);
             }
         }
-    }
-
-    /// Ports x stimulations: currents of the ports into the layer, by Gauss and Jordan on the few unknowns (the ports' currents
-    /// and the layer's potential).
-    fn exchange(&self, ports: &[usize], stimulations: usize) -> Vec<Vec<f64>> {
-        let count = ports.len();
-        let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count + 1);
-        for &a in ports {
-            let mut row: Vec<f64> = ports.iter().map(|&b| self.resistance[a][b]).collect();
-            row.push(1.0);
-            row.extend(&self.fields[a][..stimulations]);
-            rows.push(row);
-        }
-        let mut closing = vec![1.0; count];
-        closing.resize(count + 1 + stimulations, 0.0);
-        rows.push(closing);
-        for pivot in 0..=count {
-            // Resistances are positive definite, and the last pivot is then negative: no exchange of rows is needed.
-            let inverse = 1.0 / rows[pivot][pivot];
-            rows[pivot].iter_mut().for_each(|value| *value *= inverse);
-            let lead = rows[pivot].clone();
-            for (index, row) in rows.iter_mut().enumerate() {
-                let factor = row[pivot];
-                if index != pivot && factor != 0.0 {
-                    row.iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+        invert(&mut loops, unknowns);
+        let channels = sets.scaled.len();
+        let mut sums = Sums::default();
+        let mut values = [0.0; LANES];
+        for from in (0..channels).step_by(LANES) {
+            let count = LANES.min(channels - from);
+            values[..count].copy_from_slice(&self.alone_v[last][from..from + count]);
+            for &port in &ports[..unknowns] {
+                add(&mut values, &self.alone_v[port][from..from + count]);
+            }
+            for j in 0..unknowns {
+                let mut driven = [0.0; LANES];
+                for k in 0..unknowns {
+                    let (own, other) =
+                        (&self.driven[ports[k]][from..from + count], &self.driven[last][from..from + count]);
+                    for ((sum, own), other) in driven.iter_mut().zip(own).zip(other) {
+                        *sum += loops[j][k] * (own - other);
+                    }
+                }
+                let (own, other) =
+                    (&self.measured[ports[j]][from..from + count], &self.measured[last][from..from + count]);
+                for (((value, driven), own), other) in values.iter_mut().zip(&driven).zip(own).zip(other) {
+                    *value -= (own - other) * driven;
                 }
             }
+            sums.add(&values[..count], &sets.scaled[from..from + count], &sets.weight[from..from + count]);
         }
-        rows.truncate(count);
-        rows.iter_mut().for_each(|row| {
-            row.drain(..=count);
-        });
-        rows
+        sums.left(sets.energy)
     }
 }
 
-/// Whitened energy that values of the channels (volts) leave of the data, at the scale that suits them best.
-fn left_by(values: impl Iterator<Item = f64>, scaled: &[f64], weight: &[f64]) -> f64 {
-    let (mut along, mut square, mut energy) = (0.0, 0.0, 0.0);
-    for (value, (data, weight)) in values.zip(scaled.iter().zip(weight)) {
-        let value = value * weight;
-        along += value * data;
-        square += value * value;
-        energy += data * data;
+/// Sums over the channels, a lane at a time: what values (volts) have in common with the data, and their own square.
+#[derive(Default)]
+struct Sums {
+    along: [f64; LANES],
+    square: [f64; LANES],
+}
+
+impl Sums {
+    fn add(&mut self, values: &[f64], scaled: &[f64], weight: &[f64]) {
+        let sums = self.along.iter_mut().zip(&mut self.square);
+        for (((along, square), value), (data, weight)) in sums.zip(values).zip(scaled.iter().zip(weight)) {
+            let value = value * weight;
+            *along += value * data;
+            *square += value * value;
+        }
     }
-    if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
+
+    /// What the values leave of the data's energy, at the scale that suits them best.
+    fn left(&self, energy: f64) -> f64 {
+        let (along, square): (f64, f64) = (self.along.iter().sum(), self.square.iter().sum());
+        if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
+    }
+}
+
+fn add(sums: &mut [f64], values: &[f64]) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+}
+
+/// Inverts the leading block of this size in place, by Gauss and Jordan; it is positive definite.
+fn invert(matrix: &mut [[f64; MOST - 1]; MOST - 1], size: usize) {
+    for pivot in 0..size {
+        let inverse = 1.0 / matrix[pivot][pivot];
+        matrix[pivot][pivot] = 1.0;
+        matrix[pivot][..size].iter_mut().for_each(|value| *value *= inverse);
+        let lead = matrix[pivot];
+        for (row, values) in matrix.iter_mut().enumerate().take(size) {
+            if row != pivot {
+                let factor = std::mem::replace(&mut values[pivot], 0.0);
+                values[..size].iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+            }
+        }
+    }
 }
