@@ -8,7 +8,9 @@ mod seek;
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch};
+use dermis_tomo::eit::contacts::{
+    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchFit, PatchSearch,
+};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
@@ -178,6 +180,8 @@ pub(crate) struct PatchStage {
     deviation: Vec<f64>,
     left: Vec<f64>,
     fits: Vec<ContactFit>,
+    /// Where the fit of the last frame stands, of `fits`.
+    standing: Option<PatchFit>,
     misfit: f64,
     smallest_amplitude: f64,
     gathered: Gathered,
@@ -247,6 +251,7 @@ impl Prepared {
             deviation: Vec::new(),
             left: Vec::new(),
             fits: Vec::new(),
+            standing: None,
             misfit: f64::INFINITY,
             smallest_amplitude: touch.smallest_amplitude,
             gathered: Gathered::default(),
@@ -403,12 +408,22 @@ impl PatchStage {
     /// Goes on from the patches of the frame before; false where these do not explain this one.
     fn follow(&mut self, most_steps: usize) -> bool {
         if self.fits.is_empty() {
+            self.standing = None;
             return false;
         }
-        let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+        let standing = match &mut self.standing {
+            Some(standing) => standing,
+            place => {
+                let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+                match self.sheets.fine.begin_fit(&start) {
+                    Ok(begun) => place.insert(begun),
+                    Err(_) => return false,
+                }
+            }
+        };
         let before = self.misfit;
         let options = FitOptions { most_steps, ..self.options };
-        let result = self.sheets.fine.fit(&self.change, &self.deviation, &start, &options, &mut self.left);
+        let result = self.sheets.fine.go_on(&self.change, &self.deviation, standing, &options, &mut self.left);
         let Ok((fits, summary)) = result else { return false };
         let believed =
             summary.misfit <= BELIEVED.max(WORSENED * before) && plausible(&fits, &summary, self.half_width_m);
@@ -430,7 +445,7 @@ impl PatchStage {
             Outcome::UnderWay => return false,
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
-                (self.fits, self.misfit) = (fits, misfit);
+                (self.fits, self.misfit, self.standing) = (fits, misfit, None);
                 // What a hurried frame leaves to be done, the next ones do.
                 self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
             }
