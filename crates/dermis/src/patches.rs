@@ -318,9 +318,11 @@ impl PatchStage {
 
     fn search_now(&mut self) -> bool {
         let (sheet, search) = &self.model;
-        let Ok(starts) = search.starts(sheet, &self.change, &self.deviation, MOST_PATCHES) else { return false };
+        let Ok(mut sets) = search.begin(sheet, &self.change, &self.deviation) else { return false };
         let mut best: Option<(Vec<ContactPatch>, FitSummary)> = None;
-        for start in starts {
+        for _ in 0..MOST_PATCHES {
+            let (sheet, search) = &self.model;
+            let Some(start) = search.next(sheet, &mut sets) else { break };
             let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
             let worth = |before: f64| summary.cost < WORTH.1 * before && summary.cost < before - WORTH.0;
             if self.is_plausible(&fits, &summary) && best.as_ref().is_none_or(|(_, before)| worth(before.cost)) {

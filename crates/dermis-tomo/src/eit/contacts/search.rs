@@ -4,6 +4,7 @@
 
 use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
+use crate::eit::protocol::Measurement;
 
 /// Sets that are extended by one more port.
 const EXTENDED: usize = 12;
@@ -16,8 +17,11 @@ pub struct PatchSearch {
     fields: Vec<Vec<f64>>,
     /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
     resistance: Vec<Vec<f64>>,
-    /// Ports x channels: what a port does by itself, volts.
+    /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
+    /// pattern.
     alone_v: Vec<Vec<f64>>,
+    driven: Vec<Vec<f64>>,
+    measured: Vec<Vec<f64>>,
     /// Ports closer than this are not taken together, metres.
     apart_m: f64,
 }
@@ -27,6 +31,18 @@ pub struct PatchSearch {
 struct Candidate {
     ports: Vec<usize>,
     left: f64,
+}
+
+/// The sets of one frame, larger by a patch each time: [`PatchSearch::next`] looks for them one size after the other, since
+/// larger sets take longer and are seldom needed.
+#[derive(Clone, Debug)]
+pub struct PatchSets {
+    /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
+    scaled: Vec<f64>,
+    weight: Vec<f64>,
+    /// Those of the last size, best first.
+    best: Vec<Candidate>,
+    size: usize,
 }
 
 impl PatchSearch {
@@ -65,60 +81,56 @@ impl PatchSearch {
                 (resistance[a][b], resistance[b][a]) = (mutual, mutual);
             }
         }
-        Ok(Self { patches, fields, resistance, alone_v, apart_m: 1.5 * typical.radius_m })
+        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<f64>> {
+            let of_port = |fields: &Vec<f64>| sheet.measurements.iter().map(|m| fields[pattern(m)]).collect();
+            fields.iter().map(of_port).collect()
+        };
+        let driven = of_channels(&|m| m.stimulation as usize);
+        let measured = of_channels(&|m| sheet.stimulations + m.pattern as usize);
+        Ok(Self { patches, fields, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
-    /// The best sets of one, two, ... `most` patches for changes of the channels (volts, not finite where missing) with
-    /// these standard deviations: starts for [`ContactSheet::fit`].
+    /// Begins the search in changes of the channels (volts, not finite where missing) with these standard deviations.
     ///
     /// # Errors
     /// Lengths that are not the number of channels.
-    pub fn starts(
-        &self,
-        sheet: &ContactSheet,
-        change_v: &[f64],
-        deviation_v: &[f64],
-        most: usize,
-    ) -> Result<Vec<Vec<ContactPatch>>, EitError> {
+    pub fn begin(&self, sheet: &ContactSheet, change_v: &[f64], deviation_v: &[f64]) -> Result<PatchSets, EitError> {
         sheet.check_frame(change_v, deviation_v)?;
-        let scaled: Vec<f64> = change_v
-            .iter()
-            .zip(deviation_v)
-            .map(|(change, sigma)| if change.is_finite() { change / sigma } else { 0.0 })
-            .collect();
-        let weight: Vec<f64> = change_v
-            .iter()
-            .zip(deviation_v)
-            .map(|(change, sigma)| if change.is_finite() { 1.0 / sigma } else { 0.0 })
-            .collect();
+        let of_channels = |value: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
+            let channels = change_v.iter().zip(deviation_v);
+            channels.map(|(change, sigma)| if change.is_finite() { value(*change, *sigma) } else { 0.0 }).collect()
+        };
+        let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
+        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0 })
+    }
+
+    /// The best set of one patch, at the next call of two, and so on: starts for [`ContactSheet::fit`]. `None` where no more
+    /// patches find room.
+    pub fn next(&self, sheet: &ContactSheet, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
+        let count = self.patches.len();
+        let grown: Vec<Vec<usize>> = match sets.size {
+            0 => (0..count).map(|port| vec![port]).collect(),
+            size => {
+                // All pairs are looked at, since one port between two touches explains much and leads nowhere.
+                let extended = if size == 1 { count } else { EXTENDED.min(sets.best.len()) };
+                let grown = |candidate: &Candidate| {
+                    let ports = candidate.ports.clone();
+                    let first = if size == 1 { ports[0] + 1 } else { 0 };
+                    let room = |port: &usize| ports.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
+                    let free: Vec<usize> = (first..count).filter(room).collect();
+                    free.into_iter().map(move |port| ports.iter().copied().chain([port]).collect())
+                };
+                sets.best.iter().take(extended).flat_map(grown).collect()
+            }
+        };
         let judge = |ports: Vec<usize>| {
-            let left = self.left(sheet, &ports, &scaled, &weight);
+            let left = self.left(sheet, &ports, &sets.scaled, &sets.weight);
             Candidate { ports, left }
         };
-        let count = self.patches.len();
-        let mut starts = Vec::with_capacity(most);
-        let mut best: Vec<Candidate> = (0..count).map(|port| judge(vec![port])).collect();
-        for size in 1..=most {
-            if size > 1 {
-                // All pairs are looked at, since one port between two touches explains much and leads nowhere.
-                let extend = if size == 2 { &best[..] } else { &best[..best.len().min(EXTENDED)] };
-                let mut sets: Vec<Vec<usize>> = Vec::new();
-                for candidate in extend {
-                    let last = if size == 2 { candidate.ports[0] + 1 } else { 0 };
-                    let near = |port: &usize| candidate.ports.iter().any(|p| self.distance(*p, *port) < self.apart_m);
-                    sets.extend((last..count).filter(|port| !near(port)).map(|port| {
-                        let mut ports = candidate.ports.clone();
-                        ports.push(port);
-                        ports
-                    }));
-                }
-                best = sets.into_iter().map(judge).collect();
-            }
-            best.sort_by(|a, b| a.left.total_cmp(&b.left));
-            let Some(first) = best.first() else { break };
-            starts.push(first.ports.iter().map(|&port| self.patches[port]).collect());
-        }
-        Ok(starts)
+        sets.best = grown.into_iter().map(judge).collect();
+        sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
+        sets.size += 1;
+        Some(sets.best.first()?.ports.iter().map(|&port| self.patches[port]).collect())
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -126,39 +138,48 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Share of the whitened energy that a set leaves, at the scale that suits it best.
+    /// Whitened energy that a set leaves, at the scale that suits it best.
     fn left(&self, sheet: &ContactSheet, ports: &[usize], scaled: &[f64], weight: &[f64]) -> f64 {
-        let exchange = self.exchange(ports, sheet.patterns());
-        let (mut along, mut square, mut energy) = (0.0, 0.0, 0.0);
-        for (channel, (measurement, (data, weight))) in
-            sheet.measurements.iter().zip(scaled.iter().zip(weight)).enumerate()
-        {
-            let mut value: f64 = ports.iter().map(|&port| self.alone_v[port][channel]).sum();
-            let measured = sheet.stimulations + measurement.pattern as usize;
-            for (row, &port) in ports.iter().enumerate() {
-                value -= self.fields[port][measured] * exchange[row][measurement.stimulation as usize];
+        match *ports {
+            [a] => left_by(self.alone_v[a].iter().copied(), scaled, weight),
+            // What current flows between two is one unknown.
+            [a, b] => {
+                let loops = self.resistance[a][a] + self.resistance[b][b] - 2.0 * self.resistance[a][b];
+                let alone = self.alone_v[a].iter().zip(&self.alone_v[b]);
+                let driven = self.driven[a].iter().zip(&self.driven[b]);
+                let measured = self.measured[a].iter().zip(&self.measured[b]);
+                let value = |((alone, driven), measured): (((&f64, &f64), (&f64, &f64)), (&f64, &f64))| {
+                    alone.0 + alone.1 - (driven.0 - driven.1) * (measured.0 - measured.1) / loops
+                };
+                left_by(alone.zip(driven).zip(measured).map(value), scaled, weight)
             }
-            let value = value * weight;
-            along += value * data;
-            square += value * value;
-            energy += data * data;
+            _ => {
+                let exchange = self.exchange(ports, sheet.stimulations);
+                let value = |(channel, measurement): (usize, &Measurement)| {
+                    let of_port = |(row, &port): (usize, &usize)| {
+                        let current = exchange[row][measurement.stimulation as usize];
+                        self.alone_v[port][channel] - self.measured[port][channel] * current
+                    };
+                    ports.iter().enumerate().map(of_port).sum()
+                };
+                left_by(sheet.measurements.iter().enumerate().map(value), scaled, weight)
+            }
         }
-        if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
     }
 
-    /// Ports x patterns: currents of the ports into the layer, by Gauss and Jordan on the few unknowns (the ports' currents
+    /// Ports x stimulations: currents of the ports into the layer, by Gauss and Jordan on the few unknowns (the ports' currents
     /// and the layer's potential).
-    fn exchange(&self, ports: &[usize], patterns: usize) -> Vec<Vec<f64>> {
+    fn exchange(&self, ports: &[usize], stimulations: usize) -> Vec<Vec<f64>> {
         let count = ports.len();
         let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count + 1);
         for &a in ports {
             let mut row: Vec<f64> = ports.iter().map(|&b| self.resistance[a][b]).collect();
             row.push(1.0);
-            row.extend(&self.fields[a]);
+            row.extend(&self.fields[a][..stimulations]);
             rows.push(row);
         }
         let mut closing = vec![1.0; count];
-        closing.resize(count + 1 + patterns, 0.0);
+        closing.resize(count + 1 + stimulations, 0.0);
         rows.push(closing);
         for pivot in 0..=count {
             // Resistances are positive definite, and the last pivot is then negative: no exchange of rows is needed.
@@ -178,4 +199,16 @@ impl PatchSearch {
         });
         rows
     }
+}
+
+/// Whitened energy that values of the channels (volts) leave of the data, at the scale that suits them best.
+fn left_by(values: impl Iterator<Item = f64>, scaled: &[f64], weight: &[f64]) -> f64 {
+    let (mut along, mut square, mut energy) = (0.0, 0.0, 0.0);
+    for (value, (data, weight)) in values.zip(scaled.iter().zip(weight)) {
+        let value = value * weight;
+        along += value * data;
+        square += value * value;
+        energy += data * data;
+    }
+    if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
 }
