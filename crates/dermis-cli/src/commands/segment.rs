@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use dermis::learning::CLASSES;
 use dermis::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
 use dermis::skin::Skin;
-use dermis_device::{FileSpec, Format};
+use dermis_device::FileSpec;
 
-use super::progress_bar;
+use super::recorded::RecordedFrames;
+use super::with_progress;
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -25,18 +26,11 @@ Missing channels are empty cells or NaN.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(long, value_name = "NAME|FILE")]
-    skin: String,
-    /// Frames of the untouched skin; #0..60 or #name after the file's name takes some of them.
+    #[command(flatten)]
+    recorded: RecordedFrames,
+    /// Frames of the untouched skin.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     reference: FileSpec,
-    /// Frames to label.
-    #[arg(long, value_name = "FILE[#FRAMES]")]
-    frames: FileSpec,
-    /// Format of both files (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    format: Option<Format>,
     /// A model card made by `dermis train`; the network that ships with the skin, if any, where left out.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
@@ -61,10 +55,10 @@ impl Arguments {
             return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
         }
         let request = SegmentRequest {
-            skin: Skin::open(&self.skin)?,
+            skin: Skin::open(&self.recorded.skin)?,
             reference: self.reference,
-            frames: self.frames,
-            format: self.format,
+            frames: self.recorded.frames,
+            format: self.recorded.format,
             network: match self.model {
                 Some(path) => NetworkChoice::File(path),
                 None if self.no_model => NetworkChoice::None,
@@ -74,13 +68,8 @@ impl Arguments {
             labels: self.out,
             probabilities: self.probabilities,
         };
-        let bar = progress_bar("steps");
-        let segmented = segment(&request, |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        });
-        bar.finish_and_clear();
-        for (number, frame) in segmented?.iter().enumerate() {
+        let segmented = with_progress("steps", |progress| segment(&request, progress))?;
+        for (number, frame) in segmented.iter().enumerate() {
             writeln!(out, "frame {number}: {}", described(frame))?;
         }
         Ok(Outcome::Done)
