@@ -2,6 +2,8 @@
 //! Linear images show several touches as one bar between them; here places, radii and conductances of all patches are fitted
 //! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search where these do not do.
 
+mod released;
+
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::ForwardModel;
