@@ -184,6 +184,9 @@ impl Scene {
     }
 }
 
+/// Width of the band that a line cut is labelled with, as a share of half the skin's width.
+const LABELLED_CUT: f64 = 0.08;
+
 struct Painter<'a> {
     size_m: f64,
     finest_m: f64,
@@ -245,7 +248,8 @@ impl Painter<'_> {
     /// A line, an arc or a hole.
     fn cut(&self, random: &mut StdRng) -> Inclusion {
         let start = self.place(0.85, random);
-        let width = self.finest_m * random.random_range(1.0..1.6);
+        // What is labelled: a network is asked where a cut is to within a few pixels, not for a line thinner than images resolve.
+        let width = (self.size_m * LABELLED_CUT).max(self.finest_m) * random.random_range(1.0..1.4);
         let length = self.size_m * random.random_range(0.2..0.7);
         let direction = random.random_range(0.0..TAU);
         let figure = match random.random_range(0..3) {

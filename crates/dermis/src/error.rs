@@ -44,6 +44,14 @@ pub enum Error {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A thread could not be started.
+    #[error("thread {what}: {source}")]
+    Thread {
+        /// What it is for.
+        what: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
     /// A file whose contents are not what they should be.
     #[error("{}: {field}: {reason}", file.display())]
     Content {

@@ -15,6 +15,7 @@ use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::skin::{HyperparameterChoice, Solve, WeightChoice};
 use elements::ElementImager;
+pub use refine::Refiner;
 
 /// The live inverse of a skin: difference data in, image out.
 #[derive(Debug)]

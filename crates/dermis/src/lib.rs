@@ -13,7 +13,7 @@ pub mod bodies;
 pub mod calibrate;
 pub mod case;
 pub mod channels;
-mod classes;
+pub mod classes;
 mod clock;
 pub mod damage;
 pub mod design;

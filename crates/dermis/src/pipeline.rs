@@ -15,7 +15,7 @@ use dermis_touch::{
 use crate::Error;
 use crate::calibrate::{CalibratedImager, Calibration, PlacementFinder};
 use crate::channels::ChannelReader;
-use crate::classes::ClassStage;
+use crate::classes::{ClassPace, ClassStage};
 use crate::clock::FrameClock;
 use crate::damage::{DamageInput, DamageStage, DamageView};
 use crate::health::{HealthStage, Judgement};
@@ -222,7 +222,7 @@ impl Pipeline {
             rows: grid.rows,
             touches,
             events,
-            classes: self.classes.as_ref().and_then(ClassStage::classes),
+            classes: self.classes.as_ref().and_then(ClassStage::seen),
             health: self.health(),
             damage: self.damage(),
             marks,
@@ -253,7 +253,7 @@ impl Pipeline {
             // Nothing that could be seen: no image, and what was touched is let go.
             self.image.fill(f32::NAN);
             if let Some(classes) = &mut self.classes {
-                classes.forget();
+                classes.forget(at.1);
             }
             ready.touches.forget(time_ns);
             return Ok(false);
@@ -266,7 +266,7 @@ impl Pipeline {
         }
         ready.imager.image(&self.difference, &mut self.image)?;
         if let Some(classes) = &mut self.classes {
-            classes.see(&self.difference)?;
+            classes.see(at.1, time_ns, &self.difference)?;
         }
         let imaged = Instant::now();
         self.latencies.image.record(imaged - conditioned);
@@ -465,12 +465,12 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Classifies the pixels of every frame by a network from now on, or no longer.
+    /// Classifies the pixels of frames by a network from now on, or no longer.
     ///
     /// # Errors
-    /// A model of another skin.
-    pub fn set_classifier(&mut self, model: Option<&Model>) -> Result<(), Error> {
-        self.classes = model.map(|model| ClassStage::new(&self.prepared, model)).transpose()?;
+    /// A model of another skin, or a thread that cannot be started.
+    pub fn set_classifier(&mut self, model: Option<&Model>, pace: ClassPace) -> Result<(), Error> {
+        self.classes = model.map(|model| ClassStage::new(&self.prepared, model, pace)).transpose()?;
         Ok(())
     }
 

@@ -104,7 +104,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let refined = match &refinement {
         Some(refinement) => {
             let (mut done, all) = (0, refinement.steps * frames.len());
-            prepared.refine(refinement, &reference, &imager, &differences, || {
+            prepared.refiner(refinement, &reference, imager.hyperparameter())?.images(&differences, || {
                 done += 1;
                 progress(done, all);
             })?

@@ -137,12 +137,6 @@ impl TouchStage {
         self.patches.as_mut()
     }
 
-    /// What the touches of the last frame do not explain (model volts), where touches are fitted as contacts with a layer
-    /// above: damage, for one.
-    pub fn unexplained(&self) -> Option<&[f64]> {
-        self.patches.as_ref().map(PatchStage::left)
-    }
-
     pub(crate) fn set_spots(&mut self, spots: Option<SpotStage>) {
         self.spots = spots;
     }
@@ -178,7 +172,7 @@ impl TouchStage {
         if placement.is_none() {
             if let Some(patches) = &mut self.patches {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
-                patches.refine(difference, f64::from(lowest), &mut self.contacts);
+                patches.refine(time_ns, difference, f64::from(lowest), &mut self.contacts);
             } else if let Some(spots) = &mut self.spots {
                 spots.refine(difference, &mut self.contacts);
             }

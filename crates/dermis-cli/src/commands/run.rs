@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
 use dermis::acquire::{Acquisition, Next};
+use dermis::classes::ClassPace;
 use dermis::learning::built_in;
 use dermis::pipeline::Pipeline;
 use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
@@ -144,12 +145,12 @@ impl Arguments {
     fn classify_by_network(&self, pipeline: &mut Pipeline) -> anyhow::Result<()> {
         if let Some(path) = &self.model {
             let model = Model::load(path).map_err(dermis::Error::from)?;
-            return Ok(pipeline.set_classifier(Some(&model))?);
+            return Ok(pipeline.set_classifier(Some(&model), ClassPace::Beside)?);
         }
         let name = pipeline.prepared().skin.name.clone();
         let built_in = if self.no_model { None } else { built_in(&name).map_err(dermis::Error::from)? };
         if let Some(model) = built_in
-            && let Err(error) = pipeline.set_classifier(Some(&model))
+            && let Err(error) = pipeline.set_classifier(Some(&model), ClassPace::Beside)
         {
             tracing::warn!("no classes of pixels: {error}");
         }

@@ -8,6 +8,9 @@
 //! a combination `v = B u` of the L(L-1)/2 transfer impedances u between neighbouring pairs of L electrodes (reciprocity
 //! makes the others equal). `B'WB = Q e Q'` then gives `e^1/2 Q'` for `W^1/2 B` with the same normal equations, so that
 //! 2356 channels of 32 electrodes are 496 rows and nothing is lost.
+//!
+//! Nor are pixels, where the prior is smooth: with `P = U U'` of few columns (pivoted Cholesky) the step is
+//! `y+ = U (U'J'J U + lambda^2)^-1 U'J' b`, over those columns alone.
 
 use faer::{ColRef, Mat, MatRef, Side, linalg::solvers::Solve};
 
@@ -17,6 +20,9 @@ use crate::mesh::{ElectrodedMesh, PixelMap};
 
 /// Directions of `B'WB` below this share of the largest eigenvalue are noise of the arithmetic.
 const SMALLEST_EIGENVALUE: f64 = 1e-10;
+
+/// Share of the largest prior variance that a smooth prior's factor may leave out of any pixel's.
+const NEGLECTED: f64 = 1e-9;
 
 /// Parameters of the iteration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,15 +70,23 @@ pub struct GaussNewtonResult {
 
 /// A forward model with weights and prior, to be inverted frame by frame.
 #[derive(Debug)]
-pub struct NonlinearProblem<'a> {
+pub struct NonlinearProblem {
     model: ForwardModel,
-    map: &'a PixelMap,
+    map: PixelMap,
     rest_conductivity: f64,
-    weighting: &'a Weighting,
-    prior: &'a PriorMatrix,
+    weighting: Weighting,
+    prior: FactoredPrior,
     /// B: channels x transfer impedances.
     combination: Mat<f64>,
     at_rest: Linearisation,
+}
+
+/// The prior, as steps use it.
+#[derive(Debug)]
+struct FactoredPrior {
+    matrix: PriorMatrix,
+    /// U with `P = U U'`, unknowns x rank, where that is low.
+    factor: Option<Mat<f64>>,
 }
 
 /// Weighted data of a set of channels, reduced to as many rows as there are independent transfer impedances.
@@ -89,9 +103,11 @@ pub struct ReducedChannels {
 struct Linearisation {
     transfers: Vec<f64>,
     jacobian: Jacobian,
+    /// `J U` of a smooth prior.
+    along_prior: Option<Mat<f64>>,
 }
 
-impl<'a> NonlinearProblem<'a> {
+impl NonlinearProblem {
     /// Brings the parts together. `rest_conductivity` is uniform, in S/m (S on sheets); `map` belongs to the mesh of
     /// `body`; the prior is over the inside pixels, for relative changes of conductivity; frames will have the channels of
     /// `protocol`.
@@ -101,10 +117,10 @@ impl<'a> NonlinearProblem<'a> {
     pub fn new(
         body: ElectrodedMesh,
         protocol: &Protocol,
-        map: &'a PixelMap,
+        map: &PixelMap,
         rest_conductivity: f64,
-        weighting: &'a Weighting,
-        prior: &'a PriorMatrix,
+        weighting: &Weighting,
+        prior: &PriorMatrix,
     ) -> Result<Self, InverseError> {
         weighting.check(protocol.channel_count())?;
         if prior.size() != map.inside_count() {
@@ -128,9 +144,16 @@ impl<'a> NonlinearProblem<'a> {
         let transfers = transfer_protocol(electrodes)
             .map_err(|_| EitError::ElectrodeCount { mesh: electrodes, protocol: protocol.electrode_count() })?;
         let model = ForwardModel::new(body, transfers)?;
-        let at_rest = linearise(&model, map, &vec![rest_conductivity; map.element_count()])?;
+        let prior = FactoredPrior::new(prior);
+        let at_rest = linearise(&model, map, &prior, &vec![rest_conductivity; map.element_count()])?;
         let combination = combination(protocol);
+        let (map, weighting) = (map.clone(), weighting.clone());
         Ok(Self { model, map, rest_conductivity, weighting, prior, combination, at_rest })
+    }
+
+    /// Unknowns: inside pixels of the map.
+    pub fn unknowns(&self) -> usize {
+        self.map.inside_count()
     }
 
     /// Prepares the data side without the missing channels (any order): once for all frames that lack the same ones.
@@ -202,35 +225,48 @@ impl<'a> NonlinearProblem<'a> {
             let here = if step == 0 {
                 &self.at_rest
             } else {
-                moved = linearise(&self.model, self.map, &self.conductivity(&image))?;
+                moved = linearise(&self.model, &self.map, &self.prior, &self.conductivity(&image))?;
                 &moved
             };
             let change: Vec<f64> =
                 here.transfers.iter().zip(&self.at_rest.transfers).map(|(u, rest)| u - rest).collect();
             let left = data.as_ref() - &channels.combine * ColRef::from_slice(&change);
             residuals.push(left.norm_l2());
-            let jacobian = &channels.combine * here.jacobian.as_mat();
-            let target = left + &jacobian * ColRef::from_slice(&image);
-            let next = self.step(jacobian.as_ref(), target, parameters.hyperparameter)?;
+            let target = left + &channels.combine * (here.jacobian.as_mat() * ColRef::from_slice(&image));
+            let next = self.step(here, channels, target, parameters.hyperparameter)?;
             advance(&mut image, &next, parameters);
             step_done(step + 1);
         }
         Ok(GaussNewtonResult { log_conductivity: image, residuals })
     }
 
-    /// `P A'(A P A' + lambda^2)^-1 b`.
-    fn step(&self, a: MatRef<'_, f64>, b: faer::Col<f64>, lambda: f64) -> Result<Vec<f64>, InverseError> {
-        let spread = self.prior.solve(a.transpose())?;
-        let mut system = a * &spread;
-        for k in 0..system.nrows() {
-            system[(k, k)] += lambda * lambda;
-        }
-        let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
-            what: "the data-space system of a Gauss-Newton step",
-            hint: "raise the hyperparameter",
-        })?;
-        let dual = factor.solve(&b);
-        Ok((spread * dual).iter().copied().collect())
+    /// `P A'(A P A' + lambda^2)^-1 b` with A the Jacobian of the reduced channels.
+    fn step(
+        &self,
+        here: &Linearisation,
+        channels: &ReducedChannels,
+        b: faer::Col<f64>,
+        lambda: f64,
+    ) -> Result<Vec<f64>, InverseError> {
+        let solved = |mut system: Mat<f64>, b: &faer::Col<f64>| {
+            for k in 0..system.nrows() {
+                system[(k, k)] += lambda * lambda;
+            }
+            let factor = system.llt(Side::Lower).map_err(|_| InverseError::Singular {
+                what: "the system of a Gauss-Newton step",
+                hint: "raise the hyperparameter",
+            })?;
+            Ok::<_, InverseError>(factor.solve(b))
+        };
+        let step = if let (Some(factor), Some(along)) = (&self.prior.factor, &here.along_prior) {
+            let a = &channels.combine * along;
+            factor * solved(a.transpose() * &a, &(a.transpose() * &b))?
+        } else {
+            let a = &channels.combine * here.jacobian.as_mat();
+            let spread = self.prior.matrix.solve(a.transpose())?;
+            &spread * solved(&a * &spread, &b)?
+        };
+        Ok(step.iter().copied().collect())
     }
 
     fn conductivity(&self, log_conductivity: &[f64]) -> Vec<f64> {
@@ -275,12 +311,57 @@ fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) {
     }
 }
 
-fn linearise(model: &ForwardModel, map: &PixelMap, conductivity: &[f64]) -> Result<Linearisation, EitError> {
+fn linearise(
+    model: &ForwardModel,
+    map: &PixelMap,
+    prior: &FactoredPrior,
+    conductivity: &[f64],
+) -> Result<Linearisation, EitError> {
     let solution = model.solve(conductivity)?;
-    Ok(Linearisation {
-        transfers: solution.voltages(),
-        jacobian: log_jacobian(&solution.jacobian(), map, conductivity),
-    })
+    let jacobian = log_jacobian(&solution.jacobian(), map, conductivity);
+    let along_prior = prior.factor.as_ref().map(|factor| jacobian.as_mat() * factor);
+    Ok(Linearisation { transfers: solution.voltages(), jacobian, along_prior })
+}
+
+impl FactoredPrior {
+    fn new(matrix: &PriorMatrix) -> Self {
+        let factor = match matrix {
+            PriorMatrix::Covariance(covariance) => pivoted_cholesky(covariance.as_ref()),
+            _ => None,
+        };
+        Self { matrix: matrix.clone(), factor }
+    }
+}
+
+/// U with `U U'` a covariance up to a [`NEGLECTED`] share of its largest variance in every variance; `None` where that takes more than half as
+/// many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
+fn pivoted_cholesky(covariance: MatRef<'_, f64>) -> Option<Mat<f64>> {
+    let size = covariance.nrows();
+    let mut left: Vec<f64> = (0..size).map(|k| covariance[(k, k)]).collect();
+    let enough = NEGLECTED * left.iter().copied().fold(0.0, f64::max);
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    loop {
+        let (pivot, &variance) = left.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
+        if variance <= enough {
+            break;
+        }
+        if columns.len() == size / 2 {
+            return None;
+        }
+        let mut column: Vec<f64> = covariance.col(pivot).iter().copied().collect();
+        for earlier in &columns {
+            let share = earlier[pivot];
+            column.iter_mut().zip(earlier).for_each(|(value, part)| *value -= share * part);
+        }
+        let scale = variance.sqrt().recip();
+        for (value, left) in column.iter_mut().zip(&mut left) {
+            *value *= scale;
+            *left -= *value * *value;
+        }
+        left[pivot] = 0.0;
+        columns.push(column);
+    }
+    Some(Mat::from_fn(size, columns.len(), |row, column| columns[column][row]))
 }
 
 /// `du/dy` of pixels from `du/dsigma` of elements: `dsigma/dy = sigma`, and an element's y is the mean of its pixels'

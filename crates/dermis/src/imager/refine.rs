@@ -8,40 +8,58 @@ use std::sync::mpsc;
 use dermis_tomo::inverse::{GaussNewton, NonlinearProblem, ReducedChannels};
 use rayon::prelude::*;
 
-use super::Imager;
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::skin::Refinement;
 
+/// Refines frames of one skin against one reference.
+#[derive(Debug)]
+pub struct Refiner {
+    problem: NonlinearProblem,
+    parameters: GaussNewton,
+    polarity: f64,
+    pixels: usize,
+    inside: Vec<u32>,
+    /// Data sides of the sets of missing channels met so far.
+    reduced: HashMap<Vec<u32>, ReducedChannels>,
+}
+
+/// More sets of missing channels than this are not remembered (each takes some 10 MB with 32 electrodes).
+const MOST_SETS: usize = 16;
+
 impl Prepared {
-    /// Refines the images of difference frames (model volts, `NaN` where missing) as the skin file says: for each frame a
-    /// row-major image of `log(sigma / sigma at rest)`, polarity included, `NaN` outside. lambda is the imager's.
-    /// `step_done` is called once for every step of every frame.
+    /// What refines frames as the skin file says, at a live image's lambda.
     ///
     /// # Errors
-    /// All channels missing, or a forward problem that cannot be solved.
-    pub fn refine(
-        &self,
-        refinement: &Refinement,
-        reference: &Reference,
-        imager: &Imager,
-        differences: &[Vec<f64>],
-        mut step_done: impl FnMut(),
-    ) -> Result<Vec<Vec<f32>>, Error> {
+    /// Weights that the reference cannot give, or a body that cannot be solved.
+    pub fn refiner(&self, refinement: &Refinement, reference: &Reference, lambda: f64) -> Result<Refiner, Error> {
         let weighting = self.weighting(reference)?;
         let prior = self.prior_matrix(&weighting)?;
         let (body, conductance) = (self.body.mesh.clone(), self.skin.sheet_conductance_s());
         let problem = NonlinearProblem::new(body, &self.protocol, &self.map, conductance, &weighting, &prior)?;
         let parameters = GaussNewton {
             steps: refinement.steps,
-            hyperparameter: imager.hyperparameter(),
+            hyperparameter: lambda,
             largest_step: refinement.largest_step,
             limit: refinement.limit,
         };
-        let channels = reduced_channels(&problem, differences)?;
         let polarity = self.skin.imaging.polarity.sign();
-        let (done, steps) = mpsc::channel();
+        let (pixels, inside) = (self.map.grid().len(), self.map.inside_pixels().to_vec());
+        Ok(Refiner { problem, parameters, polarity, pixels, inside, reduced: HashMap::new() })
+    }
+}
+
+impl Refiner {
+    /// Images of difference frames (model volts, `NaN` where missing): for each frame a row-major image of
+    /// `log(sigma / sigma at rest)`, polarity included, `NaN` outside. `step_done` is called once for every step of every
+    /// frame.
+    ///
+    /// # Errors
+    /// All channels missing, or a forward problem that cannot be solved.
+    pub fn images(&mut self, differences: &[Vec<f64>], mut step_done: impl FnMut()) -> Result<Vec<Vec<f32>>, Error> {
+        self.reduce(differences)?;
+        let (this, (done, steps)) = (&*self, mpsc::channel());
         std::thread::scope(|scope| {
             let worker = scope.spawn(|| {
                 let image = |done: &mut mpsc::Sender<()>, frame: &Vec<f64>| {
@@ -49,10 +67,11 @@ impl Prepared {
                     let report = |_| {
                         let _ = done.send(());
                     };
-                    let result = problem.solve(&parameters, &channels[&absent(frame)], frame, report)?;
-                    let mut image = vec![f32::NAN; self.map.grid().len()];
-                    for (&pixel, &value) in self.map.inside_pixels().iter().zip(&result.log_conductivity) {
-                        image[pixel as usize] = (polarity * value) as f32;
+                    let channels = &this.reduced[&absent(frame)];
+                    let result = this.problem.solve(&this.parameters, channels, frame, report)?;
+                    let mut image = vec![f32::NAN; this.pixels];
+                    for (&pixel, &value) in this.inside.iter().zip(&result.log_conductivity) {
+                        image[pixel as usize] = (this.polarity * value) as f32;
                     }
                     Ok(image)
                 };
@@ -62,21 +81,20 @@ impl Prepared {
             worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
         })
     }
-}
 
-/// One reduction for each set of missing channels that occurs.
-fn reduced_channels(
-    problem: &NonlinearProblem<'_>,
-    differences: &[Vec<f64>],
-) -> Result<HashMap<Vec<u32>, ReducedChannels>, Error> {
-    let mut known = HashMap::new();
-    for frame in differences {
-        if let Entry::Vacant(place) = known.entry(absent(frame)) {
-            let reduced = problem.reduce(place.key())?;
-            place.insert(reduced);
+    /// One reduction for each set of missing channels that occurs.
+    fn reduce(&mut self, differences: &[Vec<f64>]) -> Result<(), Error> {
+        if self.reduced.len() >= MOST_SETS {
+            self.reduced.clear();
         }
+        for frame in differences {
+            if let Entry::Vacant(place) = self.reduced.entry(absent(frame)) {
+                let reduced = self.problem.reduce(place.key())?;
+                place.insert(reduced);
+            }
+        }
+        Ok(())
     }
-    Ok(known)
 }
 
 fn absent(frame: &[f64]) -> Vec<u32> {

@@ -5,8 +5,9 @@
 use dermis_learn::metrics::most_likely;
 use dermis_learn::scene::BACKGROUND;
 use dermis_learn::{Model, Network, Novelty};
+use rayon::prelude::*;
 
-use super::first_step::{FirstStep, InputImage};
+use super::first_step::{BATCH, FirstStep, InputImage};
 use super::masks::{MaskRule, label_image};
 use crate::Error;
 use crate::prepare::Prepared;
@@ -68,8 +69,13 @@ impl Classifier {
     /// baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
     ///
     /// # Errors
-    /// As [`Classifier::with_reference`].
+    /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time for.
     pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
+        let refined = InputImage::Refined.to_string();
+        if model.card.inputs.contains(&refined) {
+            let (expected, got) = ("inputs that a live frame has time for".into(), refined);
+            return Err(Error::Frames { what: "model".into(), expected, got });
+        }
         let reference = prepared.reference(std::slice::from_ref(&prepared.voltages))?;
         Self::with_reference(prepared, &reference, model)
     }
@@ -153,19 +159,48 @@ impl Classifier {
         Ok(())
     }
 
-    /// The network's probabilities, outside the skin too, are left in [`Classifier::probabilities`]; the novelty score.
-    pub(super) fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
+    /// The network's probabilities, outside the skin too, are left in `self.probabilities`; the novelty score.
+    fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
         self.first_step.images_of(difference, &mut self.input)?;
-        let pixels = self.input.len() / self.scale.len();
-        for (image, factor) in self.input.chunks_exact_mut(pixels).zip(&self.scale) {
-            image.iter_mut().for_each(|value| *value *= factor);
-        }
+        rescale(&mut self.input, &self.scale);
         self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 
-    /// Of the last frame, classes x rows x columns.
-    pub(super) fn probabilities(&self) -> &[f32] {
-        &self.probabilities
+    /// The network's probabilities (classes x rows x columns, outside the skin too) and novelty scores of many frames, on all
+    /// threads; `done` is told after each batch how many frames it had.
+    ///
+    /// # Errors
+    /// As [`Classifier::classify`].
+    pub(super) fn run_all(
+        &mut self,
+        differences: &[Vec<f64>],
+        mut done: impl FnMut(usize),
+    ) -> Result<Vec<(Vec<f32>, Option<f32>)>, Error> {
+        let mut all = Vec::with_capacity(differences.len());
+        let mut inputs = Vec::new();
+        for batch in differences.chunks(BATCH) {
+            self.first_step.images_of_all(batch, &mut inputs)?;
+            let (values, count) = (self.input.len(), self.probabilities.len());
+            let of_frame = |network: &mut Network, input: &mut [f32]| {
+                rescale(input, &self.scale);
+                let mut probabilities = vec![0.0; count];
+                network.probabilities(input, self.temperature, &mut probabilities)?;
+                Ok((probabilities, self.novelty.as_ref().map(|novelty| novelty.score(network.features()))))
+            };
+            let frames = inputs.par_chunks_exact_mut(values);
+            let found: Result<Vec<_>, Error> = frames.map_init(|| self.network.clone(), of_frame).collect();
+            all.extend(found?);
+            done(batch.len());
+        }
+        Ok(all)
+    }
+}
+
+/// Images times the factors that the network was trained with.
+fn rescale(input: &mut [f32], scale: &[f32]) {
+    let pixels = input.len() / scale.len();
+    for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
+        image.iter_mut().for_each(|value| *value *= factor);
     }
 }

@@ -1,11 +1,12 @@
-//! What a network is shown of a frame: first-step images at one or more hyperparameters, and how well the channels that
-//! are left see each place. The coverage image is what makes one network serve all sets of lost electrodes.
+//! What a network is shown of a frame: first-step images at one or more hyperparameters, the refined image where the skin
+//! file asks for one, and how well the channels that are left see each place. The coverage image is what makes one network
+//! serve all sets of lost electrodes.
 
 use std::fmt;
 use std::str::FromStr;
 
 use crate::Error;
-use crate::imager::Imager;
+use crate::imager::{Imager, Refiner};
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
@@ -13,7 +14,7 @@ use crate::reference::Reference;
 const FLOOR: f64 = 0.02;
 const SHARE: f64 = 0.1;
 
-/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3) or `coverage`.
+/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined` or `coverage`.
 ///
 /// ```
 /// use dermis::learning::InputImage;
@@ -26,6 +27,9 @@ const SHARE: f64 = 0.1;
 pub enum InputImage {
     /// The linear image at the skin's lambda times this.
     Step(f64),
+    /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some tenths of
+    /// a second, so that a network that is shown it labels recordings, not live frames.
+    Refined,
     /// Sensitivity of the channels that are there relative to that of all: 1 where nothing is lost, 0 where nothing is
     /// left.
     Coverage,
@@ -36,6 +40,7 @@ impl fmt::Display for InputImage {
         match self {
             InputImage::Step(1.0) => out.write_str("image"),
             InputImage::Step(factor) => write!(out, "image*{factor}"),
+            InputImage::Refined => out.write_str("refined"),
             InputImage::Coverage => out.write_str("coverage"),
         }
     }
@@ -47,12 +52,13 @@ impl FromStr for InputImage {
     fn from_str(text: &str) -> Result<Self, String> {
         let factor = match text.split_once('*') {
             _ if text == "coverage" => return Ok(InputImage::Coverage),
+            _ if text == "refined" => return Ok(InputImage::Refined),
             None if text == "image" => Some(1.0),
             Some(("image", factor)) => factor.parse().ok().filter(|f: &f64| *f > 0.0 && f.is_finite()),
             _ => None,
         };
         let refused =
-            || format!("{text:?}: expected image, image*FACTOR with a positive factor on lambda, or coverage");
+            || format!("{text:?}: expected image, image*FACTOR with a positive factor on lambda, refined, or coverage");
         factor.map(InputImage::Step).ok_or_else(refused)
     }
 }
@@ -73,8 +79,12 @@ pub struct FirstStep {
 #[derive(Debug)]
 enum Source {
     Imager(Box<Imager>),
+    Refiner(Box<Refiner>),
     Coverage,
 }
+
+/// Frames of a batch that are worked on at a time: bounds memory.
+pub(super) const BATCH: usize = 64;
 
 impl FirstStep {
     /// Prepares the operators. They do not depend on measurements unless the skin's weights or hyperparameter do.
@@ -86,6 +96,7 @@ impl FirstStep {
         for image in images {
             sources.push(match image {
                 InputImage::Coverage => Source::Coverage,
+                InputImage::Refined => Source::Refiner(Box::new(refiner(prepared, reference)?)),
                 InputImage::Step(factor) => {
                     let mut imager = prepared.imager(reference, &[])?;
                     if *factor != 1.0 {
@@ -130,8 +141,43 @@ impl FirstStep {
                 Source::Coverage => image.copy_from_slice(&self.coverage),
                 Source::Imager(imager) => {
                     imager.image(difference, image)?;
-                    image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
+                    clear_outside(image);
                 }
+                Source::Refiner(refiner) => {
+                    let refined = refiner.images(&[difference.to_vec()], || ())?;
+                    refined.iter().for_each(|refined| image.copy_from_slice(refined));
+                    clear_outside(image);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// As [`FirstStep::images_of`] for many frames, one after the other in `out`, refined on all threads.
+    ///
+    /// # Errors
+    /// As [`FirstStep::images_of`].
+    pub fn images_of_all(&mut self, differences: &[Vec<f64>], out: &mut Vec<f32>) -> Result<(), Error> {
+        let values = self.images() * self.pixels;
+        out.clear();
+        out.resize(differences.len() * values, 0.0);
+        for (place, source) in self.sources.iter_mut().enumerate() {
+            if let Source::Refiner(refiner) = source {
+                let refined = refiner.images(differences, || ())?;
+                for (image, frame) in refined.iter().zip(out.chunks_exact_mut(values)) {
+                    frame[place * self.pixels..][..self.pixels].copy_from_slice(image);
+                }
+            }
+        }
+        for (difference, frame) in differences.iter().zip(out.chunks_exact_mut(values)) {
+            self.update_coverage(difference);
+            for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
+                match source {
+                    Source::Coverage => image.copy_from_slice(&self.coverage),
+                    Source::Imager(imager) => imager.image(difference, image)?,
+                    Source::Refiner(_) => {}
+                }
+                clear_outside(image);
             }
         }
         Ok(())
@@ -153,6 +199,20 @@ impl FirstStep {
             self.coverage[pixel as usize] = (left / whole.max(f32::MIN_POSITIVE)).sqrt().min(1.0);
         }
     }
+}
+
+fn clear_outside(image: &mut [f32]) {
+    image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
+}
+
+/// As the skin file says, at the live image's lambda.
+fn refiner(prepared: &Prepared, reference: &Reference) -> Result<Refiner, Error> {
+    let Some(refinement) = &prepared.skin.imaging.refinement else {
+        let (expected, got) = ("imaging.refinement in the skin file".into(), prepared.skin.name.clone());
+        return Err(Error::Frames { what: "input image \"refined\"".into(), expected, got });
+    };
+    let lambda = prepared.imager(reference, &[])?.hyperparameter();
+    prepared.refiner(refinement, reference, lambda)
 }
 
 fn sensitivity(prepared: &Prepared) -> Vec<f32> {

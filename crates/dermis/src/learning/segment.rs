@@ -60,7 +60,7 @@ pub enum Method {
 pub struct Segmented {
     /// Classes of the pixels, row 0 at the top, 0 outside the skin.
     pub labels: Vec<u8>,
-    /// Classes x pixels; of frames that a network labelled.
+    /// Classes x pixels; of frames that a network labelled, where they are kept.
     pub probabilities: Option<Vec<f32>>,
     /// How.
     pub method: Method,
@@ -99,6 +99,9 @@ pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> 
     let reference = prepared.reference(&references)?;
     let differences: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
     let mut segmenter = Segmenter::new(&prepared, &reference, model.as_ref(), request.size)?;
+    if request.probabilities.is_some() {
+        segmenter.keep_probabilities();
+    }
     let segmented = segmenter.label(&differences, progress)?;
     write(request, segmenter.label_size(), &segmented)?;
     Ok(segmented)
@@ -127,6 +130,7 @@ pub struct Segmenter<'a> {
     network: Option<Classifier>,
     label_size: [usize; 2],
     outside: Vec<bool>,
+    keeps_probabilities: bool,
 }
 
 impl<'a> Segmenter<'a> {
@@ -147,7 +151,12 @@ impl<'a> Segmenter<'a> {
         let label_size = [grid.rows, grid.columns];
         let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(named)?;
         let outside = map.coverage().iter().map(|share| *share < INSIDE_COVERAGE).collect();
-        Ok(Self { prepared, reference, network, label_size, outside })
+        Ok(Self { prepared, reference, network, label_size, outside, keeps_probabilities: false })
+    }
+
+    /// Keeps the probabilities of labelled frames, classes x pixels of the labels; they take much more memory than labels.
+    pub fn keep_probabilities(&mut self) {
+        self.keeps_probabilities = true;
     }
 
     /// Rows and columns of the labels.
@@ -164,11 +173,20 @@ impl<'a> Segmenter<'a> {
         differences: &[Vec<f64>],
         mut progress: impl FnMut(usize, usize),
     ) -> Result<Vec<Segmented>, Error> {
-        let mut segmented: Vec<Option<Segmented>> = Vec::with_capacity(differences.len());
+        let mut segmented: Vec<Option<Segmented>> = vec![None; differences.len()];
         let mut fallback = vec![Method::Thresholds; differences.len()];
-        for (difference, method) in differences.iter().zip(&mut fallback) {
-            segmented.push(self.by_network(difference, method)?);
-            progress(segmented.len(), differences.len());
+        if let Some(network) = &mut self.network {
+            let (size, mut done) = (network.image_size(), 0);
+            let found = network.run_all(differences, |frames| {
+                done += frames;
+                progress(done, differences.len());
+            })?;
+            for (frame, (probabilities, novelty)) in found.into_iter().enumerate() {
+                match novelty.filter(|novelty| *novelty > 1.0) {
+                    Some(novelty) => fallback[frame] = Method::UnlikeTraining { novelty },
+                    None => segmented[frame] = Some(self.labelled(&probabilities, size, novelty)),
+                }
+            }
         }
         let left: Vec<usize> = (0..differences.len()).filter(|&frame| segmented[frame].is_none()).collect();
         let rest: Vec<Vec<f64>> = left.iter().map(|&frame| differences[frame].clone()).collect();
@@ -178,24 +196,19 @@ impl<'a> Segmenter<'a> {
         Ok(segmented.into_iter().flatten().collect())
     }
 
-    fn by_network(&mut self, difference: &[f64], method: &mut Method) -> Result<Option<Segmented>, Error> {
-        let Some(network) = &mut self.network else { return Ok(None) };
-        let novelty = network.run(difference)?;
-        if let Some(novelty) = novelty.filter(|novelty| *novelty > 1.0) {
-            *method = Method::UnlikeTraining { novelty };
-            return Ok(None);
-        }
-        let (rows, columns) = network.image_size();
+    /// The network's probabilities, enlarged, and the most likely classes.
+    fn labelled(&self, small: &[f32], (rows, columns): (usize, usize), novelty: Option<f32>) -> Segmented {
         let classes = super::CLASSES.len();
         let pixels = self.label_size[0] * self.label_size[1];
         let mut probabilities = Vec::with_capacity(classes * pixels);
-        for class in network.probabilities().chunks_exact(rows * columns) {
+        for class in small.chunks_exact(rows * columns) {
             probabilities.extend(enlarge(class, [rows, columns], self.label_size, &[]));
         }
         let mut labels = vec![0; pixels];
         most_likely(&probabilities, classes, &mut labels);
         self.clear_outside(&mut labels);
-        Ok(Some(Segmented { labels, probabilities: Some(probabilities), method: Method::Network { novelty } }))
+        let probabilities = self.keeps_probabilities.then_some(probabilities);
+        Segmented { labels, probabilities, method: Method::Network { novelty } }
     }
 
     fn by_thresholds(
@@ -212,7 +225,8 @@ impl<'a> Segmenter<'a> {
         let (images, rule) = match &prepared.skin.imaging.refinement {
             Some(refinement) => {
                 let (mut done, all) = (0, refinement.steps * differences.len());
-                let images = prepared.refine(refinement, self.reference, &imager, differences, || {
+                let mut refiner = prepared.refiner(refinement, self.reference, imager.hyperparameter())?;
+                let images = refiner.images(differences, || {
                     done += 1;
                     progress(done, all);
                 })?;

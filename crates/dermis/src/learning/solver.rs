@@ -20,7 +20,7 @@ const CONTACT_S_PER_M2: [f64; 2] = [30.0, 3000.0];
 const FADE_M: [f64; 2] = [0.5e-3, 4e-3];
 const FADE_EXPONENT: [f64; 2] = [1.0, 2.5];
 /// Width of a cut as a share of the stroke that it is labelled with, and the decades by which it conducts less.
-const CUT_WIDTH: [f64; 2] = [0.1, 1.0];
+const CUT_WIDTH: [f64; 2] = [0.02, 0.3];
 const CUT_DECADES: f64 = 3.0;
 /// Factors on the conductivity between which a scene's touches are drawn.
 const FACTORS: [f64; 2] = [1.2, 5.0];

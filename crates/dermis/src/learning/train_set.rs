@@ -161,15 +161,10 @@ impl<'a> Simulator<'a> {
     pub fn shard(&mut self, number: usize, samples: usize) -> Result<Shard, Error> {
         let frames = SimulatedFrames::new(self.request, self.prepared, number, samples)?;
         let reference = self.prepared.reference(std::slice::from_ref(&frames.baseline))?;
-        let values = self.first_step.images() * self.prepared.map.grid().len();
+        let differences: Vec<Vec<f64>> = frames.frames.iter().map(|frame| reference.difference(frame, None)).collect();
         let mut shard = Shard::default();
-        shard.inputs.reserve(samples * values);
-        let mut images = vec![0.0; values];
-        for (frame, labels) in frames.frames.iter().zip(&frames.labels) {
-            self.first_step.images_of(&reference.difference(frame, None), &mut images)?;
-            shard.inputs.extend_from_slice(&images);
-            shard.labels.extend_from_slice(labels);
-        }
+        self.first_step.images_of_all(&differences, &mut shard.inputs)?;
+        shard.labels = frames.labels.concat();
         Ok(shard)
     }
 }

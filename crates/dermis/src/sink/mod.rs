@@ -9,8 +9,8 @@ mod touch_table;
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
+use crate::classes::SeenClasses;
 use crate::damage::DamageView;
-use crate::learning::Classes;
 use crate::{Error, Marks};
 
 pub use image_stack::ImageStack;
@@ -41,8 +41,8 @@ pub struct Output<'a> {
     pub touches: &'a [Touch],
     /// What happened to each touch.
     pub events: &'a [TouchEvent],
-    /// What a network makes of the frame, where there is one.
-    pub classes: Option<&'a Classes>,
+    /// What a network makes of the frame, or made of one shortly before, where there is one.
+    pub classes: Option<SeenClasses<'a>>,
     /// Channels left out, and electrodes blamed.
     pub health: Health<'a>,
     /// Damage, baselines and proposals, where damage is watched.

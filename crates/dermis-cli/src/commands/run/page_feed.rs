@@ -98,7 +98,7 @@ impl PageFeed {
             self.update.classes = None;
             return;
         };
-        let shown = self.update.classes.get_or_insert_default();
+        let (shown, seen) = (self.update.classes.get_or_insert_default(), seen.classes);
         (shown.rows, shown.cols) = (seen.rows, seen.columns);
         for (values, class) in [(&mut shown.lowered, LOWERED), (&mut shown.raised, RAISED)] {
             values.clear();

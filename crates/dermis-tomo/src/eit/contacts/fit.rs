@@ -11,8 +11,9 @@ use crate::eit::EitError;
 const OF_PATCH: usize = 4;
 /// Damping at the start and at most, relative to the diagonal.
 const DAMPING: [f64; 2] = [1e-3, 1e6];
-/// Steps in which places move by less than this, metres, and logarithms by 100 times as much per metre, end the fit.
-const SETTLED_M: f64 = 2e-5;
+/// A step that would lower the cost (half squared standard deviations) by less than this is not taken: all parameters are
+/// then within a tenth of their standard deviations of the best ones.
+const SETTLED: f64 = 5e-3;
 /// A step moves no place by more than this many radii, and no logarithm by more than [`LONGEST_LOG`].
 const LONGEST: f64 = 0.7;
 const LONGEST_LOG: f64 = 0.7;
@@ -76,19 +77,22 @@ impl ContactSheet {
         let (mut damping, mut steps) = (DAMPING[0], 0);
         let (mut normal, mut gradient) = fit.normal(&patches, &state);
         while steps < options.most_steps && damping < DAMPING[1] && !patches.is_empty() {
-            steps += 1;
             let Some(step) = damped_step(&normal, &gradient, damping) else { break };
+            let predicted = 0.5 * step.iter().zip(&gradient).map(|(step, slope)| step * slope).sum::<f64>();
+            if predicted < SETTLED {
+                break;
+            }
+            steps += 1;
             let trial = stepped(&patches, &step);
             let next = fit.state(&trial)?;
             if next.cost < state.cost {
-                let settled = step
-                    .chunks_exact(OF_PATCH)
-                    .all(|s| s[0].hypot(s[1]) < SETTLED_M && s[2].abs().max(s[3].abs()) < 100.0 * SETTLED_M);
+                // Where the cost falls as predicted it is a parabola, whose bottom this is.
+                let settled = (state.cost - next.cost - predicted).abs() < SETTLED;
                 (patches, state, damping) = (trial, next, (0.2 * damping).max(1e-9));
-                (normal, gradient) = fit.normal(&patches, &state);
                 if settled {
                     break;
                 }
+                (normal, gradient) = fit.normal(&patches, &state);
             } else {
                 damping *= 8.0;
             }
@@ -117,33 +121,49 @@ impl ContactSheet {
 
     /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s`, times what each parameter does to the node's conductance.
     pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
-        let size = OF_PATCH * patches.len();
+        let (size, stimulations) = (OF_PATCH * patches.len(), self.stimulations);
+        let measuring = self.patterns() - stimulations;
         let mut jacobian = vec![0.0; self.channels() * size];
-        let mut across = vec![0.0; self.patterns()];
-        let mut by_pair = vec![0.0; self.channels()];
-        for (row, &node) in touched.nodes.iter().enumerate() {
-            let (at, area) = (self.positions_m[node as usize], self.areas_m2[node as usize]);
-            for (pattern, value) in across.iter_mut().enumerate() {
-                *value = touched.currents[(row, pattern)] / touched.conductance_s[row];
-            }
-            for (value, channel) in by_pair.iter_mut().zip(&self.measurements) {
-                let measured = across[self.stimulations + channel.pattern as usize];
-                *value = -across[channel.stimulation as usize] * measured;
-            }
-            for (k, patch) in patches.iter().enumerate() {
+        for (k, patch) in patches.iter().enumerate() {
+            // The rows of the touched nodes that this patch covers, and what its parameters do to their conductance.
+            let (mut rows, mut moves) = (Vec::new(), Vec::new());
+            for (row, &node) in touched.nodes.iter().enumerate() {
+                let (at, area) = (self.positions_m[node as usize], self.areas_m2[node as usize]);
                 let [dx, dy] = [at[0] - patch.position_m[0], at[1] - patch.position_m[1]];
-                let distance = dx.hypot(dy);
+                let distance = (dx * dx + dy * dy).sqrt();
                 let (share, slope) = self.coverage(patch.radius_m, distance);
-                if share <= 0.0 {
-                    continue;
+                if share > 0.0 {
+                    let g = patch.conductance_s_per_m2 * area;
+                    let far = distance.max(1e-12);
+                    rows.push(row);
+                    // Over the node's conductance, which turns a current into the potential across the contact.
+                    let by = g / touched.conductance_s[row];
+                    moves.push([
+                        -slope * dx / far * by,
+                        -slope * dy / far * by,
+                        -slope * patch.radius_m * by,
+                        share * by,
+                    ]);
                 }
-                let g = patch.conductance_s_per_m2 * area;
-                let far = distance.max(1e-12);
-                let moves = [-slope * dx / far * g, -slope * dy / far * g, -slope * patch.radius_m * g, share * g];
-                for (channel, value) in by_pair.iter().enumerate() {
-                    for (j, by) in moves.iter().enumerate() {
-                        jacobian[channel * size + OF_PATCH * k + j] += value * by;
-                    }
+            }
+            let mut measured = Mat::<f64>::zeros(rows.len(), measuring);
+            for (pattern, column) in measured.col_iter_mut().enumerate() {
+                let currents = touched.currents.col(stimulations + pattern);
+                column.iter_mut().zip(&rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
+            }
+            let mut driven = Mat::<f64>::zeros(rows.len(), OF_PATCH * stimulations);
+            for (column, values) in driven.col_iter_mut().enumerate() {
+                let (j, stimulation) = (column / stimulations, column % stimulations);
+                let currents = touched.currents.col(stimulation);
+                for ((value, &row), by) in values.iter_mut().zip(&rows).zip(&moves) {
+                    *value = by[j] * currents[row];
+                }
+            }
+            let exchange = measured.transpose() * &driven;
+            for (row, channel) in jacobian.chunks_exact_mut(size).zip(&self.measurements) {
+                for (j, value) in row[OF_PATCH * k..][..OF_PATCH].iter_mut().enumerate() {
+                    let column = j * stimulations + channel.stimulation as usize;
+                    *value = -exchange[(channel.pattern as usize, column)];
                 }
             }
         }

@@ -14,7 +14,7 @@ mod fit;
 mod search;
 
 pub use fit::{ContactFit, FitOptions, FitSummary};
-pub use search::PatchSearch;
+pub use search::{PatchSearch, PatchSets};
 
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
@@ -156,8 +156,12 @@ impl ContactSheet {
         for (node, (at, area)) in self.positions_m.iter().zip(&self.areas_m2).enumerate() {
             let mut conductance = 0.0;
             for patch in patches {
-                let distance = (at[0] - patch.position_m[0]).hypot(at[1] - patch.position_m[1]);
-                let (share, _) = self.coverage(patch.radius_m, distance);
+                let (dx, dy) = (at[0] - patch.position_m[0], at[1] - patch.position_m[1]);
+                let (square, reach_m) = (dx * dx + dy * dy, patch.radius_m + 0.5 * self.edge_m);
+                if square >= reach_m * reach_m {
+                    continue;
+                }
+                let (share, _) = self.coverage(patch.radius_m, square.sqrt());
                 if share > LEAST_COVERAGE {
                     conductance += share * patch.conductance_s_per_m2 * area;
                 }
@@ -175,10 +179,15 @@ impl ContactSheet {
         if count == 0 {
             return Ok(Touched { nodes, conductance_s, currents: Mat::zeros(0, patterns), common: Vec::new() });
         }
-        let matrix = Mat::from_fn(count, count, |a, b| {
-            let green = f64::from(self.green[(nodes[a] as usize, nodes[b] as usize)]);
-            if a == b { green + 1.0 / conductance_s[a] } else { green }
-        });
+        // Only the lower triangle is read.
+        let mut matrix = Mat::zeros(count, count);
+        for (b, &node) in nodes.iter().enumerate() {
+            let green = self.green.col(node as usize);
+            for (a, &other) in nodes.iter().enumerate().skip(b) {
+                matrix[(a, b)] = f64::from(green[other as usize]);
+            }
+            matrix[(b, b)] += 1.0 / conductance_s[b];
+        }
         let singular = |_| EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
         let factor = Llt::new(matrix.as_ref(), Side::Lower).map_err(singular)?;
         let mut right = Mat::from_fn(count, patterns + 1, |row, pattern| {
@@ -196,17 +205,12 @@ impl ContactSheet {
     }
 
     pub(super) fn change_of(&self, touched: &Touched) -> Vec<f64> {
-        let patterns = self.patterns();
-        let mut exchange = Mat::<f64>::zeros(patterns - self.stimulations, self.stimulations);
-        let across = |pattern: usize, row: usize| self.fields[(pattern, touched.nodes[row] as usize)];
-        for s in 0..self.stimulations {
-            let current = touched.currents.col(s);
-            for m in 0..patterns - self.stimulations {
-                let sum: f64 = current.iter().enumerate().map(|(row, i)| i * across(self.stimulations + m, row)).sum();
-                exchange[(m, s)] = -sum;
-            }
-        }
-        self.measurements.iter().map(|c| exchange[(c.pattern as usize, c.stimulation as usize)]).collect()
+        let measuring = self.patterns() - self.stimulations;
+        let fields = Mat::from_fn(measuring, touched.nodes.len(), |pattern, row| {
+            self.fields[(self.stimulations + pattern, touched.nodes[row] as usize)]
+        });
+        let exchange = &fields * touched.currents.subcols(0, self.stimulations);
+        self.measurements.iter().map(|c| -exchange[(c.pattern as usize, c.stimulation as usize)]).collect()
     }
 }
 

@@ -4,20 +4,26 @@
 
 use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
+use crate::eit::protocol::Measurement;
 
 /// Sets that are extended by one more port.
 const EXTENDED: usize = 12;
+/// Ports of the largest set.
+const MOST: usize = 4;
+/// Channels that are worked on side by side.
+const LANES: usize = 16;
 
 /// The ports of a sheet.
 #[derive(Debug)]
 pub struct PatchSearch {
     patches: Vec<ContactPatch>,
-    /// Ports x patterns: potential of the bare sheet at a port.
-    fields: Vec<Vec<f64>>,
     /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
     resistance: Vec<Vec<f64>>,
-    /// Ports x channels: what a port does by itself, volts.
+    /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
+    /// pattern.
     alone_v: Vec<Vec<f64>>,
+    driven: Vec<Vec<f64>>,
+    measured: Vec<Vec<f64>>,
     /// Ports closer than this are not taken together, metres.
     apart_m: f64,
 }
@@ -25,8 +31,45 @@ pub struct PatchSearch {
 /// A set of ports and how much of the data it leaves.
 #[derive(Clone, Debug)]
 struct Candidate {
-    ports: Vec<usize>,
+    ports: Ports,
     left: f64,
+}
+
+/// One to [`MOST`] ports.
+#[derive(Clone, Copy, Debug)]
+struct Ports {
+    ports: [usize; MOST],
+    count: usize,
+}
+
+impl Ports {
+    fn one(port: usize) -> Self {
+        Self { ports: [port; MOST], count: 1 }
+    }
+
+    fn list(&self) -> &[usize] {
+        &self.ports[..self.count]
+    }
+
+    fn and(mut self, port: usize) -> Self {
+        self.ports[self.count] = port;
+        self.count += 1;
+        self
+    }
+}
+
+/// The sets of one frame, larger by a patch each time: [`PatchSearch::next`] looks for them one size after the other, since
+/// larger sets take longer and are seldom needed.
+#[derive(Clone, Debug)]
+pub struct PatchSets {
+    /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
+    scaled: Vec<f64>,
+    weight: Vec<f64>,
+    /// Sum of the squares of the former.
+    energy: f64,
+    /// Those of the last size, best first.
+    best: Vec<Candidate>,
+    size: usize,
 }
 
 impl PatchSearch {
@@ -65,60 +108,53 @@ impl PatchSearch {
                 (resistance[a][b], resistance[b][a]) = (mutual, mutual);
             }
         }
-        Ok(Self { patches, fields, resistance, alone_v, apart_m: 1.5 * typical.radius_m })
+        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<f64>> {
+            let of_port = |fields: &Vec<f64>| sheet.measurements.iter().map(|m| fields[pattern(m)]).collect();
+            fields.iter().map(of_port).collect()
+        };
+        let driven = of_channels(&|m| m.stimulation as usize);
+        let measured = of_channels(&|m| sheet.stimulations + m.pattern as usize);
+        Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
-    /// The best sets of one, two, ... `most` patches for changes of the channels (volts, not finite where missing) with
-    /// these standard deviations: starts for [`ContactSheet::fit`].
+    /// Begins the search in changes of the channels (volts, not finite where missing) with these standard deviations.
     ///
     /// # Errors
     /// Lengths that are not the number of channels.
-    pub fn starts(
-        &self,
-        sheet: &ContactSheet,
-        change_v: &[f64],
-        deviation_v: &[f64],
-        most: usize,
-    ) -> Result<Vec<Vec<ContactPatch>>, EitError> {
+    pub fn begin(&self, sheet: &ContactSheet, change_v: &[f64], deviation_v: &[f64]) -> Result<PatchSets, EitError> {
         sheet.check_frame(change_v, deviation_v)?;
-        let scaled: Vec<f64> = change_v
-            .iter()
-            .zip(deviation_v)
-            .map(|(change, sigma)| if change.is_finite() { change / sigma } else { 0.0 })
-            .collect();
-        let weight: Vec<f64> = change_v
-            .iter()
-            .zip(deviation_v)
-            .map(|(change, sigma)| if change.is_finite() { 1.0 / sigma } else { 0.0 })
-            .collect();
-        let judge = |ports: Vec<usize>| {
-            let left = self.left(sheet, &ports, &scaled, &weight);
-            Candidate { ports, left }
+        let of_channels = |value: &dyn Fn(f64, f64) -> f64| -> Vec<f64> {
+            let channels = change_v.iter().zip(deviation_v);
+            channels.map(|(change, sigma)| if change.is_finite() { value(*change, *sigma) } else { 0.0 }).collect()
         };
+        let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
+        let energy = scaled.iter().map(|v| v * v).sum();
+        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0 })
+    }
+
+    /// The best set of one patch, at the next call of two, and so on to four: starts for [`ContactSheet::fit`]. `None` where no
+    /// more patches find room.
+    pub fn next(&self, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
         let count = self.patches.len();
-        let mut starts = Vec::with_capacity(most);
-        let mut best: Vec<Candidate> = (0..count).map(|port| judge(vec![port])).collect();
-        for size in 1..=most {
-            if size > 1 {
+        let mut grown: Vec<Ports> = Vec::new();
+        match sets.size {
+            0 => grown.extend((0..count).map(Ports::one)),
+            MOST.. => return None,
+            size => {
                 // All pairs are looked at, since one port between two touches explains much and leads nowhere.
-                let extend = if size == 2 { &best[..] } else { &best[..best.len().min(EXTENDED)] };
-                let mut sets: Vec<Vec<usize>> = Vec::new();
-                for candidate in extend {
-                    let last = if size == 2 { candidate.ports[0] + 1 } else { 0 };
-                    let near = |port: &usize| candidate.ports.iter().any(|p| self.distance(*p, *port) < self.apart_m);
-                    sets.extend((last..count).filter(|port| !near(port)).map(|port| {
-                        let mut ports = candidate.ports.clone();
-                        ports.push(port);
-                        ports
-                    }));
+                let extended = if size == 1 { count } else { EXTENDED };
+                for candidate in sets.best.iter().take(extended) {
+                    let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
+                    let list = candidate.ports.list();
+                    let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
+                    grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
                 }
-                best = sets.into_iter().map(judge).collect();
             }
-            best.sort_by(|a, b| a.left.total_cmp(&b.left));
-            let Some(first) = best.first() else { break };
-            starts.push(first.ports.iter().map(|&port| self.patches[port]).collect());
         }
-        Ok(starts)
+        sets.best = grown.into_iter().map(|ports| Candidate { ports, left: self.left(&ports, sets) }).collect();
+        sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
+        sets.size += 1;
+        Some(sets.best.first()?.ports.list().iter().map(|&port| self.patches[port]).collect())
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -126,56 +162,90 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Share of the whitened energy that a set leaves, at the scale that suits it best.
-    fn left(&self, sheet: &ContactSheet, ports: &[usize], scaled: &[f64], weight: &[f64]) -> f64 {
-        let exchange = self.exchange(ports, sheet.patterns());
-        let (mut along, mut square, mut energy) = (0.0, 0.0, 0.0);
-        for (channel, (measurement, (data, weight))) in
-            sheet.measurements.iter().zip(scaled.iter().zip(weight)).enumerate()
-        {
-            let mut value: f64 = ports.iter().map(|&port| self.alone_v[port][channel]).sum();
-            let measured = sheet.stimulations + measurement.pattern as usize;
-            for (row, &port) in ports.iter().enumerate() {
-                value -= self.fields[port][measured] * exchange[row][measurement.stimulation as usize];
+    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are unknowns,
+    /// since all add up to nothing: with differences `d` of fields from the last port's and `D_jk = R_jk - R_jn - R_nk + R_nn`,
+    /// a channel changes by the sum of what ports do by themselves less `d_m' D^-1 d_s`.
+    fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
+        let (ports, unknowns) = (ports.list(), ports.count - 1);
+        let last = ports[unknowns];
+        let mut loops = [[0.0; MOST - 1]; MOST - 1];
+        for j in 0..unknowns {
+            for k in 0..unknowns {
+                let r = |a: usize, b: usize| self.resistance[a][b];
+                loops[j][k] = r(ports[j], ports[k]) - r(ports[j], last) - r(last, ports[k]) + r(last, last);
             }
-            let value = value * weight;
-            along += value * data;
-            square += value * value;
-            energy += data * data;
         }
-        if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
-    }
-
-    /// Ports x patterns: currents of the ports into the layer, by Gauss and Jordan on the few unknowns (the ports' currents
-    /// and the layer's potential).
-    fn exchange(&self, ports: &[usize], patterns: usize) -> Vec<Vec<f64>> {
-        let count = ports.len();
-        let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count + 1);
-        for &a in ports {
-            let mut row: Vec<f64> = ports.iter().map(|&b| self.resistance[a][b]).collect();
-            row.push(1.0);
-            row.extend(&self.fields[a]);
-            rows.push(row);
-        }
-        let mut closing = vec![1.0; count];
-        closing.resize(count + 1 + patterns, 0.0);
-        rows.push(closing);
-        for pivot in 0..=count {
-            // Resistances are positive definite, and the last pivot is then negative: no exchange of rows is needed.
-            let inverse = 1.0 / rows[pivot][pivot];
-            rows[pivot].iter_mut().for_each(|value| *value *= inverse);
-            let lead = rows[pivot].clone();
-            for (index, row) in rows.iter_mut().enumerate() {
-                let factor = row[pivot];
-                if index != pivot && factor != 0.0 {
-                    row.iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+        invert(&mut loops, unknowns);
+        let channels = sets.scaled.len();
+        let mut sums = Sums::default();
+        let mut values = [0.0; LANES];
+        for from in (0..channels).step_by(LANES) {
+            let count = LANES.min(channels - from);
+            values[..count].copy_from_slice(&self.alone_v[last][from..from + count]);
+            for &port in &ports[..unknowns] {
+                add(&mut values, &self.alone_v[port][from..from + count]);
+            }
+            for j in 0..unknowns {
+                let mut driven = [0.0; LANES];
+                for k in 0..unknowns {
+                    let (own, other) =
+                        (&self.driven[ports[k]][from..from + count], &self.driven[last][from..from + count]);
+                    for ((sum, own), other) in driven.iter_mut().zip(own).zip(other) {
+                        *sum += loops[j][k] * (own - other);
+                    }
+                }
+                let (own, other) =
+                    (&self.measured[ports[j]][from..from + count], &self.measured[last][from..from + count]);
+                for (((value, driven), own), other) in values.iter_mut().zip(&driven).zip(own).zip(other) {
+                    *value -= (own - other) * driven;
                 }
             }
+            sums.add(&values[..count], &sets.scaled[from..from + count], &sets.weight[from..from + count]);
         }
-        rows.truncate(count);
-        rows.iter_mut().for_each(|row| {
-            row.drain(..=count);
-        });
-        rows
+        sums.left(sets.energy)
+    }
+}
+
+/// Sums over the channels, a lane at a time: what values (volts) have in common with the data, and their own square.
+#[derive(Default)]
+struct Sums {
+    along: [f64; LANES],
+    square: [f64; LANES],
+}
+
+impl Sums {
+    fn add(&mut self, values: &[f64], scaled: &[f64], weight: &[f64]) {
+        let sums = self.along.iter_mut().zip(&mut self.square);
+        for (((along, square), value), (data, weight)) in sums.zip(values).zip(scaled.iter().zip(weight)) {
+            let value = value * weight;
+            *along += value * data;
+            *square += value * value;
+        }
+    }
+
+    /// What the values leave of the data's energy, at the scale that suits them best.
+    fn left(&self, energy: f64) -> f64 {
+        let (along, square): (f64, f64) = (self.along.iter().sum(), self.square.iter().sum());
+        if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
+    }
+}
+
+fn add(sums: &mut [f64], values: &[f64]) {
+    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+}
+
+/// Inverts the leading block of this size in place, by Gauss and Jordan; it is positive definite.
+fn invert(matrix: &mut [[f64; MOST - 1]; MOST - 1], size: usize) {
+    for pivot in 0..size {
+        let inverse = 1.0 / matrix[pivot][pivot];
+        matrix[pivot][pivot] = 1.0;
+        matrix[pivot][..size].iter_mut().for_each(|value| *value *= inverse);
+        let lead = matrix[pivot];
+        for (row, values) in matrix.iter_mut().enumerate().take(size) {
+            if row != pivot {
+                let factor = std::mem::replace(&mut values[pivot], 0.0);
+                values[..size].iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+            }
+        }
     }
 }

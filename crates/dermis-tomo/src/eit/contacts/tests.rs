@@ -118,7 +118,8 @@ fn known_patches_are_found_and_fitted() {
     for patches in truth {
         let change = sheet.change_v(&patches).unwrap();
         let deviation = vec![1e-3 * norm(&change) / (change.len() as f64).sqrt(); change.len()];
-        let starts = search.starts(&sheet, &change, &deviation, 3).unwrap();
+        let mut sets = search.begin(&sheet, &change, &deviation).unwrap();
+        let starts: Vec<_> = std::iter::from_fn(|| search.next(&mut sets)).take(3).collect();
         let mut left = Vec::new();
         let (fits, summary) = sheet.fit(&change, &deviation, &starts[patches.len() - 1], &options, &mut left).unwrap();
         assert!(summary.misfit < 1.0, "{patches:?}: {summary:?}");
