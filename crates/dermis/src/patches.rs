@@ -5,6 +5,8 @@
 
 mod seek;
 
+mod released;
+
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::ForwardModel;

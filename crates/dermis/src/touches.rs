@@ -145,6 +145,11 @@ impl TouchStage {
         self.patches = patches;
     }
 
+    /// Touches and contacts of the last image, and what fits them.
+    pub(crate) fn parts(&mut self) -> (&[Touch], &[Contact], Option<&mut PatchStage>) {
+        (self.tracker.touches(), &self.contacts, self.patches.as_mut())
+    }
+
     pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
         self.patches.as_mut()
     }
