@@ -3,9 +3,8 @@
 //! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search on a coarser mesh where these
 //! do not do. A fit takes the better part of a millisecond: of frames that come faster than every 5 ms, the mean is fitted.
 
-mod seek;
-
 mod released;
+mod seek;
 
 use std::f64::consts::PI;
 
@@ -434,9 +433,16 @@ impl PatchStage {
         believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
     }
 
+    /// What a search works with.
+    fn tools(&self) -> Tools<'_> {
+        let Sheets { coarse, search, .. } = &self.sheets;
+        Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m }
+    }
+
     /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
     /// that explain this frame too.
     fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
+        // Not `self.tools()`, which would borrow the search that it is for.
         let Sheets { coarse, search, .. } = &self.sheets;
         let tools = Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m };
         if self.seek.is_none() && time_ns >= self.rest_until_ns {
