@@ -1,11 +1,14 @@
 //! Training sets and segmentation on a small skin: samples are repeatable and varied, what is lost is lost, simulated
 //! frames are told apart by thresholds, and models are refused where they do not belong.
 
+use dermis::classes::ClassPace;
 use dermis::learning::segment::{Method, Segmenter};
 use dermis::learning::train_set::{Jitter, SimulatedFrames, TrainSetRequest, simulate};
 use dermis::learning::{CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, masks_of_image};
+use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::skin::Skin;
+use dermis_device::{Frame, HostStamp, Layout};
 use dermis_learn::metrics::Confusion;
 use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED, SceneKind};
 use dermis_learn::{CARD_FORMAT, Model, ModelCard, Tensors, TrainingRecord, UNetShape};
@@ -292,4 +295,56 @@ fn the_network_of_the_healing_square_finds_presses_of_its_twin() {
     }
     classifier.classify(&vec![0.0; prepared.channels()], &mut classes).unwrap();
     assert!(classes.labels.iter().all(|label| *label == BACKGROUND), "an untouched skin is background");
+}
+
+/// Beside the frames, classes come later, and are to the bit those of the frame that they name.
+#[test]
+fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
+    let model = built_in("healing-square").unwrap().unwrap();
+    let pipeline = |pace| {
+        let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
+        let layout = Layout::Channels { count: prepared.channels() };
+        let mut pipeline = Pipeline::new(prepared, &layout, None).unwrap();
+        pipeline.set_classifier(Some(&model), pace).unwrap();
+        pipeline
+    };
+    let (mut at_once, mut beside) = (pipeline(ClassPace::EveryFrame), pipeline(ClassPace::Beside));
+    let mut twin = HealingSquare::new(&HealingSquareOptions::default()).unwrap();
+    let mut read = |indenters: &[Indenter]| {
+        let mut voltages = vec![0.0; at_once.prepared().channels()];
+        twin.voltages(indenters, 0.04, &mut voltages).unwrap();
+        voltages
+    };
+    let (rest, pressed) = (read(&[]), read(&[Indenter::disc([0.01, -0.02], 0.01, 80e3)]));
+    let (mut frame, mut known, mut seen) = (Frame::default(), Vec::new(), None);
+    // The network needs some milliseconds; how many frames that are depends on the machine.
+    for number in 0..2000 {
+        let values = if number < 40 { &rest } else { &pressed };
+        let stamp = HostStamp { monotonic_ns: number * 20_000_000, wall_ns: number };
+        frame.refill(number, stamp, values, &[]);
+        if known.len() < 60 {
+            let output = at_once.process(&frame, stamp.monotonic_ns).unwrap();
+            assert!(output.classes.is_none_or(|of| of.sequence == number));
+            known.push(output.classes.map(|of| of.classes.clone()));
+        }
+        let output = beside.process(&frame, stamp.monotonic_ns).unwrap();
+        if let Some(of) = output.classes
+            && let Some(expected) = known.get(of.sequence as usize)
+        {
+            assert!(of.sequence < number, "classes come later than their frame");
+            assert_eq!(Some(of.classes), expected.as_ref(), "frame {}", of.sequence);
+            seen = Some(of.sequence);
+        } else if output.classes.is_some() {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    assert!(seen.is_some(), "no classes of the first {} frames were seen", known.len());
+}
+
+#[test]
+fn a_network_that_is_shown_refined_images_is_not_for_live_frames() {
+    let prepared = Prepared::new(Skin::open("ktc-tank").unwrap()).unwrap();
+    let error = Classifier::new(&prepared, &built_in("ktc-tank").unwrap().unwrap()).unwrap_err().to_string();
+    assert!(error.contains("time for") && error.contains("refined"), "{error}");
 }
