@@ -87,7 +87,7 @@ fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
         line.step()?;
         alarms += u64::from(!line.health().is_sound());
         pressed += u64::from(line.twin.scene().indenters().next().is_some());
-        if line.ticks % 1000 == 0 {
+        if line.ticks.is_multiple_of(1000) {
             eprintln!("  {name}: {} frames, {alarms} with a false alarm", line.ticks);
         }
         if !line.health().is_sound() && alarms == 1 {
