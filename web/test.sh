@@ -27,4 +27,5 @@ node build.mjs --check
 if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
     cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
 fi
-exec node --test tests/page.spec.mjs
+# One after the other: each has a server and a browser of its own, and wants the machine's pace.
+exec node --test --test-concurrency=1 tests/page.spec.mjs tests/damage.spec.mjs

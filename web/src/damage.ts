@@ -7,6 +7,13 @@ import { element } from "./view";
 const find = (id: string) => document.getElementById(id)!;
 const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s` : seconds < 7200 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(1)} h`);
 
+/** Why a new baseline is proposed; since when follows. */
+const REASONS = {
+  offset: "the skin rests at other values than its baseline's; at rest",
+  healed: "damage has healed; at rest",
+  touched: "the baseline was taken while something touched the skin, which has been gone",
+};
+
 export class DamagePanel {
   private readonly layer = element("g", { class: "damages" });
 
@@ -27,23 +34,28 @@ export class DamagePanel {
     });
     rows(find("damages"), new Map(texts)).forEach((row, index) => {
       const damage = view.list[index];
+      row.dataset.id = String(damage.id);
       row.dataset.state = damage.state;
       row.dataset.xMm = damage.x_mm.toFixed(3);
       row.dataset.yMm = damage.y_mm.toFixed(3);
       row.dataset.lengthMm = damage.length_mm.toFixed(3);
       row.dataset.healed = damage.healed.toFixed(3);
+      row.dataset.forS = damage.for_s.toFixed(1);
     });
     write(find("damage-count"), String(view.list.filter(({ state }) => state !== "healed" && state !== "suspected").length));
     const history = view.baselines.map((baseline, index): [string, string[]] => {
       const role = [index === view.intact ? "intact" : "", index === view.baselines.length - 1 ? "in use" : ""].filter(Boolean).join(", ");
       return [String(index), [String(index + 1), baseline.reason || baseline.origin, `${duration(baseline.age_s)} ago`, role]];
     });
-    rows(find("baselines"), new Map(history));
+    rows(find("baselines"), new Map(history)).forEach((row, index) => {
+      row.dataset.origin = view.baselines[index].origin;
+      row.dataset.isIntact = String(index === view.intact);
+    });
     const { proposal } = view;
     find("proposal").hidden = !proposal;
     if (proposal) {
-      const why = proposal.reason === "healed" ? "damage has healed" : "the skin rests at other values than its baseline's";
-      write(find("proposal-text"), `${why}; at rest for ${duration(proposal.for_s)}, ${proposal.offset_sigma.toFixed(1)} σ off`);
+      find("proposal").dataset.reason = proposal.reason;
+      write(find("proposal-text"), `${REASONS[proposal.reason]} for ${duration(proposal.for_s)}, ${proposal.offset_sigma.toFixed(1)} σ off`);
     }
   }
 

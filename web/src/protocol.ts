@@ -102,7 +102,7 @@ export interface DamageView {
   baselines: { origin: string; reason: string; age_s: number }[];
   /** Index of the baseline that damage is judged against. */
   intact: number | null;
-  proposal: { reason: "offset" | "healed"; for_s: number; offset_sigma: number } | null;
+  proposal: { reason: "offset" | "healed" | "touched"; for_s: number; offset_sigma: number } | null;
 }
 
 export interface State {

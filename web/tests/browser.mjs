@@ -87,14 +87,69 @@ export async function touchRows(page) {
   return page.locator("#touches tr").evaluateAll((rows) => rows.map(({ dataset }) => ({ id: dataset.id, x_mm: Number(dataset.xMm), y_mm: Number(dataset.yMm) })));
 }
 
-/** Waits until a row satisfies `isWanted`; fails with what there was. */
-export async function waitForRows(page, isWanted, limit_ms = 8000) {
-  const until = Date.now() + limit_ms;
-  let rows = [];
-  while (Date.now() < until) {
-    rows = await touchRows(page);
-    if (isWanted(rows)) return rows;
+/** Frames that the pipeline has taken in. */
+export async function processedFrames(page) {
+  return Number(await page.locator("[data-counter='frames'] td").nth(1).textContent());
+}
+
+/** Waits until what `read` gives is wanted, and returns it; fails with what there was last, after the limit and, where frames
+ * are limited too, not before so many have been taken in: on a machine that is too slow, frames wait in a queue for long. */
+export async function waitUntil(page, what, read, isWanted, { ms = 30_000, frames = 0 } = {}) {
+  const until = Date.now() + ms;
+  const first = frames > 0 ? await processedFrames(page) : 0;
+  let seen;
+  for (;;) {
+    seen = await read();
+    if (isWanted(seen)) return seen;
+    if (Date.now() >= until && (frames === 0 || (await processedFrames(page)) - first >= frames)) break;
     await page.waitForTimeout(30);
   }
-  throw new Error(`not seen within ${limit_ms} ms; touches: ${JSON.stringify(rows)}`);
+  const told = await page.locator("#messages li").allTextContents();
+  throw new Error(`${what}: not seen within ${ms} ms and ${frames} frames; there was ${JSON.stringify(seen)}; messages: ${JSON.stringify(told)}`);
+}
+
+/** Waits until the rows of the touches are wanted; fails with what there was. */
+export async function waitForRows(page, isWanted, ms = 8000, frames = 0) {
+  return waitUntil(page, "touches", () => touchRows(page), isWanted, { ms, frames });
+}
+
+/** Puts the mouse down at a place of the skin, millimetres. */
+export async function pressAt(page, x_mm, y_mm) {
+  const { x, y } = await windowFromSkin(page, x_mm, y_mm);
+  await page.mouse.move(x, y);
+  await page.mouse.down();
+}
+
+/** Damage as the list shows it. */
+export async function damageRows(page) {
+  return page.locator("#damages tr").evaluateAll((rows) => rows.map(({ dataset }) => ({
+    id: dataset.id, state: dataset.state, x_mm: Number(dataset.xMm), y_mm: Number(dataset.yMm), length_mm: Number(dataset.lengthMm), healed: Number(dataset.healed), for_s: Number(dataset.forS),
+  })));
+}
+
+/** Baselines as the history shows them, oldest first. */
+export async function baselineRows(page) {
+  return page.locator("#baselines tr").evaluateAll((rows) => rows.map((row) => ({ origin: row.dataset.origin, reason: row.cells[1].textContent, isIntact: row.dataset.isIntact === "true" })));
+}
+
+/** Where the class overlay is drawn in the colour of compressed or of damaged pixels: how much (the sum of opacities, 0 to 1
+ * each) and about which place of the skin. */
+export async function classesSeen(page) {
+  return page.locator("#classes").evaluate((canvas) => {
+    const { width, height } = canvas;
+    const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+    const box = canvas.getBoundingClientRect();
+    const skinFromScreen = document.querySelector("#overlay").getScreenCTM().inverse();
+    const sums = { compressed: [0, 0, 0], damaged: [0, 0, 0] };
+    for (let index = 0; index < width * height; index += 1) {
+      const [red, , blue, alpha] = data.subarray(4 * index, 4 * index + 4);
+      if (alpha === 0) continue;
+      const [column, row] = [index % width, Math.floor(index / width)];
+      const place = new DOMPoint(box.left + ((column + 0.5) * box.width) / width, box.top + ((row + 0.5) * box.height) / height).matrixTransform(skinFromScreen);
+      const sum = sums[red > blue ? "damaged" : "compressed"];
+      [alpha / 255, (alpha / 255) * place.x, (alpha / 255) * -place.y].forEach((value, at) => (sum[at] += value));
+    }
+    const seen = ([weight, x, y]) => ({ weight, x_mm: x / weight, y_mm: y / weight });
+    return { isShown: getComputedStyle(canvas).display !== "none", compressed: seen(sums.compressed), damaged: seen(sums.damaged) };
+  });
 }

@@ -35,16 +35,17 @@ struct Line {
     pipeline: Pipeline,
     ticks: u64,
     time_s: f64,
+    period_s: f64,
     panels: Vec<Panel>,
 }
 
 impl Line {
-    /// Runs for a time at 10 frames/s; what happens to damage is printed.
+    /// Runs for a time; what happens to damage is printed.
     fn run(&mut self, seconds: f64) -> Result<(), Error> {
         let end = self.time_s + seconds;
         let (mut values, mut frame) = (Vec::new(), Frame::default());
         while self.time_s < end {
-            self.time_s += 0.1;
+            self.time_s += self.period_s;
             self.twin.step(self.time_s, &mut values)?;
             let time_ns = (self.time_s * 1e9) as u64;
             frame.refill(self.ticks, HostStamp { monotonic_ns: time_ns, wall_ns: 0 }, &values, &[]);
@@ -93,8 +94,10 @@ fn colour(value: f32) -> String {
 fn svg(line: &Line) -> String {
     let grid = *line.pipeline.prepared().map.grid();
     let width = line.panels.len() as f64 * (SIDE + GAP) + GAP;
-    let height = SIDE + 2.0 * GAP + 20.0;
+    let height = SIDE + 3.0 * GAP + 36.0;
     let mut text = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\">\n");
+    // Pages may be dark.
+    let _ = writeln!(text, "<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>");
     let pixel = SIDE / grid.columns as f64;
     for (index, Panel { name, image, ends }) in line.panels.iter().enumerate() {
         let left = GAP + index as f64 * (SIDE + GAP);
@@ -126,6 +129,14 @@ fn svg(line: &Line) -> String {
         let style = "font-family=\"sans-serif\" font-size=\"14\" text-anchor=\"middle\"";
         let _ = writeln!(text, "<text x=\"{x:.1}\" y=\"{y:.1}\" {style}>{name}</text>");
     }
+    let _ = writeln!(
+        text,
+        "<text x=\"{GAP}\" y=\"{:.1}\" font-family=\"sans-serif\" font-size=\"12\" fill=\"#555\">against the intact skin: blue, conductivity down to {:.0} %; \
+         red, up to +{:.0} %; black, damage in the record</text>",
+        SIDE + 3.0 * GAP + 22.0,
+        -100.0 * FALL,
+        100.0 * RISE
+    );
     text.push_str("</svg>\n");
     text
 }
@@ -136,7 +147,7 @@ fn main() -> Result<(), Error> {
     let layout = Layout::Channels { count: prepared.channels() };
     let twin = TwinKit::of(&skin)?.twin;
     let pipeline = Pipeline::new(prepared, &layout, None)?;
-    let mut line = Line { twin, pipeline, ticks: 0, time_s: 0.0, panels: Vec::new() };
+    let mut line = Line { twin, pipeline, ticks: 0, time_s: 0.0, period_s: 0.1, panels: Vec::new() };
     line.run(5.0)?;
     line.treat(Treatment::Cut(Cut::open([0.015, 0.018], [0.031, 0.03])))?;
     line.run(8.0)?;
@@ -148,7 +159,8 @@ fn main() -> Result<(), Error> {
     line.run(5.0)?;
     line.draw("released");
     line.treat(Treatment::Heat(Heating::published([0.023, 0.024], 0.025)))?;
-    // Two hours in a minute and a half.
+    // Two hours in a minute and a half. Every frame is another sheet to the twin: fewer do.
+    line.period_s = 0.4;
     line.treat(Treatment::TimeLapse(80.0))?;
     line.run(120.0)?;
     line.draw("after the heat");
@@ -160,6 +172,7 @@ fn main() -> Result<(), Error> {
         println!("{:6.1} s  a new baseline is proposed: {}", line.time_s, proposal.reason.name());
         line.pipeline.tare(false, "proposed")?;
     }
+    line.period_s = 0.1;
     line.run(10.0)?;
     line.draw("new baseline");
     if let Some(path) = std::env::args().nth(1) {

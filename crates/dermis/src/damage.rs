@@ -6,6 +6,7 @@
 mod crack;
 mod fit;
 mod healing;
+mod released;
 mod stage;
 
 use dermis_touch::ReferenceRecord;
@@ -27,6 +28,8 @@ pub enum ProposalReason {
     Offset,
     /// So it does, after damage has healed or while it heals no further.
     Healed,
+    /// The baseline was taken while something touched the skin, which has gone since.
+    Touched,
 }
 
 impl ProposalReason {
@@ -35,6 +38,7 @@ impl ProposalReason {
         match self {
             Self::Offset => "offset",
             Self::Healed => "healed",
+            Self::Touched => "touched",
         }
     }
 }
@@ -45,7 +49,7 @@ impl ProposalReason {
 pub struct Proposal {
     /// Why.
     pub reason: ProposalReason,
-    /// Since when the skin has rested, on the frames' axis, nanoseconds.
+    /// Since when the skin has rested, or since when the reason has been known, on the frames' axis, nanoseconds.
     pub since_ns: u64,
     /// How far the readings are from the baseline, in standard deviations of the channels (root mean square).
     pub offset_sigma: f64,

@@ -1,24 +1,31 @@
 //! Touches of a sandwich skin by its own physics: patches of contact with the layer above, which joins them to each other.
 //! Linear images show several touches as one bar between them; here places, radii and conductances of all patches are fitted
-//! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search where these do not do.
+//! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search on a coarser mesh where these
+//! do not do. A fit takes the better part of a millisecond: of frames that come faster than every 5 ms, the mean is fitted.
+
+mod released;
+mod seek;
 
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch};
+use dermis_tomo::eit::contacts::{
+    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchFit, PatchSearch,
+};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use crate::Error;
 use crate::prepare::Prepared;
+use seek::{Outcome, Seek, Tools};
 
-/// Elements of the mesh that contacts are worked out on: about 2.5 mm on a skin of 100 mm.
+/// Elements of the mesh that contacts are fitted on, about 2.5 mm on a skin of 100 mm, and of the one that they are looked for
+/// on, where a fit takes a fifth of the time and sizes are a tenth off.
 const ELEMENTS: usize = 4000;
-/// Edges of patches are blurred over so many elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm this one placed and
-/// sized indenters of 20 and 25 mm best on the twin.
+const COARSE_ELEMENTS: usize = 2000;
+/// Edges of patches are blurred over so many of the finer elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm this one
+/// placed and sized indenters of 20 and 25 mm best on the twin.
 const EDGE: f64 = 4.25;
-/// Patches at most.
-const MOST_PATCHES: usize = 4;
 /// Places that are searched, along the shorter side.
 const PLACES: usize = 10;
 /// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
@@ -34,8 +41,6 @@ const BELIEVED: f64 = 2.0;
 const WORSENED: f64 = 1.5;
 /// One more patch must lower the cost of a fit (squared standard deviations) by this and to this share.
 const WORTH: (f64, f64) = (20.0, 0.5);
-/// Misfit at which no further patch is looked for.
-const GOOD: f64 = 0.2;
 /// Patches larger than this, relative to half the shorter side, are several that are taken for one.
 const LARGEST: f64 = 0.5;
 /// Patches of less than this share of the strongest one's effect, or less certain of their place than this, relative to half
@@ -48,10 +53,20 @@ const OUTSTANDING: f64 = 2.0;
 const APART: f64 = 1.3;
 /// Patches that leave more than this share of a frame do not explain it.
 const EXPLAINED: f64 = 0.3;
-/// After a search in vain so many frames pass before the next, twice as many after each further one, up to the most.
-const REST: [u32; 2] = [4, 64];
-/// Steps of a fit: from the frame before, to judge what a search proposes, and to settle the best of that.
-const STEPS: [usize; 3] = [4, 25, 25];
+/// After a search in vain so much time passes before the next, twice as much after each further one, up to the most;
+/// nanoseconds.
+const REST_NS: [u64; 2] = [30_000_000, 450_000_000];
+/// Least time between two fits, nanoseconds: what is pressed by hand or robot moves less than the uncertainty of its place
+/// meanwhile.
+const INTERVAL_NS: u64 = 5_000_000;
+/// Frames that come faster than this may still take half of it, nanoseconds.
+const LEAST_NS: f64 = 500_000.0;
+/// Shares of a search below this are hurried, nanoseconds.
+const HURRIED_NS: f64 = 5e6;
+/// Steps of a fit: from the frame before, and from what a search found.
+const STEPS: [usize; 2] = [4, 15];
+/// Share of the time between frames that a search may take.
+const SEARCH_SHARE: f64 = 0.5;
 
 /// What is left of the conductance of an element that a cut crosses: it blocks the current, and no matrix becomes singular.
 const LEFT_BY_A_CUT: f64 = 1e-4;
@@ -59,7 +74,9 @@ const LEFT_BY_A_CUT: f64 = 1e-4;
 /// What sheets are made of.
 #[derive(Debug)]
 struct Bare {
-    model: ForwardModel,
+    fine: ForwardModel,
+    coarse: ForwardModel,
+    edge_m: f64,
     typical: ContactPatch,
     places: Vec<[f64; 2]>,
     sheet_s: f64,
@@ -68,8 +85,14 @@ struct Bare {
 impl Bare {
     /// The sheet with these cuts, which block the elements that they cross whole; elements that conduct along a cut but not
     /// across it would hold its sides together.
-    fn with(&self, cuts: &[[[f64; 2]; 2]]) -> Result<(ContactSheet, PatchSearch), Error> {
-        let mesh = &self.model.body().mesh;
+    fn with(&self, cuts: &[[[f64; 2]; 2]]) -> Result<Sheets, Error> {
+        let (fine, coarse) = (self.sheet(&self.fine, cuts)?, self.sheet(&self.coarse, cuts)?);
+        let search = PatchSearch::new(&coarse, self.typical, &self.places)?;
+        Ok(Sheets { fine, coarse, search })
+    }
+
+    fn sheet(&self, model: &ForwardModel, cuts: &[[[f64; 2]; 2]]) -> Result<ContactSheet, Error> {
+        let mesh = &model.body().mesh;
         let corner = |node: u32| [mesh.nodes()[node as usize][0], mesh.nodes()[node as usize][1]];
         let size = mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64;
         // Blocked whole, a cut is longer by about half an element at each end.
@@ -82,9 +105,44 @@ impl Bare {
                 self.sheet_s * if blocked { LEFT_BY_A_CUT } else { 1.0 }
             })
             .collect();
-        let sheet = ContactSheet::new(&self.model, &conductance, EDGE * size.sqrt())?;
-        let search = PatchSearch::new(&sheet, self.typical, &self.places)?;
-        Ok((sheet, search))
+        Ok(ContactSheet::new(model, &conductance, self.edge_m)?)
+    }
+}
+
+/// The sheet with its cuts, ready for contacts.
+#[derive(Debug)]
+struct Sheets {
+    fine: ContactSheet,
+    coarse: ContactSheet,
+    search: PatchSearch,
+}
+
+/// Frames that came since the last fit.
+#[derive(Debug, Default)]
+struct Gathered {
+    sum: Vec<f64>,
+    count: u32,
+    fitted_ns: Option<u64>,
+}
+
+impl Gathered {
+    /// Adds a frame.
+    fn add(&mut self, frame: &[f64]) {
+        if self.count == 0 {
+            self.sum.clear();
+            self.sum.extend_from_slice(frame);
+        } else {
+            self.sum.iter_mut().zip(frame).for_each(|(sum, value)| *sum += value);
+        }
+        self.count += 1;
+    }
+
+    /// Their mean, in place; the next frame begins anew.
+    fn mean(&mut self) -> &[f64] {
+        let count = f64::from(self.count.max(1));
+        self.sum.iter_mut().for_each(|sum| *sum /= count);
+        self.count = 0;
+        &self.sum
     }
 }
 
@@ -110,9 +168,9 @@ fn crosses(corners: [[f64; 2]; 3], [a, b]: [[f64; 2]; 2]) -> bool {
 #[derive(Debug)]
 pub(crate) struct PatchStage {
     bare: Bare,
-    /// Ends of the cuts that the sheet of `model` has, metres.
+    /// Ends of the cuts that the sheets have, metres.
     cuts: Vec<[[f64; 2]; 2]>,
-    model: (ContactSheet, PatchSearch),
+    sheets: Sheets,
     options: FitOptions,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -123,10 +181,21 @@ pub(crate) struct PatchStage {
     deviation: Vec<f64>,
     left: Vec<f64>,
     fits: Vec<ContactFit>,
+    /// Where the fit of the last frame stands, of `fits`.
+    standing: Option<PatchFit>,
     misfit: f64,
     smallest_amplitude: f64,
-    rest: u32,
-    next_rest: u32,
+    gathered: Gathered,
+    /// What patches make of the frames since the last fit, while these patches are believed: model volts.
+    explained: Vec<f64>,
+    /// A search under way.
+    seek: Option<Seek>,
+    seen_ns: Option<u64>,
+    /// Contacts of the last fit.
+    shown: Vec<Contact>,
+    /// No search before this time, and how long the next rest is.
+    rest_until_ns: u64,
+    next_rest_ns: u64,
 }
 
 impl Prepared {
@@ -137,8 +206,12 @@ impl Prepared {
 
     /// What fits patches, at this noise of the channels (model volts).
     pub(crate) fn patch_stage(&self, noise: &[f64]) -> Result<PatchStage, Error> {
-        let body = self.skin.body_with_elements(ELEMENTS)?;
-        let model = ForwardModel::new(body.mesh, self.protocol.clone())?;
+        let model = |elements: usize| -> Result<ForwardModel, Error> {
+            Ok(ForwardModel::new(self.skin.body_with_elements(elements)?.mesh, self.protocol.clone())?)
+        };
+        let (fine, coarse) = (model(ELEMENTS)?, model(COARSE_ELEMENTS)?);
+        let mesh = &fine.body().mesh;
+        let edge_m = EDGE * (mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64).sqrt();
         let touch = &self.skin.touch;
         let typical = ContactPatch {
             position_m: [0.0; 2],
@@ -157,8 +230,8 @@ impl Prepared {
             .filter(|place| grid.pixel_at(*place).is_some_and(|pixel| inside[pixel]))
             .collect();
         let sheet_s = self.skin.sheet_conductance_s();
-        let bare = Bare { model, typical, places, sheet_s };
-        let (sheet, search) = bare.with(&[])?;
+        let bare = Bare { fine, coarse, edge_m, typical, places, sheet_s };
+        let sheets = bare.with(&[])?;
         Ok(PatchStage {
             bare,
             cuts: Vec::new(),
@@ -169,8 +242,8 @@ impl Prepared {
                 conductance_log_deviation: LOG_DEVIATIONS[1],
                 most_steps: STEPS[0],
             },
-            absent: vec![false; sheet.channels()],
-            model: (sheet, search),
+            absent: vec![false; sheets.fine.channels()],
+            sheets,
             grid,
             inside,
             half_width_m: self.half_width_m(),
@@ -179,10 +252,16 @@ impl Prepared {
             deviation: Vec::new(),
             left: Vec::new(),
             fits: Vec::new(),
+            standing: None,
             misfit: f64::INFINITY,
             smallest_amplitude: touch.smallest_amplitude,
-            rest: 0,
-            next_rest: REST[0],
+            gathered: Gathered::default(),
+            explained: Vec::new(),
+            shown: Vec::new(),
+            seek: None,
+            seen_ns: None,
+            rest_until_ns: 0,
+            next_rest_ns: REST_NS[0],
         })
     }
 }
@@ -198,7 +277,7 @@ impl PatchStage {
     /// good part of a second. Does nothing where they are those that it has.
     pub(crate) fn set_cuts(&mut self, cuts: &[[[f64; 2]; 2]]) -> Result<(), Error> {
         if self.cuts != cuts {
-            self.model = self.bare.with(cuts)?;
+            self.sheets = self.bare.with(cuts)?;
             self.cuts = cuts.to_vec();
             self.forget();
         }
@@ -213,37 +292,69 @@ impl PatchStage {
 
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
+        self.let_go();
+    }
+
+    /// Nothing is followed any more, and the next search need not wait.
+    fn let_go(&mut self) {
         self.fits.clear();
-        (self.rest, self.next_rest) = (0, REST[0]);
+        self.shown.clear();
+        self.gathered.count = 0;
+        self.seek = None;
+        (self.rest_until_ns, self.next_rest_ns) = (0, REST_NS[0]);
     }
 
-    /// What the last frame's patches do not explain: model volts, the whole frame where there were none.
-    pub(crate) fn left(&self) -> &[f64] {
-        &self.left
-    }
-
-    /// Replaces the contacts of an image by the patches of its frame (model volts). Those of a frame that patches do not explain
+    /// Replaces the contacts of an image by the patches of its frame (model volts), or by those of the last fit where that is
+    /// only a moment ago. Those of a frame that patches do not explain
     /// stay as the image has them; they begin no touch, unless one stands far out of the image, of which `lowest` is the lowest
     /// value.
-    pub(crate) fn refine(&mut self, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
+    pub(crate) fn refine(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
+        // How long a search may take in this frame: as slow as frames come. The first one waits for nothing.
+        let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
         self.left.clear();
         self.left.extend_from_slice(difference);
         if contacts.is_empty() {
-            (self.rest, self.next_rest) = (0, REST[0]);
-        }
-        if contacts.is_empty() || difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
-            self.fits.clear();
+            self.let_go();
             return;
         }
+        if difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
+            self.fits.clear();
+            self.shown.clear();
+            self.gathered.count = 0;
+            return;
+        }
+        if !self.shown.is_empty() {
+            self.gathered.add(difference);
+            let since_ns = self.gathered.fitted_ns.map_or(u64::MAX, |fitted_ns| time_ns.saturating_sub(fitted_ns));
+            if since_ns < INTERVAL_NS {
+                self.left.iter_mut().zip(&self.explained).for_each(|(left, explained)| *left -= explained);
+                contacts.clone_from(&self.shown);
+                return;
+            }
+            self.left.clear();
+            let mean = self.gathered.mean();
+            self.left.extend_from_slice(mean);
+        }
+        self.refine_now(time_ns, SEARCH_SHARE * since_ns.max(LEAST_NS), lowest, contacts);
+    }
+
+    /// As [`PatchStage::refine`], of the frame in `left`.
+    fn refine_now(&mut self, time_ns: u64, share_ns: f64, lowest: f64, contacts: &mut Vec<Contact>) {
         // Too weak to begin a touch, and none there that it could be.
         let Contact { significance, strength, .. } = contacts[0];
-        if self.fits.is_empty() && strength != ContactStrength::Strong {
+        if self.fits.is_empty() && self.shown.is_empty() && strength != ContactStrength::Strong {
             return;
         }
-        self.weigh(difference);
-        if !self.follow() && !self.search() {
+        self.weigh();
+        if !self.follow(STEPS[0]) && !self.search(time_ns, share_ns) {
             self.fits.clear();
-            if contacts[0].amplitude > OUTSTANDING * -lowest {
+            if self.seek.is_some() && !self.shown.is_empty() {
+                // Until it is known what changed, a few frames at most, what was there stays where it was.
+                contacts.clone_from(&self.shown);
+                return;
+            }
+            self.shown.clear();
+            if self.seek.is_none() && contacts[0].amplitude > OUTSTANDING * -lowest {
                 // A press on a cut looks like this: the image knows one touch.
                 contacts.truncate(1);
             } else {
@@ -277,10 +388,15 @@ impl PatchStage {
         }));
         contacts.retain(|contact| contact.amplitude >= self.smallest_amplitude);
         contacts.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+        self.shown.clone_from(contacts);
+        self.gathered.fitted_ns = Some(time_ns);
+        self.explained.clear();
+        self.explained.extend(self.change.iter().zip(&self.left).map(|(change, left)| change - left));
     }
 
-    /// The channels' variances for this frame.
-    fn weigh(&mut self, difference: &[f64]) {
+    /// The change of the channels, and their variances, for the frame in `left`.
+    fn weigh(&mut self) {
+        let difference = &self.left;
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
         self.deviation.clear();
         self.deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
@@ -291,81 +407,69 @@ impl PatchStage {
     }
 
     /// Goes on from the patches of the frame before; false where these do not explain this one.
-    fn follow(&mut self) -> bool {
+    fn follow(&mut self, most_steps: usize) -> bool {
         if self.fits.is_empty() {
+            self.standing = None;
             return false;
         }
-        let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+        let standing = match &mut self.standing {
+            Some(standing) => standing,
+            place => {
+                let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+                match self.sheets.fine.begin_fit(&start) {
+                    Ok(begun) => place.insert(begun),
+                    Err(_) => return false,
+                }
+            }
+        };
         let before = self.misfit;
-        let Some((fits, summary)) = self.fit(&start, STEPS[0]) else { return false };
-        let believed = summary.misfit <= BELIEVED.max(WORSENED * before) && self.is_plausible(&fits, &summary);
+        let options = FitOptions { most_steps, ..self.options };
+        let result = self.sheets.fine.go_on(&self.change, &self.deviation, standing, &options, &mut self.left);
+        let Ok((fits, summary)) = result else { return false };
+        let believed =
+            summary.misfit <= BELIEVED.max(WORSENED * before) && plausible(&fits, &summary, self.half_width_m);
         (self.fits, self.misfit) = (fits, summary.misfit);
         let strongest = self.strongest();
         believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
     }
 
-    /// Looks for one patch, two, and so on, until one more explains little. Not in every frame that nothing explains.
-    fn search(&mut self) -> bool {
-        if self.rest > 0 {
-            self.rest -= 1;
-            return false;
+    /// What a search works with.
+    fn tools(&self) -> Tools<'_> {
+        let Sheets { coarse, search, .. } = &self.sheets;
+        Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m }
+    }
+
+    /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
+    /// that explain this frame too.
+    fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
+        // Not `self.tools()`, which would borrow the search that it is for.
+        let Sheets { coarse, search, .. } = &self.sheets;
+        let tools = Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m };
+        if self.seek.is_none() && time_ns >= self.rest_until_ns {
+            self.seek = Seek::new(&tools, &self.change, &self.deviation);
         }
-        let found = self.search_now();
-        (self.rest, self.next_rest) =
-            if found { (0, REST[0]) } else { (self.next_rest, (2 * self.next_rest).min(REST[1])) };
+        let Some(seek) = &mut self.seek else { return false };
+        let found = match seek.advance(&tools, share_ns) {
+            Outcome::UnderWay => return false,
+            Outcome::Nothing => false,
+            Outcome::Found(fits, misfit) => {
+                (self.fits, self.misfit, self.standing) = (fits, misfit, None);
+                // What a hurried frame leaves to be done, the next ones do.
+                self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
+            }
+        };
+        self.seek = None;
+        if found {
+            (self.rest_until_ns, self.next_rest_ns) = (0, REST_NS[0]);
+        } else {
+            self.rest_until_ns = time_ns.saturating_add(self.next_rest_ns);
+            self.next_rest_ns = (2 * self.next_rest_ns).min(REST_NS[1]);
+        }
         found
-    }
-
-    fn search_now(&mut self) -> bool {
-        let (sheet, search) = &self.model;
-        let Ok(mut sets) = search.begin(sheet, &self.change, &self.deviation) else { return false };
-        let mut best: Option<(Vec<ContactPatch>, FitSummary)> = None;
-        for _ in 0..MOST_PATCHES {
-            let (sheet, search) = &self.model;
-            let Some(start) = search.next(sheet, &mut sets) else { break };
-            let Some((fits, summary)) = self.fit(&start, STEPS[1]) else { continue };
-            let worth = |before: f64| summary.cost < WORTH.1 * before && summary.cost < before - WORTH.0;
-            if self.is_plausible(&fits, &summary) && best.as_ref().is_none_or(|(_, before)| worth(before.cost)) {
-                best = Some((start, summary));
-                if summary.misfit < GOOD {
-                    break;
-                }
-            }
-        }
-        let Some((start, _)) = best else { return false };
-        let mut found: Option<(Vec<ContactFit>, FitSummary, Vec<f64>)> = None;
-        for share in RADII {
-            let scaled = |patch: &ContactPatch| ContactPatch { radius_m: share * patch.radius_m, ..*patch };
-            let start: Vec<ContactPatch> = start.iter().map(scaled).collect();
-            let Some((fits, summary)) = self.fit(&start, STEPS[2]) else { continue };
-            let better = found.as_ref().is_none_or(|(_, before, _)| summary.cost < before.cost);
-            if better && self.is_plausible(&fits, &summary) {
-                found = Some((fits, summary, self.left.clone()));
-            }
-        }
-        let Some((fits, summary, left)) = found else { return false };
-        (self.fits, self.misfit, self.left) = (fits, summary.misfit, left);
-        true
-    }
-
-    fn fit(&mut self, start: &[ContactPatch], most_steps: usize) -> Option<(Vec<ContactFit>, FitSummary)> {
-        let options = FitOptions { most_steps, ..self.options };
-        self.model.0.fit(&self.change, &self.deviation, start, &options, &mut self.left).ok()
     }
 
     fn strongest(&self) -> f64 {
         self.fits.iter().map(|fit| self.effect_m2(&fit.patch)).fold(f64::MIN_POSITIVE, f64::max)
-    }
-
-    /// Whether patches explain a frame, lie apart, and are no larger than a touch.
-    fn is_plausible(&self, fits: &[ContactFit], summary: &FitSummary) -> bool {
-        let near = |a: &ContactPatch, b: &ContactPatch| {
-            let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
-            distance < APART * (a.radius_m + b.radius_m)
-        };
-        let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
-        let large = fits.iter().any(|fit| fit.patch.radius_m > LARGEST * self.half_width_m);
-        !overlap && !large && summary.misfit <= EXPLAINED * summary.energy
     }
 
     /// What a patch does to a uniform current, as the square of the radius of a short circuit that does the same:
@@ -383,6 +487,17 @@ impl PatchStage {
             && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
             && self.grid.pixel_at(fit.patch.position_m).is_some_and(|pixel| self.inside[pixel])
     }
+}
+
+/// Whether patches explain a frame, lie apart, and are no larger than a touch.
+fn plausible(fits: &[ContactFit], summary: &FitSummary, half_width_m: f64) -> bool {
+    let near = |a: &ContactPatch, b: &ContactPatch| {
+        let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+        distance < APART * (a.radius_m + b.radius_m)
+    };
+    let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
+    let large = fits.iter().any(|fit| fit.patch.radius_m > LARGEST * half_width_m);
+    !overlap && !large && summary.misfit <= EXPLAINED * summary.energy
 }
 
 /// Modified Bessel functions I0 and I2, both over I0's leading growth where that is large: the ratio is what matters.

@@ -288,16 +288,18 @@ impl Pipeline {
         if !std::mem::take(&mut self.believed) {
             return Ok(());
         }
+        let (touches, contacts, patches) = ready.touches.parts();
         let input = DamageInput {
             time_ns,
             difference: &self.difference,
             scale: &ready.reference.scale,
             noise: &ready.reference.noise,
-            touches: ready.touches.touches(),
+            touches,
+            contacts,
             loaded: load == Load::Touched,
             classes: None,
         };
-        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline)?;
+        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, patches)?;
         self.baseline.hold_drift(verdict.suspicious);
         self.baseline.follow_rest(verdict.healing);
         if verdict.adopted {

@@ -145,14 +145,13 @@ impl TouchStage {
         self.patches = patches;
     }
 
-    pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
-        self.patches.as_mut()
+    /// Touches and contacts of the last image, and what fits them.
+    pub(crate) fn parts(&mut self) -> (&[Touch], &[Contact], Option<&mut PatchStage>) {
+        (self.tracker.touches(), &self.contacts, self.patches.as_mut())
     }
 
-    /// What the touches of the last frame do not explain (model volts), where touches are fitted as contacts with a layer
-    /// above: damage, for one.
-    pub fn unexplained(&self) -> Option<&[f64]> {
-        self.patches.as_ref().map(PatchStage::left)
+    pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
+        self.patches.as_mut()
     }
 
     /// Follows the touches of one image. `difference` is the frame that it was made of (model volts, missing channels filled
@@ -186,7 +185,7 @@ impl TouchStage {
         if placement.is_none() {
             if let Some(patches) = &mut self.patches {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
-                patches.refine(difference, f64::from(lowest), &mut self.contacts);
+                patches.refine(time_ns, difference, f64::from(lowest), &mut self.contacts);
             } else if let Some(spots) = &mut self.spots {
                 spots.refine(difference, &mut self.contacts);
             }

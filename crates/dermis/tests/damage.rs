@@ -23,15 +23,19 @@ struct Line {
 
 impl Line {
     fn new() -> Self {
+        let mut line = Self::without_baseline();
+        line.run(40);
+        line
+    }
+
+    fn without_baseline() -> Self {
         let skin = Skin::open("healing-square").unwrap();
         let prepared = Prepared::new(skin.clone()).unwrap();
         let layout = Layout::Channels { count: prepared.channels() };
         let frame_s = 1.0 / skin.backend.frames_per_s.unwrap();
         let twin = TwinKit::of(&skin).unwrap().twin;
         let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
-        let mut line = Self { twin, pipeline, ticks: 0, frame_s, events: Vec::new() };
-        line.run(40);
-        line
+        Self { twin, pipeline, ticks: 0, frame_s, events: Vec::new() }
     }
 
     /// Runs so many frames; the touches of the last.
@@ -162,6 +166,62 @@ fn a_tare_hides_no_damage_and_every_baseline_is_kept() {
     sound.pipeline.tare(false, "a test").unwrap();
     sound.run(60);
     assert_eq!(sound.pipeline.damage().intact, Some(1));
+}
+
+#[test]
+fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still_is() {
+    for place_mm in [MIDDLE_MM, [-20.0, -5.0]] {
+        let mut line = Line::without_baseline();
+        line.press(place_mm[0], place_mm[1]);
+        line.run(40);
+        line.release();
+        line.run(80);
+        let view = line.pipeline.damage();
+        println!("{place_mm:?}: {:?} {:?} {:?}", line.names(), view.damages, view.proposal);
+        assert!(line.events.is_empty() && view.damages.is_empty(), "{:?}", view.damages);
+        assert_eq!(view.proposal.map(|proposal| proposal.reason), Some(ProposalReason::Touched));
+        assert_eq!(line.pipeline.baseline_records().len(), 1, "nothing is taken without being told");
+        if place_mm == MIDDLE_MM {
+            line.pipeline.tare(false, "proposed").unwrap();
+            line.run(40);
+            assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
+        }
+        // With the proposal taken or not, damage is found: with it, where it is.
+        let half = [8.0, 6.0];
+        line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
+        line.run(80);
+        assert_eq!(line.names(), ["begin"], "{place_mm:?}: {:?}", line.damages());
+        let [x, y] = line.damages()[0].shape.centre_m;
+        let off_mm = (1e3 * x - place_mm[0]).hypot(1e3 * y - place_mm[1]);
+        println!("off {off_mm:.2} mm: {:?}", line.damages()[0].shape);
+        assert!(off_mm < 3.0, "{off_mm} mm off: {:?}", line.damages()[0].shape);
+    }
+}
+
+#[test]
+fn warmth_of_a_small_pad_hides_no_healing() {
+    let mut line = Line::new();
+    line.cut(FROM_MM, TO_MM);
+    line.run(60);
+    line.frame_s = 0.2;
+    line.run(10);
+    let centre_m = MIDDLE_MM.map(|mm| 1e-3 * mm);
+    line.treat(Treatment::TimeLapse(720.0));
+    line.treat(Treatment::Heat(Heating::published(centre_m, 0.015)));
+    for _ in 0..10 {
+        let touches = line.run(25);
+        let view = line.pipeline.damage();
+        println!(
+            "{:?} {:?} {:?} {:?}",
+            line.names(),
+            view.damages.first().map(|d| (d.state, d.share)),
+            view.healing,
+            touches
+        );
+    }
+    let state = line.pipeline.damage().healing[0];
+    assert!(state.joined > 0.9, "the heat is off for 40 s: {state:?}");
+    line.pipeline.tare(false, "a test").unwrap();
 }
 
 #[test]

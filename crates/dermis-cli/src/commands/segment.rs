@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use dermis::learning::CLASSES;
-use dermis::learning::segment::{Method, SegmentRequest, Segmented, segment};
+use dermis::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
 
@@ -17,8 +17,9 @@ Examples:
   dermis segment --skin healing-square --reference rest.csv --frames press.csv --out labels.npy --size 64
 
 labels.npy is rows x columns (frames x rows x columns for several frames), u8, row 0 at the top: 0 background, 1 conductivity
-lowered (damaged, resistive), 2 raised (compressed, conductive). With --model a network labels the frames; a frame unlike
-those that it was trained on (novelty score above 1) is labelled by thresholds on its image, as all are without a model.
+lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model labels the frames, or the one that
+ships with the skin; a frame unlike those that it was trained on (novelty score above 1.5) is labelled by thresholds on its
+image, as all are where there is no network.
 Missing channels are empty cells or NaN.";
 
 /// Arguments of `dermis segment`.
@@ -30,9 +31,12 @@ pub struct Arguments {
     /// Frames of the untouched skin.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     reference: FileSpec,
-    /// A model card made by `dermis train`; thresholds alone where left out.
+    /// A model card made by `dermis train`; the network that ships with the skin, if any, where left out.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
+    /// Thresholds alone, no network.
+    #[arg(long, conflicts_with_all = ["model", "probabilities"])]
+    no_model: bool,
     /// Pixels along the longer side of the labels.
     #[arg(long, value_name = "PIXELS", default_value_t = 256)]
     size: usize,
@@ -40,7 +44,7 @@ pub struct Arguments {
     #[arg(long, value_name = "LABELS.npy")]
     out: Option<PathBuf>,
     /// Where the probabilities go: frames x classes x rows x columns, f32; NaN for frames labelled by thresholds.
-    #[arg(long, value_name = "FILE.npy", requires = "model")]
+    #[arg(long, value_name = "FILE.npy")]
     probabilities: Option<PathBuf>,
 }
 
@@ -55,7 +59,11 @@ impl Arguments {
             reference: self.reference,
             frames: self.recorded.frames,
             format: self.recorded.format,
-            model: self.model,
+            network: match self.model {
+                Some(path) => NetworkChoice::File(path),
+                None if self.no_model => NetworkChoice::None,
+                None => NetworkChoice::Shipped,
+            },
             size: self.size,
             labels: self.out,
             probabilities: self.probabilities,

@@ -99,9 +99,9 @@ pub struct BaselineRow {
 /// A baseline that would do the skin good.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ProposalView {
-    /// `offset` or `healed`.
+    /// `offset`, `healed` or `touched`.
     pub reason: &'static str,
-    /// Seconds for which the skin has rested.
+    /// Seconds for which the skin has rested, or for which the reason has been known.
     pub for_s: f64,
     /// How far the readings are from the baseline, standard deviations of the channels.
     pub offset_sigma: f64,

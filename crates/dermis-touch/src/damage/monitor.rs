@@ -200,6 +200,16 @@ impl DamageMonitor {
         self.publish();
     }
 
+    /// What is suspected is no damage: it is forgotten, and the mean begins anew.
+    pub fn dismiss(&mut self) {
+        let suspected = |record: &Record| record.damage.state == DamageState::Suspected;
+        let bits = self.records.iter().filter(|record| suspected(record)).fold(0, |all, record| all | record.bit);
+        self.masks.iter_mut().for_each(|mask| *mask &= !bits);
+        self.records.retain(|record| !suspected(record));
+        self.restart();
+        self.publish();
+    }
+
     /// The image is made otherwise from now on (another operator): the mean begins anew.
     pub fn restart(&mut self) {
         self.free_since_ns = None;

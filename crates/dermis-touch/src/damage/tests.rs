@@ -194,6 +194,20 @@ fn two_cuts_are_two_records_and_a_passing_dip_is_none() {
 }
 
 #[test]
+fn a_suspicion_that_is_dismissed_leaves_nothing_and_may_come_again() {
+    let mut bench = Bench::new();
+    bench.run(30, &cut(), &[]);
+    assert!(bench.monitor.is_suspicious());
+    bench.monitor.dismiss();
+    assert!(bench.monitor.damages().is_empty() && bench.monitor.is_intact());
+    bench.run(80, &flat(), &[]);
+    assert!(bench.events.is_empty());
+    bench.run(80, &cut(), &[]);
+    bench.monitor.dismiss();
+    assert_eq!((bench.names(), bench.monitor.damages().len()), (vec!["begin"], 1), "what is believed stays");
+}
+
+#[test]
 fn classes_decide_where_a_network_gives_them() {
     let damaged: Vec<f32> = cut().iter().map(|v| if *v < -0.05 { 0.9 } else { 0.02 }).collect();
     let none = vec![0.1; GRID * GRID];

@@ -4,12 +4,14 @@
 use dermis_touch::damage::{
     ClassProbabilities, Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageState,
 };
-use dermis_touch::{Baseline, ImageGeometry, PixelNoise, ReferenceOrigin, Touch};
+use dermis_touch::{Baseline, Contact, ImageGeometry, PixelNoise, ReferenceOrigin, Touch};
 
 use super::healing::HealingMonitor;
+use super::released::is_release;
 use super::{Crack, CrackModel, CrackScratch, DamageView, Proposal, ProposalReason, estimate_cut, shape_of};
 use crate::Error;
 use crate::imager::Imager;
+use crate::patches::PatchStage;
 use crate::prepare::Prepared;
 
 /// A fit that explains less of the data's energy is not believed: what is damaged is no cut.
@@ -29,12 +31,15 @@ const MEAN_S: f64 = 0.4;
 const FEWEST_IN_MEAN: f64 = 12.0;
 /// Healing is estimated so often, seconds.
 const HEALING_S: f64 = 0.5;
+/// A suspicion is looked at so often, seconds, in the mean of at least so many frames: is it a touch that has gone?
+const RELEASE_S: f64 = 0.6;
+const FEWEST_FOR_RELEASE: usize = 3;
 /// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a touch
 /// but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
 const WARM_TRAVEL_M: f64 = 3e-3;
-/// And lies within so much of it, metres.
+/// And lies within so much of it, metres. So is what lies there for so long and begins no touch at all.
 const WARM_REACH_M: f64 = 20e-3;
 
 /// What one frame has shown.
@@ -57,6 +62,8 @@ pub(crate) struct DamageInput<'a> {
     /// Standard deviations of the channels, model volts.
     pub noise: &'a [f64],
     pub touches: &'a [Touch],
+    /// What touches are made of, and what is not enough to begin one.
+    pub contacts: &'a [Contact],
     pub loaded: bool,
     pub classes: Option<ClassProbabilities<'a>>,
 }
@@ -108,6 +115,10 @@ pub(crate) struct DamageStage {
     noise: Vec<f32>,
     readings: Readings,
     suspicious: bool,
+    /// When a suspicion began, or was last looked at.
+    looked_ns: u64,
+    /// Since when it is known that the baseline was taken under a touch; the intact reference is then what was read after it.
+    released_ns: Option<u64>,
     /// What cuts do, where the skin is a sheet that is read by electrodes.
     cracks: Option<CrackModel>,
     scratch: CrackScratch,
@@ -159,6 +170,8 @@ impl DamageStage {
             image: vec![f32::NAN; grid.len()],
             noise: Vec::new(),
             suspicious: false,
+            looked_ns: 0,
+            released_ns: None,
             cracks: prepared.has_cracks().then(|| CrackModel::new(prepared)).transpose()?,
             scratch: CrackScratch::default(),
             fitted: Vec::new(),
@@ -191,7 +204,7 @@ impl DamageStage {
             self.healing.retain(stands);
         }
         self.ready = true;
-        (self.rest_since_ns, self.proposal) = (None, None);
+        (self.rest_since_ns, self.proposal, self.released_ns) = (None, None, None);
     }
 
     /// Another operator or other noise is in use.
@@ -206,7 +219,7 @@ impl DamageStage {
         LOBE_SHARE * -f64::from(lowest)
     }
 
-    /// Judges one frame.
+    /// Judges one frame. `patches` are what touches are fitted by, where they are.
     ///
     /// # Errors
     /// Data that cannot be imaged.
@@ -216,6 +229,7 @@ impl DamageStage {
         prepared: &Prepared,
         imager: &mut Imager,
         baseline: &mut Baseline,
+        patches: Option<&mut PatchStage>,
     ) -> Result<DamageVerdict, Error> {
         let drift = baseline.drift_factor() / self.intact_drift;
         for (channel, value) in self.difference.iter_mut().enumerate() {
@@ -236,6 +250,7 @@ impl DamageStage {
         if input.loaded || (self.suspicious && !began) {
             // What was before has no part in the mean of what is now.
             self.readings.frames = 0;
+            self.looked_ns = input.time_ns;
         }
         let news = |event: &DamageEvent| match event {
             DamageEvent::Begin(damage) => Some(*damage),
@@ -253,6 +268,7 @@ impl DamageStage {
         } else {
             self.readings.take(input.time_ns, baseline.raw());
         }
+        self.look_for_release(input, prepared, baseline, patches);
         let adopted = self.adopt(input, baseline)? || self.adopt_warmth(input, baseline)?;
         self.follow_healing(input, prepared, drift);
         if !input.loaded && !adopted {
@@ -319,18 +335,50 @@ impl DamageStage {
         }
     }
 
+    /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from what is
+    /// read now, and a new baseline is proposed, which alone mends the image of touches.
+    fn look_for_release(
+        &mut self,
+        input: &DamageInput<'_>,
+        prepared: &Prepared,
+        baseline: &Baseline,
+        patches: Option<&mut PatchStage>,
+    ) {
+        let due = input.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 >= RELEASE_S;
+        let alone = !self.monitor.damages().iter().any(Damage::is_open);
+        let seen = alone && self.readings.frames >= FEWEST_FOR_RELEASE && self.monitor.is_suspicious();
+        let Some(patches) = patches.filter(|_| due && seen && !input.loaded) else { return };
+        self.looked_ns = input.time_ns;
+        let drift = baseline.drift_factor() / self.intact_drift;
+        let change = self.mean_difference(&self.readings.mean, input, drift);
+        if is_release(&change, &self.intact, input, prepared, patches) {
+            self.intact.copy_from_slice(&self.readings.mean);
+            self.intact_drift = baseline.drift_factor();
+            self.released_ns = Some(input.time_ns);
+            self.monitor.dismiss();
+        }
+    }
+
     /// Takes into the baseline what rests on a damage for so long and so low that it is warmth and no touch.
     fn adopt_warmth(&mut self, input: &DamageInput<'_>, baseline: &mut Baseline) -> Result<bool, Error> {
-        let on_damage = |touch: &Touch| {
-            let near = |damage: &Damage| damage.is_open() && damage.shape.distance_m(touch.position_m) <= WARM_REACH_M;
-            touch.amplitude <= WARM_HEIGHT && self.monitor.damages().iter().any(near)
+        let near = |at_m: [f64; 2]| {
+            let reached = |damage: &Damage| damage.is_open() && damage.shape.distance_m(at_m) <= WARM_REACH_M;
+            self.monitor.damages().iter().any(reached)
         };
-        let first = input.touches.first().filter(|_| input.touches.iter().all(on_damage));
-        let Some(touch) = first else {
+        let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
+        let here = match (input.touches, input.contacts) {
+            // Something was there a moment ago: the next frames will tell.
+            ([], []) if input.loaded => return Ok(false),
+            ([], contacts) if contacts.iter().all(|contact| near(contact.centroid_m)) => {
+                contacts.first().map(|contact| contact.centroid_m)
+            }
+            (touches, _) if touches.iter().all(low) => touches.first().map(|touch| touch.position_m),
+            _ => None,
+        };
+        let Some(here) = here else {
             self.warm = None;
             return Ok(false);
         };
-        let here = touch.position_m;
         let stays = |warm: &Warm| (warm.at_m[0] - here[0]).hypot(warm.at_m[1] - here[1]) <= WARM_TRAVEL_M;
         if !self.warm.as_ref().is_some_and(stays) {
             self.warm = Some(Warm { at_m: here, since_ns: input.time_ns, readings: Readings::default() });
@@ -356,17 +404,13 @@ impl DamageStage {
 
     /// Watches the rest that a proposal wants.
     fn propose(&mut self, time_ns: u64, baseline: &Baseline) {
+        if let Some(since_ns) = self.released_ns {
+            let offset_sigma = deviation(&self.readings.mean, baseline.baseline(), baseline.noise_std());
+            self.proposal = Some(Proposal { reason: ProposalReason::Touched, since_ns, offset_sigma });
+            return;
+        }
         let quiet = self.readings.frames >= 16 && !self.monitor.is_suspicious() && self.monitor.events().is_empty();
-        let moved = |from: &[f64]| {
-            let (mut sum, mut noise) = (0.0, 0.0);
-            let channels = self.readings.mean.iter().zip(from).zip(baseline.noise_std());
-            for ((mean, from), sigma) in channels.filter(|((m, f), s)| m.is_finite() && f.is_finite() && s.is_finite())
-            {
-                sum += (mean - from).powi(2);
-                noise += sigma * sigma;
-            }
-            if noise > 0.0 { (sum / noise).sqrt() } else { 0.0 }
-        };
+        let moved = |from: &[f64]| deviation(&self.readings.mean, from, baseline.noise_std());
         let resting = self.rest_since_ns.filter(|_| quiet && moved(&self.rest) < RESTING);
         let Some(since_ns) = resting else {
             self.proposal = None;
@@ -399,4 +443,16 @@ impl DamageStage {
             drift: baseline.drift_factor() - 1.0,
         }
     }
+}
+
+/// Root mean square over the channels of how far means are from other readings, in standard deviations.
+fn deviation(means: &[f64], from: &[f64], noise_std: &[f64]) -> f64 {
+    let (mut sum, mut noise) = (0.0, 0.0);
+    for ((mean, from), sigma) in means.iter().zip(from).zip(noise_std) {
+        if (mean + from + sigma).is_finite() {
+            sum += (mean - from).powi(2);
+            noise += sigma * sigma;
+        }
+    }
+    if noise > 0.0 { (sum / noise).sqrt() } else { 0.0 }
 }

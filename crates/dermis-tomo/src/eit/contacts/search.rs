@@ -2,26 +2,30 @@
 //! extend the best of those, each judged by a model of ports. A port is a patch of typical radius and conductance whose
 //! current keeps its shape; ports are joined by the layer above, as patches are.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
 use crate::eit::protocol::Measurement;
 
 /// Sets that are extended by one more port.
 const EXTENDED: usize = 12;
+/// Ports of the largest set.
+const MOST: usize = 4;
+/// Channels that are worked on side by side.
+const LANES: usize = 16;
 
 /// The ports of a sheet.
 #[derive(Debug)]
 pub struct PatchSearch {
     patches: Vec<ContactPatch>,
-    /// Ports x patterns: potential of the bare sheet at a port.
-    fields: Vec<Vec<f64>>,
     /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
     resistance: Vec<Vec<f64>>,
     /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
     /// pattern.
-    alone_v: Vec<Vec<f64>>,
-    driven: Vec<Vec<f64>>,
-    measured: Vec<Vec<f64>>,
+    alone_v: Vec<Vec<[f32; LANES]>>,
+    driven: Vec<Vec<[f32; LANES]>>,
+    measured: Vec<Vec<[f32; LANES]>>,
     /// Ports closer than this are not taken together, metres.
     apart_m: f64,
 }
@@ -29,20 +33,59 @@ pub struct PatchSearch {
 /// A set of ports and how much of the data it leaves.
 #[derive(Clone, Debug)]
 struct Candidate {
-    ports: Vec<usize>,
+    ports: Ports,
     left: f64,
 }
 
-/// The sets of one frame, larger by a patch each time: [`PatchSearch::next`] looks for them one size after the other, since
+/// One to [`MOST`] ports.
+#[derive(Clone, Copy, Debug)]
+struct Ports {
+    ports: [usize; MOST],
+    count: usize,
+}
+
+impl Ports {
+    fn one(port: usize) -> Self {
+        Self { ports: [port; MOST], count: 1 }
+    }
+
+    fn list(&self) -> &[usize] {
+        &self.ports[..self.count]
+    }
+
+    fn and(mut self, port: usize) -> Self {
+        self.ports[self.count] = port;
+        self.count += 1;
+        self
+    }
+}
+
+/// The sets of one frame, larger by a patch each time: [`PatchSearch::look`] looks for them one size after the other, since
 /// larger sets take longer and are seldom needed.
 #[derive(Clone, Debug)]
 pub struct PatchSets {
     /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
-    scaled: Vec<f64>,
-    weight: Vec<f64>,
+    scaled: Vec<[f32; LANES]>,
+    weight: Vec<[f32; LANES]>,
+    /// Sum of the squares of the former.
+    energy: f64,
     /// Those of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
+    /// Those of the next size, and the first of them with what they leave.
+    grown: Vec<Ports>,
+    judged: Vec<Candidate>,
+}
+
+/// What a look came to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Looked {
+    /// There are more sets of this size to judge.
+    NotDone,
+    /// The best set of this size.
+    Best(Vec<ContactPatch>),
+    /// No larger set finds room, or there are four patches.
+    NoRoom,
 }
 
 impl PatchSearch {
@@ -65,7 +108,7 @@ impl PatchSearch {
                     .map(|t| shape.iter().map(|(n, share)| share * sheet.fields[(t, *n)]).sum())
                     .collect(),
             );
-            alone_v.push(sheet.change_of(&touched));
+            alone_v.push(in_lanes(sheet.change_of(&touched)));
             own.push(1.0 / total);
             shapes.push(shape);
         }
@@ -81,13 +124,13 @@ impl PatchSearch {
                 (resistance[a][b], resistance[b][a]) = (mutual, mutual);
             }
         }
-        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<f64>> {
-            let of_port = |fields: &Vec<f64>| sheet.measurements.iter().map(|m| fields[pattern(m)]).collect();
+        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<[f32; LANES]>> {
+            let of_port = |fields: &Vec<f64>| in_lanes(sheet.measurements.iter().map(|m| fields[pattern(m)]));
             fields.iter().map(of_port).collect()
         };
         let driven = of_channels(&|m| m.stimulation as usize);
         let measured = of_channels(&|m| sheet.stimulations + m.pattern as usize);
-        Ok(Self { patches, fields, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
+        Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
     /// Begins the search in changes of the channels (volts, not finite where missing) with these standard deviations.
@@ -101,36 +144,55 @@ impl PatchSearch {
             channels.map(|(change, sigma)| if change.is_finite() { value(*change, *sigma) } else { 0.0 }).collect()
         };
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
-        Ok(PatchSets { scaled, weight, best: Vec::new(), size: 0 })
+        let energy = scaled.iter().map(|v| v * v).sum();
+        let (scaled, weight) = (in_lanes(scaled), in_lanes(weight));
+        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0, grown: Vec::new(), judged: Vec::new() })
     }
 
-    /// The best set of one patch, at the next call of two, and so on: starts for [`ContactSheet::fit`]. `None` where no more
-    /// patches find room.
-    pub fn next(&self, sheet: &ContactSheet, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
-        let count = self.patches.len();
-        let grown: Vec<Vec<usize>> = match sets.size {
-            0 => (0..count).map(|port| vec![port]).collect(),
-            size => {
-                // All pairs are looked at, since one port between two touches explains much and leads nowhere.
-                let extended = if size == 1 { count } else { EXTENDED.min(sets.best.len()) };
-                let grown = |candidate: &Candidate| {
-                    let ports = candidate.ports.clone();
-                    let first = if size == 1 { ports[0] + 1 } else { 0 };
-                    let room = |port: &usize| ports.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
-                    let free: Vec<usize> = (first..count).filter(room).collect();
-                    free.into_iter().map(move |port| ports.iter().copied().chain([port]).collect())
-                };
-                sets.best.iter().take(extended).flat_map(grown).collect()
+    /// Looks for the best set of one patch; after it is found, for that of two, and so on to four: starts for
+    /// [`ContactSheet::fit`]. Judges at most so many sets in a call.
+    pub fn look(&self, sets: &mut PatchSets, most: usize) -> Looked {
+        if sets.grown.is_empty() {
+            self.grow(sets);
+            if sets.grown.is_empty() {
+                return Looked::NoRoom;
             }
-        };
-        let judge = |ports: Vec<usize>| {
-            let left = self.left(sheet, &ports, &sets.scaled, &sets.weight);
-            Candidate { ports, left }
-        };
-        sets.best = grown.into_iter().map(judge).collect();
+        }
+        let from = sets.judged.len();
+        let to = sets.grown.len().min(from + most.max(1));
+        let judged = Arch::new().dispatch(Judge { search: self, sets, grown: &sets.grown[from..to] });
+        sets.judged.extend(judged);
+        if to < sets.grown.len() {
+            return Looked::NotDone;
+        }
+        sets.grown.clear();
+        std::mem::swap(&mut sets.best, &mut sets.judged);
+        sets.judged.clear();
         sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
         sets.size += 1;
-        Some(sets.best.first()?.ports.iter().map(|&port| self.patches[port]).collect())
+        match sets.best.first() {
+            Some(best) => Looked::Best(best.ports.list().iter().map(|&port| self.patches[port]).collect()),
+            None => Looked::NoRoom,
+        }
+    }
+
+    /// The sets that are larger by a patch.
+    fn grow(&self, sets: &mut PatchSets) {
+        let count = self.patches.len();
+        match sets.size {
+            0 => sets.grown.extend((0..count).map(Ports::one)),
+            MOST.. => {}
+            size => {
+                // All pairs are looked at, since one port between two touches explains much and leads nowhere.
+                let extended = if size == 1 { count } else { EXTENDED };
+                for candidate in sets.best.iter().take(extended) {
+                    let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
+                    let list = candidate.ports.list();
+                    let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
+                    sets.grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
+                }
+            }
+        }
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -138,77 +200,116 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Whitened energy that a set leaves, at the scale that suits it best.
-    fn left(&self, sheet: &ContactSheet, ports: &[usize], scaled: &[f64], weight: &[f64]) -> f64 {
-        match *ports {
-            [a] => left_by(self.alone_v[a].iter().copied(), scaled, weight),
-            // What current flows between two is one unknown.
-            [a, b] => {
-                let loops = self.resistance[a][a] + self.resistance[b][b] - 2.0 * self.resistance[a][b];
-                let alone = self.alone_v[a].iter().zip(&self.alone_v[b]);
-                let driven = self.driven[a].iter().zip(&self.driven[b]);
-                let measured = self.measured[a].iter().zip(&self.measured[b]);
-                let value = |((alone, driven), measured): (((&f64, &f64), (&f64, &f64)), (&f64, &f64))| {
-                    alone.0 + alone.1 - (driven.0 - driven.1) * (measured.0 - measured.1) / loops
-                };
-                left_by(alone.zip(driven).zip(measured).map(value), scaled, weight)
-            }
-            _ => {
-                let exchange = self.exchange(ports, sheet.stimulations);
-                let value = |(channel, measurement): (usize, &Measurement)| {
-                    let of_port = |(row, &port): (usize, &usize)| {
-                        let current = exchange[row][measurement.stimulation as usize];
-                        self.alone_v[port][channel] - self.measured[port][channel] * current
-                    };
-                    ports.iter().enumerate().map(of_port).sum()
-                };
-                left_by(sheet.measurements.iter().enumerate().map(value), scaled, weight)
+    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are unknowns,
+    /// since all add up to nothing: with differences `d` of fields from the last port's and `D_jk = R_jk - R_jn - R_nk + R_nn`,
+    /// a channel changes by the sum of what ports do by themselves less `d_m' D^-1 d_s`.
+    #[inline(always)]
+    fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
+        let (ports, unknowns) = (ports.list(), ports.count - 1);
+        let last = ports[unknowns];
+        let mut loops = [[0.0; MOST - 1]; MOST - 1];
+        for j in 0..unknowns {
+            for k in 0..unknowns {
+                let r = |a: usize, b: usize| self.resistance[a][b];
+                loops[j][k] = r(ports[j], ports[k]) - r(ports[j], last) - r(last, ports[k]) + r(last, last);
             }
         }
-    }
-
-    /// Ports x stimulations: currents of the ports into the layer, by Gauss and Jordan on the few unknowns (the ports' currents
-    /// and the layer's potential).
-    fn exchange(&self, ports: &[usize], stimulations: usize) -> Vec<Vec<f64>> {
-        let count = ports.len();
-        let mut rows: Vec<Vec<f64>> = Vec::with_capacity(count + 1);
-        for &a in ports {
-            let mut row: Vec<f64> = ports.iter().map(|&b| self.resistance[a][b]).collect();
-            row.push(1.0);
-            row.extend(&self.fields[a][..stimulations]);
-            rows.push(row);
-        }
-        let mut closing = vec![1.0; count];
-        closing.resize(count + 1 + stimulations, 0.0);
-        rows.push(closing);
-        for pivot in 0..=count {
-            // Resistances are positive definite, and the last pivot is then negative: no exchange of rows is needed.
-            let inverse = 1.0 / rows[pivot][pivot];
-            rows[pivot].iter_mut().for_each(|value| *value *= inverse);
-            let lead = rows[pivot].clone();
-            for (index, row) in rows.iter_mut().enumerate() {
-                let factor = row[pivot];
-                if index != pivot && factor != 0.0 {
-                    row.iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+        invert(&mut loops, unknowns);
+        let loops = loops.map(|row| row.map(|value| value as f32));
+        let mut sums = Sums::default();
+        for (lane, (scaled, weight)) in sets.scaled.iter().zip(&sets.weight).enumerate() {
+            let mut values = self.alone_v[last][lane];
+            for &port in &ports[..unknowns] {
+                let alone = &self.alone_v[port][lane];
+                for k in 0..LANES {
+                    values[k] += alone[k];
                 }
             }
+            for (j, loops) in loops.iter().enumerate().take(unknowns) {
+                let (mut driven, from) = ([0.0_f32; LANES], &self.driven[last][lane]);
+                for (&port, by) in ports.iter().zip(loops).take(unknowns) {
+                    let own = &self.driven[port][lane];
+                    for k in 0..LANES {
+                        driven[k] += by * (own[k] - from[k]);
+                    }
+                }
+                let (own, from) = (&self.measured[ports[j]][lane], &self.measured[last][lane]);
+                for k in 0..LANES {
+                    values[k] -= (own[k] - from[k]) * driven[k];
+                }
+            }
+            for k in 0..LANES {
+                let value = values[k] * weight[k];
+                sums.along[k] += value * scaled[k];
+                sums.square[k] += value * value;
+            }
         }
-        rows.truncate(count);
-        rows.iter_mut().for_each(|row| {
-            row.drain(..=count);
-        });
-        rows
+        sums.left(sets.energy)
     }
 }
 
-/// Whitened energy that values of the channels (volts) leave of the data, at the scale that suits them best.
-fn left_by(values: impl Iterator<Item = f64>, scaled: &[f64], weight: &[f64]) -> f64 {
-    let (mut along, mut square, mut energy) = (0.0, 0.0, 0.0);
-    for (value, (data, weight)) in values.zip(scaled.iter().zip(weight)) {
-        let value = value * weight;
-        along += value * data;
-        square += value * value;
-        energy += data * data;
+/// The sets judged, in one loop, so that all of it is compiled for the vector instructions that the machine has.
+struct Judge<'a> {
+    search: &'a PatchSearch,
+    sets: &'a PatchSets,
+    grown: &'a [Ports],
+}
+
+impl NullaryFnOnce for Judge<'_> {
+    type Output = Vec<Candidate>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let mut judged = Vec::with_capacity(self.grown.len());
+        for &ports in self.grown {
+            judged.push(Candidate { ports, left: self.search.left(&ports, self.sets) });
+        }
+        judged
     }
-    if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
+}
+
+/// Sums over the channels, a lane at a time: what values (volts) have in common with the data, and their own square.
+#[derive(Default)]
+struct Sums {
+    along: [f32; LANES],
+    square: [f32; LANES],
+}
+
+impl Sums {
+    /// What the values leave of the data's energy, at the scale that suits them best.
+    fn left(&self, energy: f64) -> f64 {
+        let sum = |lanes: &[f32; LANES]| lanes.iter().copied().map(f64::from).sum::<f64>();
+        let (along, square) = (sum(&self.along), sum(&self.square));
+        if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
+    }
+}
+
+/// Values of the channels in lanes, the last one filled up with zeros.
+fn in_lanes(values: impl IntoIterator<Item = f64>) -> Vec<[f32; LANES]> {
+    let mut lanes = Vec::new();
+    for (k, value) in values.into_iter().enumerate() {
+        if k % LANES == 0 {
+            lanes.push([0.0; LANES]);
+        }
+        if let Some(lane) = lanes.last_mut() {
+            lane[k % LANES] = value as f32;
+        }
+    }
+    lanes
+}
+
+/// Inverts the leading block of this size in place, by Gauss and Jordan; it is positive definite.
+fn invert(matrix: &mut [[f64; MOST - 1]; MOST - 1], size: usize) {
+    for pivot in 0..size {
+        let inverse = 1.0 / matrix[pivot][pivot];
+        matrix[pivot][pivot] = 1.0;
+        matrix[pivot][..size].iter_mut().for_each(|value| *value *= inverse);
+        let lead = matrix[pivot];
+        for (row, values) in matrix.iter_mut().enumerate().take(size) {
+            if row != pivot {
+                let factor = std::mem::replace(&mut values[pivot], 0.0);
+                values[..size].iter_mut().zip(&lead).for_each(|(value, lead)| *value -= factor * lead);
+            }
+        }
+    }
 }
