@@ -1,7 +1,7 @@
 //! The figures of the book's chapter on channel health, measured on the twins: false alarms, frames until a fault is
 //! recognised, time to go on without what is lost, places of touches with electrodes lost, and the bounds of these.
 //!
-//! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms [twins]] [frames]`
+//! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
 use std::time::Instant;
 
@@ -87,6 +87,9 @@ fn false_alarms(name: &str, frames: u64) -> Outcome<(u64, u64)> {
         line.step()?;
         alarms += u64::from(!line.health().is_sound());
         pressed += u64::from(line.twin.scene().indenters().next().is_some());
+        if line.ticks.is_multiple_of(1000) {
+            eprintln!("  {name}: {} frames, {alarms} with a false alarm", line.ticks);
+        }
         if !line.health().is_sound() && alarms == 1 {
             println!("  {name}: frame {}: {:?}", line.ticks, line.health());
         }
@@ -325,9 +328,13 @@ fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let asked = |part: &str| arguments.is_empty() || arguments.iter().any(|argument| argument == part);
     let frames = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(10_000);
+    let named: Vec<&str> = TWIN_NAMES.into_iter().filter(|name| arguments.iter().any(|a| a == name)).collect();
     if asked("places") {
-        localisation("ionic-disc", Skin::open("ionic-disc")?, 0.01, &[0.255, 0.57])?;
-        localisation("healing-square", Skin::open("healing-square")?, 0.01, &[8.0, 25.0])?;
+        for (name, forces_n) in [("ionic-disc", [0.255, 0.57]), ("healing-square", [8.0, 25.0])] {
+            if named.is_empty() || named.contains(&name) {
+                localisation(name, Skin::open(name)?, 0.01, &forces_n)?;
+            }
+        }
     }
     if asked("bounds") {
         for skip in 1..=6 {
@@ -340,7 +347,6 @@ fn main() -> Outcome<()> {
         onsets("healing-square", &[[1, 8], [5, 12]])?;
     }
     if asked("alarms") {
-        let named: Vec<&str> = TWIN_NAMES.into_iter().filter(|name| arguments.iter().any(|a| a == name)).collect();
         for name in if named.is_empty() { TWIN_NAMES.to_vec() } else { named } {
             let (alarms, pressed) = false_alarms(name, frames)?;
             println!("{name}: {alarms} of {frames} frames with a false alarm, {pressed} of all pressed");
