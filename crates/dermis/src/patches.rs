@@ -390,16 +390,18 @@ impl PatchStage {
         self.explained.extend(self.change.iter().zip(&self.left).map(|(change, left)| change - left));
     }
 
-    /// The change of the channels, and their variances, for the frame in `left`.
+    /// The change of the channels, and their deviations, for the frame in `left`.
     fn weigh(&mut self) {
-        let difference = &self.left;
+        (self.change, self.deviation) = self.weighed(&self.left);
+    }
+
+    fn weighed(&self, difference: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
-        self.deviation.clear();
-        self.deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
+        let deviation = self.noise.iter().zip(difference).map(|(noise, change)| {
             (noise * noise + (SHARE * change).powi(2) + FLOOR * FLOOR * square).sqrt().max(f64::MIN_POSITIVE)
-        }));
-        self.change.clear();
-        self.change.extend(difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v }));
+        });
+        let change = difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v });
+        (change.collect(), deviation.collect())
     }
 
     /// Goes on from the patches of the frame before; false where these do not explain this one.

@@ -289,18 +289,17 @@ impl Pipeline {
         if !std::mem::take(&mut self.believed) {
             return Ok(());
         }
-        let (touches, contacts, patches) = ready.touches.parts();
         let input = DamageInput {
             time_ns,
             difference: &self.difference,
             scale: &ready.reference.scale,
             noise: &ready.reference.noise,
-            touches,
-            contacts,
+            touches: ready.touches.touches(),
+            contacts: ready.touches.contacts(),
             loaded: load == Load::Touched,
             classes: None,
         };
-        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, patches)?;
+        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, ready.touches.patches())?;
         self.baseline.hold_drift(verdict.suspicious);
         self.baseline.follow_rest(verdict.healing);
         if verdict.adopted {

@@ -128,9 +128,8 @@ impl TouchStage {
         self.patches = patches;
     }
 
-    /// Touches and contacts of the last image, and what fits them.
-    pub(crate) fn parts(&mut self) -> (&[Touch], &[Contact], Option<&mut PatchStage>) {
-        (self.tracker.touches(), &self.contacts, self.patches.as_mut())
+    pub(crate) fn patches(&self) -> Option<&PatchStage> {
+        self.patches.as_ref()
     }
 
     pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
