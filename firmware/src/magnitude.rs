@@ -97,15 +97,8 @@ pub struct Magnitude<G, T, R, I, P, Q, D> {
     measuring: Option<[u8; 4]>,
 }
 
-impl<G, T, R, I, P, Q, D> Magnitude<G, T, R, I, P, Q, D>
-where
-    G: SpiDevice,
-    T: SpiDevice,
-    R: SpiDevice,
-    I: I2c,
-    P: OutputPin,
-    Q: OutputPin,
-    D: DelayNs,
+impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPin, D: DelayNs>
+    Magnitude<G, T, R, I, P, Q, D>
 {
     /// A board at 20 kHz and gain 1 of both amplifiers.
     ///
@@ -176,15 +169,8 @@ where
     }
 }
 
-impl<G, T, R, I, P, Q, D> Board for Magnitude<G, T, R, I, P, Q, D>
-where
-    G: SpiDevice,
-    T: SpiDevice,
-    R: SpiDevice,
-    I: I2c,
-    P: OutputPin,
-    Q: OutputPin,
-    D: DelayNs,
+impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPin, D: DelayNs> Board
+    for Magnitude<G, T, R, I, P, Q, D>
 {
     fn facts(&self) -> Facts {
         Facts {

@@ -1,7 +1,7 @@
 //! Speed of the sandwich's contact model: patches followed from frame to frame, and looked for anew.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, FitOptions, PatchSearch};
+use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, FitOptions, Looked, PatchSearch};
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, SheetSpec};
 
@@ -60,11 +60,14 @@ fn contacts(c: &mut Criterion) {
         group.bench_function(format!("best set of {count}"), |b| {
             b.iter(|| {
                 let mut sets = search.begin(&sheet, &change, &deviation).ok()?;
-                (0..count).filter_map(|_| search.next(&mut sets)).last()
+                (0..count).map(|_| search.look(&mut sets, usize::MAX)).last()
             });
         });
         let mut sets = search.begin(&sheet, &change, &deviation).expect("lengths agree");
-        let start = (0..count).filter_map(|_| search.next(&mut sets)).last().unwrap_or_default();
+        let start = match (0..count).map(|_| search.look(&mut sets, usize::MAX)).last() {
+            Some(Looked::Best(start)) => start,
+            _ => Vec::new(),
+        };
         let options = FitOptions { most_steps: 25, ..options };
         group.bench_function(format!("{count} patches fitted from the best set"), |b| {
             b.iter(|| sheet.fit(&change, &deviation, &start, &options, &mut left).map(|(_, summary)| summary.steps));

@@ -1,7 +1,7 @@
 //! The figures of the book's chapter on channel health, measured on the twins: false alarms, frames until a fault is
 //! recognised, time to go on without what is lost, places of touches with electrodes lost, and the bounds of these.
 //!
-//! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [frames]`
+//! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms [twins]] [frames]`
 
 use std::time::Instant;
 
@@ -148,9 +148,11 @@ fn onsets(name: &str, pairs: &[[u32; 2]]) -> Outcome<()> {
 struct Presses {
     rig: Rig,
     imager: Imager,
+    stage: TouchStage,
     model: SpotModel,
     frames: Vec<([f64; 2], Vec<f64>)>,
     spots: Vec<Spot>,
+    time_ns: u64,
 }
 
 fn presses(skin: Skin, radius_m: f64, forces_n: &[f64]) -> Outcome<Presses> {
@@ -169,12 +171,14 @@ fn presses(skin: Skin, radius_m: f64, forces_n: &[f64]) -> Outcome<Presses> {
     }
     let model = rig.prepared().spot_model(&rig.reference().noise)?;
     let imager = rig.prepared().imager(rig.reference(), &[])?;
+    let mut stage = TouchStage::new(rig.prepared(), imager.noise_image())?;
+    stage.refine_by(rig.prepared(), &rig.reference().noise)?;
     let (mut spots, mut scratch) = (Vec::new(), model.scratch());
     for (place, difference) in &frames {
         model.fit(difference, &[*place], &mut scratch)?;
         spots.push(Spot { position_m: *place, ..scratch.spots()[0] });
     }
-    Ok(Presses { rig, imager, model, frames, spots })
+    Ok(Presses { rig, imager, stage, model, frames, spots, time_ns: 0 })
 }
 
 /// How well presses are placed.
@@ -191,28 +195,29 @@ struct Placed {
 
 /// Places without the channels of these electrodes.
 fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
-    let Presses { rig, imager, model, frames, spots } = presses;
+    let Presses { rig, imager, stage, model, frames, spots, time_ns } = presses;
     let prepared = rig.prepared();
     let left_out = channels_of(prepared, lost)?;
     let noise = &rig.reference().noise;
     imager.leave_out(&left_out, noise)?;
+    stage.set_noise(imager.noise_image());
+    stage.leave_out(prepared, Some(&*model), &left_out, noise)?;
     let model = model.without(&left_out, noise)?;
     let mut bounds = 0.0;
     for Spot { position_m, amplitude, radius_m, .. } in spots.iter() {
         let covariance = model.bound(*position_m, *amplitude, *radius_m)?;
         bounds += 1e3 * (covariance[0][0] + covariance[1][1]).sqrt();
     }
-    let mut stage = TouchStage::new(prepared, imager.noise_image())?;
-    stage.refine_by_model(prepared, model);
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
-    let (mut each, mut time_ns) = (Vec::with_capacity(frames.len()), 0);
+    let mut each = Vec::with_capacity(frames.len());
+    // Frames of one call have nothing to do with each other, nor with those of the last.
     for (place, difference) in frames.iter() {
         let mut difference = difference.clone();
         left_out.iter().for_each(|&c| difference[c as usize] = f64::NAN);
         imager.image(&difference, &mut image)?;
-        time_ns += 1_000_000_000;
-        stage.forget(time_ns);
-        stage.process(time_ns, &image, imager.filled(), None)?;
+        *time_ns += 1_000_000_000;
+        stage.forget(*time_ns);
+        stage.process(*time_ns, &image, imager.filled(), None)?;
         if let Some(contact) = stage.contacts().first() {
             let off_mm = 1e3 * (contact.centroid_m[0] - place[0]).hypot(contact.centroid_m[1] - place[1]);
             each.push((place.map(|x| 1e3 * x), off_mm, contact.radius_m.is_some()));
@@ -335,7 +340,8 @@ fn main() -> Outcome<()> {
         onsets("healing-square", &[[1, 8], [5, 12]])?;
     }
     if asked("alarms") {
-        for name in TWIN_NAMES {
+        let named: Vec<&str> = TWIN_NAMES.into_iter().filter(|name| arguments.iter().any(|a| a == name)).collect();
+        for name in if named.is_empty() { TWIN_NAMES.to_vec() } else { named } {
             let (alarms, pressed) = false_alarms(name, frames)?;
             println!("{name}: {alarms} of {frames} frames with a false alarm, {pressed} of all pressed");
         }

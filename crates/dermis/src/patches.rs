@@ -3,14 +3,15 @@
 //! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search on a coarser mesh where these
 //! do not do. A fit takes the better part of a millisecond: of frames that come faster than every 5 ms, the mean is fitted.
 
-mod seek;
-
 mod released;
+mod seek;
 
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch};
+use dermis_tomo::eit::contacts::{
+    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchFit, PatchSearch,
+};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
@@ -180,6 +181,8 @@ pub(crate) struct PatchStage {
     deviation: Vec<f64>,
     left: Vec<f64>,
     fits: Vec<ContactFit>,
+    /// Where the fit of the last frame stands, of `fits`.
+    standing: Option<PatchFit>,
     misfit: f64,
     smallest_amplitude: f64,
     gathered: Gathered,
@@ -249,6 +252,7 @@ impl Prepared {
             deviation: Vec::new(),
             left: Vec::new(),
             fits: Vec::new(),
+            standing: None,
             misfit: f64::INFINITY,
             smallest_amplitude: touch.smallest_amplitude,
             gathered: Gathered::default(),
@@ -390,29 +394,37 @@ impl PatchStage {
         self.explained.extend(self.change.iter().zip(&self.left).map(|(change, left)| change - left));
     }
 
-    /// The change of the channels, and their deviations, for the frame in `left`.
+    /// The change of the channels, and their variances, for the frame in `left`.
     fn weigh(&mut self) {
-        (self.change, self.deviation) = self.weighed(&self.left);
-    }
-
-    fn weighed(&self, difference: &[f64]) -> (Vec<f64>, Vec<f64>) {
+        let difference = &self.left;
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
-        let deviation = self.noise.iter().zip(difference).map(|(noise, change)| {
+        self.deviation.clear();
+        self.deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
             (noise * noise + (SHARE * change).powi(2) + FLOOR * FLOOR * square).sqrt().max(f64::MIN_POSITIVE)
-        });
-        let change = difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v });
-        (change.collect(), deviation.collect())
+        }));
+        self.change.clear();
+        self.change.extend(difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v }));
     }
 
     /// Goes on from the patches of the frame before; false where these do not explain this one.
     fn follow(&mut self, most_steps: usize) -> bool {
         if self.fits.is_empty() {
+            self.standing = None;
             return false;
         }
-        let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+        let standing = match &mut self.standing {
+            Some(standing) => standing,
+            place => {
+                let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
+                match self.sheets.fine.begin_fit(&start) {
+                    Ok(begun) => place.insert(begun),
+                    Err(_) => return false,
+                }
+            }
+        };
         let before = self.misfit;
         let options = FitOptions { most_steps, ..self.options };
-        let result = self.sheets.fine.fit(&self.change, &self.deviation, &start, &options, &mut self.left);
+        let result = self.sheets.fine.go_on(&self.change, &self.deviation, standing, &options, &mut self.left);
         let Ok((fits, summary)) = result else { return false };
         let believed =
             summary.misfit <= BELIEVED.max(WORSENED * before) && plausible(&fits, &summary, self.half_width_m);
@@ -421,9 +433,16 @@ impl PatchStage {
         believed && self.fits.iter().all(|fit| self.is_touch(fit, strongest))
     }
 
+    /// What a search works with.
+    fn tools(&self) -> Tools<'_> {
+        let Sheets { coarse, search, .. } = &self.sheets;
+        Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m }
+    }
+
     /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
     /// that explain this frame too.
     fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
+        // Not `self.tools()`, which would borrow the search that it is for.
         let Sheets { coarse, search, .. } = &self.sheets;
         let tools = Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m };
         if self.seek.is_none() && time_ns >= self.rest_until_ns {
@@ -434,7 +453,7 @@ impl PatchStage {
             Outcome::UnderWay => return false,
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
-                (self.fits, self.misfit) = (fits, misfit);
+                (self.fits, self.misfit, self.standing) = (fits, misfit, None);
                 // What a hurried frame leaves to be done, the next ones do.
                 self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
             }

@@ -25,7 +25,6 @@ use crate::patches::PatchStage;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 use crate::sink::Output;
-use crate::spots::SpotStage;
 use crate::touches::TouchStage;
 
 /// Frames averaged by a tare.
@@ -289,17 +288,18 @@ impl Pipeline {
         if !std::mem::take(&mut self.believed) {
             return Ok(());
         }
+        let (touches, contacts, patches) = ready.touches.parts();
         let input = DamageInput {
             time_ns,
             difference: &self.difference,
             scale: &ready.reference.scale,
             noise: &ready.reference.noise,
-            touches: ready.touches.touches(),
-            contacts: ready.touches.contacts(),
+            touches,
+            contacts,
             loaded: load == Load::Touched,
             classes: None,
         };
-        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, ready.touches.patches())?;
+        let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, patches)?;
         self.baseline.hold_drift(verdict.suspicious);
         self.baseline.follow_rest(verdict.healing);
         if verdict.adopted {
@@ -336,14 +336,9 @@ impl Pipeline {
         }
         ready.imager.leave_out(left_out, noise)?;
         ready.touches.set_noise(ready.imager.noise_image());
-        if let Some(patches) = ready.touches.patches_mut() {
-            patches.leave_out(left_out);
-        }
+        ready.touches.leave_out(&self.prepared, ready.spots.as_ref(), left_out, noise)?;
         if let Some(damage) = &mut self.damage {
             damage.set_noise(ready.imager.noise_image());
-        }
-        if let Some(model) = &ready.spots {
-            ready.touches.set_spots(Some(SpotStage::new(&self.prepared, spots_at(model, left_out, noise)?)));
         }
         Ok(())
     }
@@ -404,10 +399,7 @@ impl Pipeline {
             touches.set_patches(Some(patches));
         }
         let spots = self.spots.take();
-        if let Some(model) = &spots {
-            let model = spots_at(model, &[], &reference.noise)?;
-            touches.set_spots(Some(SpotStage::new(&self.prepared, model)));
-        }
+        touches.leave_out(&self.prepared, spots.as_ref(), &[], &reference.noise)?;
         Ok(Ready { reference, imager, touches, placement, spots })
     }
 
@@ -525,9 +517,4 @@ impl Pipeline {
     pub fn frames(&self) -> u64 {
         self.frames
     }
-}
-
-/// Responses to spots at this noise, without some channels.
-fn spots_at(model: &SpotModel, left_out: &[u32], noise: &[f64]) -> Result<SpotModel, Error> {
-    Ok(if left_out.is_empty() { model.reweighted(noise)? } else { model.without(left_out, noise)? })
 }

@@ -19,9 +19,14 @@ const LARGEST_RADIUS: f64 = 0.6;
 const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius.
 const SMALLEST_RADIUS: f64 = 0.05;
-/// A fit that puts a touch farther than this from where the image has it, relative to half the shorter side, is not believed.
-const FARTHEST: f64 = 0.2;
-/// Nor is one that is less certain of the place than this, by the same measure.
+/// A fit that puts a touch farther than this from where the image has it, relative to half the shorter side, is believed only
+/// where it explains the frame.
+const FAR: f64 = 0.2;
+/// It is not believed beyond this in any case.
+const FARTHEST: f64 = 0.5;
+/// A fit explains a frame of which it leaves no more than this share of the whitened energy.
+const EXPLAINED: f64 = 0.05;
+/// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
 
 /// Refines the contacts of one frame after the other, in memory of its own.
@@ -55,11 +60,10 @@ impl SpotStage {
         self.starts_m.clear();
         self.starts_m.extend(contacts[..count].iter().map(|contact| contact.centroid_m));
         // A frame that is not all finite numbers, or a contact at the very rim: nothing to fit.
-        if self.model.fit(difference, &self.starts_m, &mut self.scratch).is_err() {
-            return;
-        }
-        for (contact, spot) in contacts.iter_mut().zip(self.scratch.spots()) {
-            if self.is_believed(contact, spot) {
+        let Ok(outcome) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
+        let explained = outcome.residual <= EXPLAINED * outcome.energy;
+        for ((k, contact), spot) in contacts.iter_mut().enumerate().zip(self.scratch.spots()) {
+            if self.is_believed(spot) && self.is_near(k, spot.position_m, explained) {
                 let c = &spot.covariance;
                 contact.centroid_m = spot.position_m;
                 contact.covariance_m2 = [[c[0][0], c[0][1]], [c[1][0], c[1][1]]];
@@ -68,13 +72,21 @@ impl SpotStage {
         }
     }
 
-    fn is_believed(&self, contact: &Contact, spot: &Spot) -> bool {
-        let ([x, y], [from_x, from_y]) = (spot.position_m, contact.centroid_m);
+    fn is_believed(&self, spot: &Spot) -> bool {
         let variance = spot.covariance[0][0] + spot.covariance[1][1];
         spot.amplitude > 0.0
-            && (x - from_x).hypot(y - from_y) <= FARTHEST * self.half_width_m
             && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
             && self.grid.pixel_at(spot.position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+
+    /// Whether a spot is where the image has its contact. Channels that are left out draw the image's peak to one side: a fit
+    /// that explains the frame then knows better, as long as the spot is not where the image has another contact.
+    fn is_near(&self, contact: usize, [x, y]: [f64; 2], explained: bool) -> bool {
+        let moved = |[from_x, from_y]: [f64; 2]| (x - from_x).hypot(y - from_y);
+        let own = moved(self.starts_m[contact]);
+        let allowed = if explained { FARTHEST } else { FAR };
+        own <= FAR * self.half_width_m
+            || own <= allowed * self.half_width_m && self.starts_m.iter().all(|start| own <= moved(*start))
     }
 }
 

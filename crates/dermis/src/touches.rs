@@ -115,29 +115,43 @@ impl TouchStage {
             self.patches = Some(prepared.patch_stage(noise)?);
             return Ok(());
         }
-        self.set_spots(Some(SpotStage::new(prepared, prepared.spot_model(noise)?)));
+        self.spots = Some(SpotStage::new(prepared, prepared.spot_model(noise)?));
         Ok(())
     }
 
-    /// Refines contacts by responses made elsewhere, [`dermis_tomo::inverse::SpotModel::without`] some channels, say.
-    pub fn refine_by_model(&mut self, prepared: &Prepared, model: SpotModel) {
-        self.set_spots(Some(SpotStage::new(prepared, model)));
+    /// Refines contacts without these channels from now on, at this noise of the others (model volts); with an empty list with
+    /// all channels. `spots` are the responses with all channels ([`Prepared::spot_model`]) where contacts are refined by
+    /// spots; where that is by patches, or not at all, they do not matter.
+    ///
+    /// # Errors
+    /// Another number of channels, or none left: see [`SpotModel::without`].
+    pub fn leave_out(
+        &mut self,
+        prepared: &Prepared,
+        spots: Option<&SpotModel>,
+        channels: &[u32],
+        noise: &[f64],
+    ) -> Result<(), Error> {
+        if let Some(patches) = &mut self.patches {
+            patches.leave_out(channels);
+        } else if let Some(model) = spots {
+            let model = if channels.is_empty() { model.reweighted(noise)? } else { model.without(channels, noise)? };
+            self.spots = Some(SpotStage::new(prepared, model));
+        }
+        Ok(())
     }
 
     pub(crate) fn set_patches(&mut self, patches: Option<PatchStage>) {
         self.patches = patches;
     }
 
-    pub(crate) fn patches(&self) -> Option<&PatchStage> {
-        self.patches.as_ref()
+    /// Touches and contacts of the last image, and what fits them.
+    pub(crate) fn parts(&mut self) -> (&[Touch], &[Contact], Option<&mut PatchStage>) {
+        (self.tracker.touches(), &self.contacts, self.patches.as_mut())
     }
 
     pub(crate) fn patches_mut(&mut self) -> Option<&mut PatchStage> {
         self.patches.as_mut()
-    }
-
-    pub(crate) fn set_spots(&mut self, spots: Option<SpotStage>) {
-        self.spots = spots;
     }
 
     /// Follows the touches of one image. `difference` is the frame that it was made of (model volts, missing channels filled

@@ -2,12 +2,14 @@
 //! sound twin, pressed or not, raises no alarm.
 
 use dermis::experiments::Rig;
+use dermis::imager::Imager;
 use dermis::pipeline::Pipeline;
 use dermis::prepare::Prepared;
 use dermis::skin::{Skin, builtin_text};
 use dermis::touches::TouchStage;
 use dermis::twins::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
+use dermis_tomo::inverse::SpotModel;
 use dermis_touch::Touch;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, HEALTH_WINDOW};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
@@ -207,53 +209,108 @@ fn a_clock_that_jumps_is_marked_and_a_held_touch_goes_on() {
     assert!(touches[0].time_ns < 110_000_000_000, "time has run on at its pace: {}", touches[0].time_ns);
 }
 
-/// Mean error of presses without the channels of these electrodes, millimetres.
-fn error_mm(rig: &Rig, frames: &[([f64; 2], Vec<f64>)], model: &dermis_tomo::inverse::SpotModel, lost: &[u32]) -> f64 {
-    let (prepared, noise) = (rig.prepared(), &rig.reference().noise);
-    let wiring = prepared.wiring().unwrap();
-    let mut left_out: Vec<u32> = lost.iter().flat_map(|&e| wiring.channels_of(e).to_vec()).collect();
-    left_out.sort_unstable();
-    left_out.dedup();
-    let mut imager = prepared.imager(rig.reference(), &[]).unwrap();
-    imager.leave_out(&left_out, noise).unwrap();
-    let mut stage = TouchStage::new(prepared, imager.noise_image()).unwrap();
-    stage.refine_by_model(prepared, model.without(&left_out, noise).unwrap());
-    let mut image = vec![f32::NAN; prepared.map.grid().len()];
-    let mut sum = 0.0;
-    for (index, (place, difference)) in frames.iter().enumerate() {
-        let mut difference = difference.clone();
-        left_out.iter().for_each(|&c| difference[c as usize] = f64::NAN);
-        imager.image(&difference, &mut image).unwrap();
-        let time_ns = (index as u64 + 1) * 1_000_000_000;
-        stage.forget(time_ns);
-        stage.process(time_ns, &image, imager.filled(), None).unwrap();
-        let found = stage.contacts()[0].centroid_m;
-        sum += 1e3 * (found[0] - place[0]).hypot(found[1] - place[1]);
+/// Presses of one skin and what places them, as the live pipeline does.
+struct Presses {
+    rig: Rig,
+    imager: Imager,
+    stage: TouchStage,
+    model: SpotModel,
+    frames: Vec<([f64; 2], Vec<f64>)>,
+    time_ns: u64,
+}
+
+impl Presses {
+    /// Discs of 20 mm pressed at these places (relative to half the shorter side) by these forces, each read once.
+    fn new(name: &str, places: &[[f64; 2]], forces_n: &[f64], rest: usize) -> Self {
+        let mut rig = Rig::new(name).unwrap();
+        let half = rig.prepared().half_width_m();
+        let mut frames = Vec::new();
+        for place in places {
+            let centre_m = place.map(|x| half * x);
+            for &force_n in forces_n {
+                let indenter =
+                    Indenter { centre_m, shape: Shape::Disc { radius_m: 0.01 }, load: Load::ForceN(force_n) };
+                let frame = rig.mean_frame(&[indenter], 1).unwrap();
+                frames.push((centre_m, rig.reference().difference(&frame, None)));
+            }
+            rig.frames(&[], rest).unwrap();
+        }
+        let (prepared, noise) = (rig.prepared(), &rig.reference().noise);
+        let model = prepared.spot_model(noise).unwrap();
+        let imager = prepared.imager(rig.reference(), &[]).unwrap();
+        let mut stage = TouchStage::new(prepared, imager.noise_image()).unwrap();
+        stage.refine_by(prepared, noise).unwrap();
+        Self { rig, imager, stage, model, frames, time_ns: 0 }
     }
-    sum / frames.len() as f64
+
+    /// Errors without the channels of these electrodes, millimetres.
+    fn errors_mm(&mut self, lost: &[u32]) -> Vec<f64> {
+        let Self { rig, imager, stage, model, frames, time_ns } = self;
+        let (prepared, noise) = (rig.prepared(), &rig.reference().noise);
+        let wiring = prepared.wiring().unwrap();
+        let mut left_out: Vec<u32> = lost.iter().flat_map(|&e| wiring.channels_of(e).to_vec()).collect();
+        left_out.sort_unstable();
+        left_out.dedup();
+        imager.leave_out(&left_out, noise).unwrap();
+        stage.set_noise(imager.noise_image());
+        stage.leave_out(prepared, Some(model), &left_out, noise).unwrap();
+        let mut image = vec![f32::NAN; prepared.map.grid().len()];
+        let error_mm = |(place, difference): &([f64; 2], Vec<f64>)| {
+            let mut difference = difference.clone();
+            left_out.iter().for_each(|&c| difference[c as usize] = f64::NAN);
+            imager.image(&difference, &mut image).unwrap();
+            *time_ns += 1_000_000_000;
+            stage.forget(*time_ns);
+            stage.process(*time_ns, &image, imager.filled(), None).unwrap();
+            let found = stage.contacts()[0].centroid_m;
+            1e3 * (found[0] - place[0]).hypot(found[1] - place[1])
+        };
+        frames.iter().map(error_mm).collect()
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
 }
 
 #[test]
 fn places_hold_with_electrodes_lost() {
-    // A sample of what the book's table has in full: measured 1.12 and 1.04 at most for one lost, below 1.3 for these pairs.
-    let mut rig = Rig::new("healing-square").unwrap();
-    let mut frames = Vec::new();
-    for k in 0..12 {
-        let (angle, ring) = (0.4 + 0.52 * f64::from(k), [0.2, 0.5, 0.69][k as usize % 3]);
-        let half = rig.prepared().half_width_m();
-        let centre_m = [half * ring * angle.cos(), half * ring * angle.sin()];
-        let load = Load::ForceN(if k % 2 == 0 { 8.0 } else { 25.0 });
-        let frame = rig.mean_frame(&[Indenter { centre_m, shape: Shape::Disc { radius_m: 0.01 }, load }], 1).unwrap();
-        frames.push((centre_m, rig.reference().difference(&frame, None)));
-    }
-    let model = rig.prepared().spot_model(&rig.reference().noise).unwrap();
-    let intact = error_mm(&rig, &frames, &model, &[]);
+    // A sample of what the book's table has in full.
+    let places: Vec<[f64; 2]> = (0..12)
+        .map(|k| {
+            let (angle, ring) = (0.4 + 0.52 * f64::from(k), [0.2, 0.5, 0.69][k as usize % 3]);
+            [ring * angle.cos(), ring * angle.sin()]
+        })
+        .collect();
+    let mut presses = Presses::new("healing-square", &places, &[12.0], 0);
+    let intact = mean(&presses.errors_mm(&[]));
     for lost in [&[0][..], &[6], &[13]] {
-        let error = error_mm(&rig, &frames, &model, lost);
+        let error = mean(&presses.errors_mm(lost));
         assert!(error <= 1.5 * intact, "{lost:?}: {error:.2} mm, intact {intact:.2}");
     }
     for lost in [&[0, 8][..], &[3, 5], &[6, 13]] {
-        let error = error_mm(&rig, &frames, &model, lost);
+        let error = mean(&presses.errors_mm(lost));
         assert!(error <= 2.2 * intact, "{lost:?}: {error:.2} mm, intact {intact:.2}");
+    }
+}
+
+#[test]
+fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
+    // The presses of the book's table, and the pairs that lose most: adjacent pairs leave the sound electrode between them
+    // without a channel too.
+    let places: Vec<[f64; 2]> = [0.0, 0.34, 0.69]
+        .iter()
+        .flat_map(|ring| (0..6).map(move |k| (*ring, 0.4 + std::f64::consts::TAU / 6.0 * f64::from(k))))
+        .map(|(ring, angle)| [ring * angle.cos(), ring * angle.sin()])
+        .collect();
+    let mut presses = Presses::new("ionic-disc", &places, &[0.255, 0.57], 30);
+    let intact = presses.errors_mm(&[]);
+    for electrode in 0..16 {
+        let errors = presses.errors_mm(&[electrode, (electrode + 2) % 16]);
+        // Measured: 1.36 to 1.89. Where the image's peak is far off, the fit that explains the frame is believed.
+        let (error, intact) = (mean(&errors), mean(&intact));
+        assert!(error <= 2.2 * intact, "without {electrode} and the next but one: {error:.2} mm, intact {intact:.2}");
+        let largest = errors.iter().copied().fold(0.0, f64::max);
+        assert!(largest < 4.0, "without {electrode} and the next but one: {largest:.1} mm off");
     }
 }

@@ -14,7 +14,7 @@ use dermis::skin::Skin;
 use dermis_device::{FileSpec, Format, FrameTable};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample};
 
-use super::{progress_bar, spinner};
+use super::{spinner, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -123,14 +123,13 @@ impl Arguments {
         let mut plan = PressPlan::of(skin)?;
         plan.indenter_m = self.indenter_mm.map_or(plan.indenter_m, |mm| 1e-3 * mm);
         plan.most_n = self.most_n.unwrap_or(plan.most_n);
-        let bar = progress_bar("presses");
         let mut presses = 0;
-        let samples = press_twin(skin, &plan, |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-            presses = all;
+        let samples = with_progress("presses", |progress| {
+            press_twin(skin, &plan, |done, all| {
+                presses = all;
+                progress(done, all);
+            })
         });
-        bar.finish_and_clear();
         let path = self.forces.as_ref().context("--forces is needed")?;
         self.write_forces(&skin.name, &samples?, presses, plan.indenter_m, path, out)
     }

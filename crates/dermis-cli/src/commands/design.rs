@@ -102,12 +102,9 @@ impl Arguments {
         let spread_m = spread_width(&prepared, &maps)?;
         let mut force = None;
         if self.force {
-            let bar = super::progress_bar("places pressed");
-            force = Some(smallest_force(&prepared, noise, self.map as usize, |done, all| {
-                bar.set_length(all as u64);
-                bar.set_position(done as u64);
-            })?);
-            bar.finish_and_clear();
+            let press =
+                |progress: &mut dyn FnMut(usize, usize)| smallest_force(&prepared, noise, self.map as usize, progress);
+            force = Some(super::with_progress("places pressed", press)?);
         }
         Ok(Sheet { prepared, maps, spread_m, force })
     }
@@ -123,12 +120,8 @@ impl Arguments {
             Change::Electrodes => Freedom::Electrodes,
         });
         let search = Search { freed: freed.collect(), amplitude: self.amplitude, along: self.map as usize };
-        let bar = super::progress_bar("skins");
-        let [own, best] = improve(&Skin::open(name)?, &search, |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        })?;
-        bar.finish_and_clear();
+        let skin = Skin::open(name)?;
+        let [own, best] = super::with_progress("skins", |progress| improve(&skin, &search, progress))?;
         let millimetres = |summary: Summary| three([summary.worst, summary.median, summary.best].map(|m| 1e3 * m));
         writeln!(out, "position bound, mm, worst / median / best place, at the same time for a frame")?;
         for (label, candidate) in [("as it is", &own), ("best", &best)] {

@@ -10,6 +10,7 @@ mod export;
 mod info;
 mod reconstruct;
 mod record;
+mod recorded;
 mod recover;
 mod replay;
 mod reproduce;
@@ -100,6 +101,17 @@ impl Command {
             Command::Snr(arguments) => arguments.run(out),
         }
     }
+}
+
+/// Does work that says how many of all parts are done, with a bar on stderr meanwhile.
+pub(crate) fn with_progress<T>(unit: &str, work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T) -> T {
+    let bar = progress_bar(unit);
+    let done = work(&mut |done, all| {
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    });
+    bar.finish_and_clear();
+    done
 }
 
 /// A progress bar on stderr, shown only where someone watches.

@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use anyhow::Context;
 use dermis::reconstruct::{Report, Request, reconstruct};
 use dermis::skin::Skin;
-use dermis_device::{FileSpec, Format};
+use dermis_device::FileSpec;
 
-use super::progress_bar;
+use super::recorded::RecordedFrames;
+use super::with_progress;
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -25,18 +26,11 @@ Missing channels are empty cells or NaN.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(long, value_name = "NAME|FILE")]
-    skin: String,
-    /// Frames of the untouched skin; #0..60 or #name after the file's name takes some of them.
+    #[command(flatten)]
+    recorded: RecordedFrames,
+    /// Frames of the untouched skin.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: FileSpec,
-    /// Frames to reconstruct.
-    #[arg(long, value_name = "FILE[#FRAMES]")]
-    frames: FileSpec,
-    /// Format of both files (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    format: Option<Format>,
     /// A calibration made by `dermis calibrate`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -60,25 +54,19 @@ impl Arguments {
         if self.touches.is_none() && self.images.is_none() {
             return Err(UsageError("nothing asked for: give --touches, --images or both".into()).into());
         }
-        let skin = Skin::open(&self.skin)?;
         let request = Request {
-            skin,
+            skin: Skin::open(&self.recorded.skin)?,
             baseline: self.baseline,
-            frames: self.frames,
-            format: self.format,
+            frames: self.recorded.frames,
+            format: self.recorded.format,
             calibration: self.calibration,
             forces: self.forces,
             hyperparameter: self.hyperparameter,
             touches: self.touches,
             images: self.images,
         };
-        let bar = progress_bar("frames");
-        let report = reconstruct(&request, |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        });
-        bar.finish_and_clear();
-        print(&report?, out).context("writing the summary")?;
+        let report = with_progress("frames", |progress| reconstruct(&request, progress))?;
+        print(&report, out).context("writing the summary")?;
         Ok(Outcome::Done)
     }
 }

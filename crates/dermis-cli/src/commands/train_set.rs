@@ -9,7 +9,7 @@ use dermis::learning::train_set::{TrainSetRequest, simulate};
 use dermis::skin::Skin;
 use dermis_learn::scene::SceneKind;
 
-use super::progress_bar;
+use super::with_progress;
 use crate::exit::Outcome;
 
 const EXAMPLE: &str = "\
@@ -77,14 +77,8 @@ impl Arguments {
             Scenes::TouchesAndCuts => SceneKind::TouchesAndCuts,
             Scenes::Objects => SceneKind::Objects,
         });
-        let bar = progress_bar("samples");
         let begun = Instant::now();
-        let set = simulate(&request, &self.out, |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        });
-        bar.finish_and_clear();
-        let set = set?;
+        let set = with_progress("samples", |progress| simulate(&request, &self.out, progress))?;
         let manifest = set.manifest();
         writeln!(out, "samples: {} in {} shards", manifest.samples, manifest.shards())?;
         writeln!(out, "images: {} of {} x {}", manifest.inputs.join(", "), manifest.rows, manifest.columns)?;

@@ -19,7 +19,7 @@ pub(super) fn is_release(
     reference: &[f64],
     input: &DamageInput<'_>,
     prepared: &Prepared,
-    patches: &PatchStage,
+    patches: &mut PatchStage,
 ) -> bool {
     let offset: Vec<f64> =
         reference.iter().zip(input.scale).zip(&prepared.voltages).map(|((r, scale), v)| scale * r - v).collect();

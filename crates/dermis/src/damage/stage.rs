@@ -229,7 +229,7 @@ impl DamageStage {
         prepared: &Prepared,
         imager: &mut Imager,
         baseline: &mut Baseline,
-        patches: Option<&PatchStage>,
+        patches: Option<&mut PatchStage>,
     ) -> Result<DamageVerdict, Error> {
         let drift = baseline.drift_factor() / self.intact_drift;
         for (channel, value) in self.difference.iter_mut().enumerate() {
@@ -342,7 +342,7 @@ impl DamageStage {
         input: &DamageInput<'_>,
         prepared: &Prepared,
         baseline: &Baseline,
-        patches: Option<&PatchStage>,
+        patches: Option<&mut PatchStage>,
     ) {
         let due = input.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 >= RELEASE_S;
         let alone = !self.monitor.damages().iter().any(Damage::is_open);

@@ -14,6 +14,10 @@ pub fn built_in(skin: &str) -> Result<Option<Model>, LearnError> {
             include_str!("../../../../models/healing-square.json"),
             include_bytes!("../../../../models/healing-square.safetensors"),
         ),
+        "ktc-tank" => (
+            include_str!("../../../../models/ktc-tank.json"),
+            include_bytes!("../../../../models/ktc-tank.safetensors"),
+        ),
         _ => return Ok(None),
     };
     Model::from_contents(card, weights, skin).map(Some)

@@ -13,6 +13,10 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
 
+/// Novelty score above which a frame is not labelled by the network: half as far again from the training set as all but a
+/// thousandth of the frames held out. Those are simulated, and measured ones are a little farther out.
+pub const UNLIKE: f32 = 1.5;
+
 /// Classes of one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Classes {
@@ -25,7 +29,7 @@ pub struct Classes {
     pub probabilities: Vec<f32>,
     /// The most likely class of each pixel, rows x columns; background outside the skin.
     pub labels: Vec<u8>,
-    /// How far the frame is from the training set; above 1 it is unlike it. `None` where the model has no score.
+    /// How far the frame is from the training set; above [`UNLIKE`] it is unlike it. `None` where the model has no score.
     pub novelty: Option<f32>,
     /// True where the frame is unlike the training set: the labels are those of thresholds on its first-step image.
     pub falls_back: bool,
@@ -136,7 +140,7 @@ impl Classifier {
             *out = Classes::new(rows, columns);
         }
         out.novelty = self.run(difference)?;
-        out.falls_back = out.novelty.is_some_and(|novelty| novelty > 1.0);
+        out.falls_back = out.novelty.is_some_and(|novelty| novelty > UNLIKE);
         let pixels = rows * columns;
         if out.falls_back {
             let image = &self.input[self.step * pixels..(self.step + 1) * pixels];

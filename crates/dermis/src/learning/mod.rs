@@ -12,9 +12,9 @@ mod solver;
 pub mod train_set;
 
 pub use built_in::built_in;
-pub use classifier::{Classes, Classifier};
+pub use classifier::{Classes, Classifier, UNLIKE};
 pub use first_step::{FirstStep, InputImage};
-pub use masks::{MaskRule, enlarge, masks_of_image};
+pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
 pub use score::challenge_score;
 
 use crate::skin::Skin;

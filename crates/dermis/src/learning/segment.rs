@@ -6,11 +6,12 @@ use std::path::PathBuf;
 use dermis_device::instruments::npy;
 use dermis_device::{FileSpec, Format, FrameTable};
 use dermis_learn::Model;
-use dermis_learn::metrics::most_likely;
 use dermis_tomo::mesh::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 
+use super::built_in;
 use super::classifier::Classifier;
-use super::masks::{MaskRule, enlarge, masks_of_image};
+use super::classifier::UNLIKE;
+use super::masks::{MaskRule, PRESENCE, enlarge, masks_of_image};
 use crate::Error;
 use crate::channels::ChannelReader;
 use crate::prepare::Prepared;
@@ -28,14 +29,38 @@ pub struct SegmentRequest {
     pub frames: FileSpec,
     /// Format of both files; detected where `None`.
     pub format: Option<Format>,
-    /// A model card made by `dermis train`; thresholds alone where `None`.
-    pub model: Option<PathBuf>,
+    /// Which network labels the frames.
+    pub network: NetworkChoice,
     /// Pixels along the longer side of the label images.
     pub size: usize,
     /// Where the labels go: NPY, u8, rows x columns (frames x rows x columns for several frames), row 0 at the top.
     pub labels: Option<PathBuf>,
-    /// Where the probabilities go: NPY, f32, frames x classes x rows x columns; needs a model.
+    /// Where the probabilities go: NPY, f32, frames x classes x rows x columns; needs a network.
     pub probabilities: Option<PathBuf>,
+}
+
+/// Which network labels frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum NetworkChoice {
+    /// The one that ships with the skin, if one does and nothing that images depend on was changed; else none.
+    Shipped,
+    /// A model card made by `dermis train`.
+    File(PathBuf),
+    /// None: thresholds alone.
+    None,
+}
+
+impl NetworkChoice {
+    fn open(&self, skin: &Skin) -> Result<Option<Model>, Error> {
+        Ok(match self {
+            Self::Shipped => {
+                let model = built_in(&skin.name)?;
+                model.filter(|model| model.check_skin(&skin.name, &skin.imaging_sha256()).is_ok())
+            }
+            Self::File(path) => Some(Model::load(path)?),
+            Self::None => None,
+        })
+    }
 }
 
 /// How a frame was labelled.
@@ -46,7 +71,7 @@ pub enum Method {
         /// The score.
         novelty: Option<f32>,
     },
-    /// By thresholds, since the novelty score was above 1.
+    /// By thresholds, since the novelty score was above [`UNLIKE`].
     UnlikeTraining {
         /// The score.
         novelty: f32,
@@ -80,10 +105,10 @@ pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> 
     if !(8..=MOST_PIXELS).contains(&request.size) {
         return refuse("size of the labels", "8 to 4096 pixels", request.size.to_string());
     }
-    if request.probabilities.is_some() && request.model.is_none() {
-        return refuse("probabilities", "a model, which gives them", "none".into());
+    let model = request.network.open(&request.skin)?;
+    if request.probabilities.is_some() && model.is_none() {
+        return refuse("probabilities", "a network, which gives them", "none for this skin".into());
     }
-    let model = request.model.as_deref().map(Model::load).transpose()?;
     let references = dermis_device::read(&request.reference, request.format)?;
     let frames = dermis_device::read(&request.frames, request.format)?;
     let prepared = Prepared::new(request.skin.clone())?;
@@ -182,7 +207,7 @@ impl<'a> Segmenter<'a> {
                 progress(done, differences.len());
             })?;
             for (frame, (probabilities, novelty)) in found.into_iter().enumerate() {
-                match novelty.filter(|novelty| *novelty > 1.0) {
+                match novelty.filter(|novelty| *novelty > UNLIKE) {
                     Some(novelty) => fallback[frame] = Method::UnlikeTraining { novelty },
                     None => segmented[frame] = Some(self.labelled(&probabilities, size, novelty)),
                 }
@@ -196,7 +221,7 @@ impl<'a> Segmenter<'a> {
         Ok(segmented.into_iter().flatten().collect())
     }
 
-    /// The network's probabilities, enlarged, and the most likely classes.
+    /// The network's probabilities, enlarged, and labels by them.
     fn labelled(&self, small: &[f32], (rows, columns): (usize, usize), novelty: Option<f32>) -> Segmented {
         let classes = super::CLASSES.len();
         let pixels = self.label_size[0] * self.label_size[1];
@@ -205,7 +230,7 @@ impl<'a> Segmenter<'a> {
             probabilities.extend(enlarge(class, [rows, columns], self.label_size, &[]));
         }
         let mut labels = vec![0; pixels];
-        most_likely(&probabilities, classes, &mut labels);
+        PRESENCE.label(&probabilities, &mut labels);
         self.clear_outside(&mut labels);
         let probabilities = self.keeps_probabilities.then_some(probabilities);
         Segmented { labels, probabilities, method: Method::Network { novelty } }

@@ -3,20 +3,18 @@
 //! answer at once.
 
 use dermis_tomo::eit::contacts::{
-    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchSearch, PatchSets,
+    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, Looked, PatchFit, PatchSearch, PatchSets,
 };
 
 use super::{BELIEVED, RADII, WORTH, plausible};
 
-/// Patches at most.
-const MOST_PATCHES: usize = 4;
 /// Misfit at which no further patch is looked for.
 const GOOD: f64 = 0.2;
 /// Steps of a fit at most.
 const STEPS: usize = 15;
-/// What a set of patches costs to look for, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit of n
+/// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit of n
 /// patches n squared times that. Rough figures, by which work is shared out among frames.
-const SETS_NS: f64 = 0.7e6;
+const SET_NS: f64 = 600.0;
 const STEP_NS: f64 = 0.15e6;
 
 /// A search under way, in one frame.
@@ -48,7 +46,8 @@ enum Work {
 #[derive(Debug)]
 struct Fit {
     start: Vec<ContactPatch>,
-    at: Vec<ContactPatch>,
+    /// `None` before the first step.
+    at: Option<PatchFit>,
     steps: usize,
 }
 
@@ -84,10 +83,12 @@ impl Seek {
             let work = std::mem::replace(&mut self.work, Work::Sets);
             let next = match work {
                 Work::Sets => {
-                    nanoseconds -= SETS_NS;
-                    match tools.search.next(&mut self.sets) {
-                        Some(start) if start.len() <= MOST_PATCHES => Some(Work::Fit(Fit::new(start))),
-                        _ => self.scaled(0),
+                    let most = (nanoseconds / SET_NS).ceil().clamp(500.0, 1e6) as usize;
+                    nanoseconds -= SET_NS * most as f64;
+                    match tools.search.look(&mut self.sets, most) {
+                        Looked::NotDone => Some(Work::Sets),
+                        Looked::Best(start) => Some(Work::Fit(Fit::new(start))),
+                        Looked::NoRoom => self.scaled(0),
                     }
                 }
                 Work::Fit(mut fit) => match self.fit(tools, &mut fit, &mut nanoseconds) {
@@ -122,15 +123,21 @@ impl Seek {
         fit: &mut Fit,
         nanoseconds: &mut f64,
     ) -> Option<Option<(Vec<ContactFit>, FitSummary)>> {
-        let patches = fit.at.len() as f64;
+        let patches = fit.start.len() as f64;
         let allowed = (*nanoseconds / (STEP_NS * patches * patches)).ceil().clamp(1.0, STEPS as f64) as usize;
         let options = FitOptions { most_steps: allowed.min(STEPS - fit.steps).max(1), ..*tools.options };
-        let result = tools.sheet.fit(&self.change, &self.deviation, &fit.at, &options, &mut self.left);
+        let at = match &mut fit.at {
+            Some(at) => at,
+            place => match tools.sheet.begin_fit(&fit.start) {
+                Ok(begun) => place.insert(begun),
+                Err(_) => return Some(None),
+            },
+        };
+        let result = tools.sheet.go_on(&self.change, &self.deviation, at, &options, &mut self.left);
         let Ok((fits, summary)) = result else { return Some(None) };
-        *nanoseconds -= STEP_NS * patches * patches * (summary.steps + 1) as f64;
-        fit.steps += summary.steps.max(1);
-        fit.at = fits.iter().map(|fit| fit.patch).collect();
-        let ended = summary.steps < options.most_steps || fit.steps >= STEPS;
+        *nanoseconds -= STEP_NS * patches * patches * summary.steps.max(1) as f64;
+        fit.steps += summary.steps;
+        let ended = summary.settled || fit.steps >= STEPS;
         ended.then_some(Some((fits, summary)))
     }
 
@@ -178,6 +185,6 @@ impl Seek {
 
 impl Fit {
     fn new(start: Vec<ContactPatch>) -> Self {
-        Self { at: start.clone(), start, steps: 0 }
+        Self { start, at: None, steps: 0 }
     }
 }

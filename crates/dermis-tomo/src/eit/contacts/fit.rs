@@ -54,9 +54,40 @@ pub struct FitSummary {
     pub cost: f64,
     /// Steps taken.
     pub steps: usize,
+    /// Whether further steps would change nothing, or cannot be taken.
+    pub settled: bool,
+}
+
+/// Patches with what the sheet makes of them: where a fit goes on, on the same frame or the next one.
+#[derive(Clone, Debug)]
+pub struct PatchFit {
+    patches: Vec<ContactPatch>,
+    touched: Touched,
+    /// Change of the channels, volts.
+    change_v: Vec<f64>,
+    /// Its derivatives, channels x parameters; worked out when they are needed.
+    jacobian: Option<Vec<f64>>,
+    damping: f64,
+}
+
+impl PatchFit {
+    /// The patches as they are now.
+    pub fn patches(&self) -> &[ContactPatch] {
+        &self.patches
+    }
 }
 
 impl ContactSheet {
+    /// Begins a fit at these patches.
+    ///
+    /// # Errors
+    /// As [`ContactSheet::change_v`].
+    pub fn begin_fit(&self, start: &[ContactPatch]) -> Result<PatchFit, EitError> {
+        let touched = self.touch(start)?;
+        let change_v = self.change_of(&touched);
+        Ok(PatchFit { patches: start.to_vec(), touched, change_v, jacobian: None, damping: DAMPING[0] })
+    }
+
     /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count) with
     /// these standard deviations. `left_v` gets what is left over, `NaN` where the change was.
     ///
@@ -70,41 +101,57 @@ impl ContactSheet {
         options: &FitOptions,
         left_v: &mut Vec<f64>,
     ) -> Result<(Vec<ContactFit>, FitSummary), EitError> {
+        self.go_on(change_v, deviation_v, &mut self.begin_fit(start)?, options, left_v)
+    }
+
+    /// As [`ContactSheet::fit`], from where a fit stands; it stands at the patches found afterwards, and one that used all of
+    /// its steps can be gone on with.
+    ///
+    /// # Errors
+    /// As [`ContactSheet::fit`].
+    pub fn go_on(
+        &self,
+        change_v: &[f64],
+        deviation_v: &[f64],
+        from: &mut PatchFit,
+        options: &FitOptions,
+        left_v: &mut Vec<f64>,
+    ) -> Result<(Vec<ContactFit>, FitSummary), EitError> {
         self.check_frame(change_v, deviation_v)?;
-        let mut fit = Fit { sheet: self, change_v, deviation_v, options };
-        let mut patches = start.to_vec();
-        let mut state = fit.state(&patches)?;
-        let (mut damping, mut steps) = (DAMPING[0], 0);
-        let (mut normal, mut gradient) = fit.normal(&patches, &state);
-        while steps < options.most_steps && damping < DAMPING[1] && !patches.is_empty() {
-            let Some(step) = damped_step(&normal, &gradient, damping) else { break };
+        let fit = Fit { sheet: self, change_v, deviation_v, options };
+        let (mut misfit, mut cost) = fit.judge(from);
+        let (mut normal, mut gradient) = fit.normal(from);
+        let (mut steps, mut settled) = (0, false);
+        while steps < options.most_steps && from.damping < DAMPING[1] && !from.patches.is_empty() && !settled {
+            let Some(step) = damped_step(&normal, &gradient, from.damping) else { break };
             let predicted = 0.5 * step.iter().zip(&gradient).map(|(step, slope)| step * slope).sum::<f64>();
             if predicted < SETTLED {
                 break;
             }
             steps += 1;
-            let trial = stepped(&patches, &step);
-            let next = fit.state(&trial)?;
-            if next.cost < state.cost {
+            let mut next = self.begin_fit(&stepped(&from.patches, &step))?;
+            let (next_misfit, next_cost) = fit.judge(&next);
+            if next_cost < cost {
                 // Where the cost falls as predicted it is a parabola, whose bottom this is.
-                let settled = (state.cost - next.cost - predicted).abs() < SETTLED;
-                (patches, state, damping) = (trial, next, (0.2 * damping).max(1e-9));
-                if settled {
-                    break;
+                settled = (cost - next_cost - predicted).abs() < SETTLED;
+                next.damping = (0.2 * from.damping).max(1e-9);
+                (*from, misfit, cost) = (next, next_misfit, next_cost);
+                if !settled && steps < options.most_steps {
+                    (normal, gradient) = fit.normal(from);
                 }
-                (normal, gradient) = fit.normal(&patches, &state);
             } else {
-                damping *= 8.0;
+                from.damping *= 8.0;
             }
         }
+        // A fit that is gone on with on another frame begins boldly again.
+        if settled || steps < options.most_steps {
+            from.damping = DAMPING[0];
+        }
         left_v.clear();
-        left_v.extend(change_v.iter().zip(&state.change).map(|(change, model)| change - model));
-        let summary = FitSummary {
-            misfit: state.misfit,
-            cost: 2.0 * state.cost,
-            energy: fit.misfit(&vec![0.0; change_v.len()]),
-            steps,
-        };
+        left_v.extend(change_v.iter().zip(&from.change_v).map(|(change, model)| change - model));
+        let energy = fit.misfit(&vec![0.0; change_v.len()]);
+        let settled = settled || steps < options.most_steps;
+        let summary = FitSummary { misfit, cost: 2.0 * cost, energy, steps, settled };
         let covariance = inverse(&normal);
         let block = |k: usize| {
             let mut values = [[f64::NAN; OF_PATCH]; OF_PATCH];
@@ -115,7 +162,8 @@ impl ContactSheet {
             }
             values
         };
-        let fits = patches.iter().enumerate().map(|(k, &patch)| ContactFit { patch, covariance: block(k) }).collect();
+        let patches = from.patches.iter().enumerate();
+        let fits = patches.map(|(k, &patch)| ContactFit { patch, covariance: block(k) }).collect();
         Ok((fits, summary))
     }
 
@@ -186,13 +234,6 @@ struct Fit<'a> {
     options: &'a FitOptions,
 }
 
-struct State {
-    touched: Touched,
-    change: Vec<f64>,
-    misfit: f64,
-    cost: f64,
-}
-
 impl Fit<'_> {
     fn misfit(&self, model: &[f64]) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
@@ -205,13 +246,12 @@ impl Fit<'_> {
         sum / f64::max(count, 1.0)
     }
 
-    fn state(&mut self, patches: &[ContactPatch]) -> Result<State, EitError> {
-        let touched = self.sheet.touch(patches)?;
-        let change = self.sheet.change_of(&touched);
-        let misfit = self.misfit(&change);
+    /// Misfit and cost of where a fit stands.
+    fn judge(&self, at: &PatchFit) -> (f64, f64) {
+        let misfit = self.misfit(&at.change_v);
         let count = self.change_v.iter().filter(|change| change.is_finite()).count() as f64;
-        let prior: f64 = patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
-        Ok(State { touched, change, misfit, cost: 0.5 * (count * misfit + prior) })
+        let prior: f64 = at.patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
+        (misfit, 0.5 * (count * misfit + prior))
     }
 
     /// How far radius and conductance are from what is expected, in standard deviations.
@@ -223,10 +263,11 @@ impl Fit<'_> {
         ]
     }
 
-    /// Normal matrix and gradient at a state.
-    fn normal(&self, patches: &[ContactPatch], state: &State) -> (Mat<f64>, Vec<f64>) {
-        let size = OF_PATCH * patches.len();
-        let jacobian = self.sheet.derivatives(patches, &state.touched);
+    /// Normal matrix and gradient where a fit stands.
+    fn normal(&self, at: &mut PatchFit) -> (Mat<f64>, Vec<f64>) {
+        let size = OF_PATCH * at.patches.len();
+        let PatchFit { patches, touched, jacobian, .. } = at;
+        let jacobian = &*jacobian.get_or_insert_with(|| self.sheet.derivatives(patches, touched));
         let (mut normal, mut gradient) = (Mat::<f64>::zeros(size, size), vec![0.0; size]);
         for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
             if !change.is_finite() {
@@ -234,7 +275,7 @@ impl Fit<'_> {
             }
             let row = &jacobian[channel * size..(channel + 1) * size];
             let weight = 1.0 / (sigma * sigma);
-            let residual = change - state.change[channel];
+            let residual = change - at.change_v[channel];
             for a in 0..size {
                 gradient[a] += weight * residual * row[a];
                 for b in 0..=a {
@@ -248,7 +289,7 @@ impl Fit<'_> {
             }
         }
         let deviations = [self.options.radius_log_deviation, self.options.conductance_log_deviation];
-        for (k, patch) in patches.iter().enumerate() {
+        for (k, patch) in at.patches.iter().enumerate() {
             for (j, (off, deviation)) in self.off(patch).into_iter().zip(deviations).enumerate() {
                 let at = OF_PATCH * k + 2 + j;
                 normal[(at, at)] += 1.0 / (deviation * deviation);

@@ -13,8 +13,8 @@
 mod fit;
 mod search;
 
-pub use fit::{ContactFit, FitOptions, FitSummary};
-pub use search::{PatchSearch, PatchSets};
+pub use fit::{ContactFit, FitOptions, FitSummary, PatchFit};
+pub use search::{Looked, PatchSearch, PatchSets};
 
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
@@ -56,6 +56,7 @@ pub struct ContactSheet {
 }
 
 /// What contacts do: the nodes that are touched and the currents there.
+#[derive(Clone, Debug)]
 pub(super) struct Touched {
     pub(super) nodes: Vec<u32>,
     pub(super) conductance_s: Vec<f64>,

@@ -2,6 +2,8 @@
 //! extend the best of those, each judged by a model of ports. A port is a patch of typical radius and conductance whose
 //! current keeps its shape; ports are joined by the layer above, as patches are.
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::{ContactPatch, ContactSheet};
 use crate::eit::EitError;
 use crate::eit::protocol::Measurement;
@@ -21,9 +23,9 @@ pub struct PatchSearch {
     resistance: Vec<Vec<f64>>,
     /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
     /// pattern.
-    alone_v: Vec<Vec<f64>>,
-    driven: Vec<Vec<f64>>,
-    measured: Vec<Vec<f64>>,
+    alone_v: Vec<Vec<[f32; LANES]>>,
+    driven: Vec<Vec<[f32; LANES]>>,
+    measured: Vec<Vec<[f32; LANES]>>,
     /// Ports closer than this are not taken together, metres.
     apart_m: f64,
 }
@@ -58,18 +60,32 @@ impl Ports {
     }
 }
 
-/// The sets of one frame, larger by a patch each time: [`PatchSearch::next`] looks for them one size after the other, since
+/// The sets of one frame, larger by a patch each time: [`PatchSearch::look`] looks for them one size after the other, since
 /// larger sets take longer and are seldom needed.
 #[derive(Clone, Debug)]
 pub struct PatchSets {
     /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
-    scaled: Vec<f64>,
-    weight: Vec<f64>,
+    scaled: Vec<[f32; LANES]>,
+    weight: Vec<[f32; LANES]>,
     /// Sum of the squares of the former.
     energy: f64,
     /// Those of the last size, best first.
     best: Vec<Candidate>,
     size: usize,
+    /// Those of the next size, and the first of them with what they leave.
+    grown: Vec<Ports>,
+    judged: Vec<Candidate>,
+}
+
+/// What a look came to.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Looked {
+    /// There are more sets of this size to judge.
+    NotDone,
+    /// The best set of this size.
+    Best(Vec<ContactPatch>),
+    /// No larger set finds room, or there are four patches.
+    NoRoom,
 }
 
 impl PatchSearch {
@@ -92,7 +108,7 @@ impl PatchSearch {
                     .map(|t| shape.iter().map(|(n, share)| share * sheet.fields[(t, *n)]).sum())
                     .collect(),
             );
-            alone_v.push(sheet.change_of(&touched));
+            alone_v.push(in_lanes(sheet.change_of(&touched)));
             own.push(1.0 / total);
             shapes.push(shape);
         }
@@ -108,8 +124,8 @@ impl PatchSearch {
                 (resistance[a][b], resistance[b][a]) = (mutual, mutual);
             }
         }
-        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<f64>> {
-            let of_port = |fields: &Vec<f64>| sheet.measurements.iter().map(|m| fields[pattern(m)]).collect();
+        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<[f32; LANES]>> {
+            let of_port = |fields: &Vec<f64>| in_lanes(sheet.measurements.iter().map(|m| fields[pattern(m)]));
             fields.iter().map(of_port).collect()
         };
         let driven = of_channels(&|m| m.stimulation as usize);
@@ -129,17 +145,43 @@ impl PatchSearch {
         };
         let (scaled, weight) = (of_channels(&|change, sigma| change / sigma), of_channels(&|_, sigma| 1.0 / sigma));
         let energy = scaled.iter().map(|v| v * v).sum();
-        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0 })
+        let (scaled, weight) = (in_lanes(scaled), in_lanes(weight));
+        Ok(PatchSets { scaled, weight, energy, best: Vec::new(), size: 0, grown: Vec::new(), judged: Vec::new() })
     }
 
-    /// The best set of one patch, at the next call of two, and so on to four: starts for [`ContactSheet::fit`]. `None` where no
-    /// more patches find room.
-    pub fn next(&self, sets: &mut PatchSets) -> Option<Vec<ContactPatch>> {
+    /// Looks for the best set of one patch; after it is found, for that of two, and so on to four: starts for
+    /// [`ContactSheet::fit`]. Judges at most so many sets in a call.
+    pub fn look(&self, sets: &mut PatchSets, most: usize) -> Looked {
+        if sets.grown.is_empty() {
+            self.grow(sets);
+            if sets.grown.is_empty() {
+                return Looked::NoRoom;
+            }
+        }
+        let from = sets.judged.len();
+        let to = sets.grown.len().min(from + most.max(1));
+        let judged = Arch::new().dispatch(Judge { search: self, sets, grown: &sets.grown[from..to] });
+        sets.judged.extend(judged);
+        if to < sets.grown.len() {
+            return Looked::NotDone;
+        }
+        sets.grown.clear();
+        std::mem::swap(&mut sets.best, &mut sets.judged);
+        sets.judged.clear();
+        sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
+        sets.size += 1;
+        match sets.best.first() {
+            Some(best) => Looked::Best(best.ports.list().iter().map(|&port| self.patches[port]).collect()),
+            None => Looked::NoRoom,
+        }
+    }
+
+    /// The sets that are larger by a patch.
+    fn grow(&self, sets: &mut PatchSets) {
         let count = self.patches.len();
-        let mut grown: Vec<Ports> = Vec::new();
         match sets.size {
-            0 => grown.extend((0..count).map(Ports::one)),
-            MOST.. => return None,
+            0 => sets.grown.extend((0..count).map(Ports::one)),
+            MOST.. => {}
             size => {
                 // All pairs are looked at, since one port between two touches explains much and leads nowhere.
                 let extended = if size == 1 { count } else { EXTENDED };
@@ -147,14 +189,10 @@ impl PatchSearch {
                     let first = if size == 1 { candidate.ports.ports[0] + 1 } else { 0 };
                     let list = candidate.ports.list();
                     let room = |port: &usize| list.iter().all(|p| self.distance(*p, *port) >= self.apart_m);
-                    grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
+                    sets.grown.extend((first..count).filter(room).map(|port| candidate.ports.and(port)));
                 }
             }
         }
-        sets.best = grown.into_iter().map(|ports| Candidate { ports, left: self.left(&ports, sets) }).collect();
-        sets.best.sort_by(|a, b| a.left.total_cmp(&b.left));
-        sets.size += 1;
-        Some(sets.best.first()?.ports.list().iter().map(|&port| self.patches[port]).collect())
     }
 
     fn distance(&self, a: usize, b: usize) -> f64 {
@@ -165,6 +203,7 @@ impl PatchSearch {
     /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are unknowns,
     /// since all add up to nothing: with differences `d` of fields from the last port's and `D_jk = R_jk - R_jn - R_nk + R_nn`,
     /// a channel changes by the sum of what ports do by themselves less `d_m' D^-1 d_s`.
+    #[inline(always)]
     fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
         let (ports, unknowns) = (ports.list(), ports.count - 1);
         let last = ports[unknowns];
@@ -176,62 +215,87 @@ impl PatchSearch {
             }
         }
         invert(&mut loops, unknowns);
-        let channels = sets.scaled.len();
+        let loops = loops.map(|row| row.map(|value| value as f32));
         let mut sums = Sums::default();
-        let mut values = [0.0; LANES];
-        for from in (0..channels).step_by(LANES) {
-            let count = LANES.min(channels - from);
-            values[..count].copy_from_slice(&self.alone_v[last][from..from + count]);
+        for (lane, (scaled, weight)) in sets.scaled.iter().zip(&sets.weight).enumerate() {
+            let mut values = self.alone_v[last][lane];
             for &port in &ports[..unknowns] {
-                add(&mut values, &self.alone_v[port][from..from + count]);
+                let alone = &self.alone_v[port][lane];
+                for k in 0..LANES {
+                    values[k] += alone[k];
+                }
             }
-            for j in 0..unknowns {
-                let mut driven = [0.0; LANES];
-                for k in 0..unknowns {
-                    let (own, other) =
-                        (&self.driven[ports[k]][from..from + count], &self.driven[last][from..from + count]);
-                    for ((sum, own), other) in driven.iter_mut().zip(own).zip(other) {
-                        *sum += loops[j][k] * (own - other);
+            for (j, loops) in loops.iter().enumerate().take(unknowns) {
+                let (mut driven, from) = ([0.0_f32; LANES], &self.driven[last][lane]);
+                for (&port, by) in ports.iter().zip(loops).take(unknowns) {
+                    let own = &self.driven[port][lane];
+                    for k in 0..LANES {
+                        driven[k] += by * (own[k] - from[k]);
                     }
                 }
-                let (own, other) =
-                    (&self.measured[ports[j]][from..from + count], &self.measured[last][from..from + count]);
-                for (((value, driven), own), other) in values.iter_mut().zip(&driven).zip(own).zip(other) {
-                    *value -= (own - other) * driven;
+                let (own, from) = (&self.measured[ports[j]][lane], &self.measured[last][lane]);
+                for k in 0..LANES {
+                    values[k] -= (own[k] - from[k]) * driven[k];
                 }
             }
-            sums.add(&values[..count], &sets.scaled[from..from + count], &sets.weight[from..from + count]);
+            for k in 0..LANES {
+                let value = values[k] * weight[k];
+                sums.along[k] += value * scaled[k];
+                sums.square[k] += value * value;
+            }
         }
         sums.left(sets.energy)
+    }
+}
+
+/// The sets judged, in one loop, so that all of it is compiled for the vector instructions that the machine has.
+struct Judge<'a> {
+    search: &'a PatchSearch,
+    sets: &'a PatchSets,
+    grown: &'a [Ports],
+}
+
+impl NullaryFnOnce for Judge<'_> {
+    type Output = Vec<Candidate>;
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let mut judged = Vec::with_capacity(self.grown.len());
+        for &ports in self.grown {
+            judged.push(Candidate { ports, left: self.search.left(&ports, self.sets) });
+        }
+        judged
     }
 }
 
 /// Sums over the channels, a lane at a time: what values (volts) have in common with the data, and their own square.
 #[derive(Default)]
 struct Sums {
-    along: [f64; LANES],
-    square: [f64; LANES],
+    along: [f32; LANES],
+    square: [f32; LANES],
 }
 
 impl Sums {
-    fn add(&mut self, values: &[f64], scaled: &[f64], weight: &[f64]) {
-        let sums = self.along.iter_mut().zip(&mut self.square);
-        for (((along, square), value), (data, weight)) in sums.zip(values).zip(scaled.iter().zip(weight)) {
-            let value = value * weight;
-            *along += value * data;
-            *square += value * value;
-        }
-    }
-
     /// What the values leave of the data's energy, at the scale that suits them best.
     fn left(&self, energy: f64) -> f64 {
-        let (along, square): (f64, f64) = (self.along.iter().sum(), self.square.iter().sum());
+        let sum = |lanes: &[f32; LANES]| lanes.iter().copied().map(f64::from).sum::<f64>();
+        let (along, square) = (sum(&self.along), sum(&self.square));
         if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
     }
 }
 
-fn add(sums: &mut [f64], values: &[f64]) {
-    sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
+/// Values of the channels in lanes, the last one filled up with zeros.
+fn in_lanes(values: impl IntoIterator<Item = f64>) -> Vec<[f32; LANES]> {
+    let mut lanes = Vec::new();
+    for (k, value) in values.into_iter().enumerate() {
+        if k % LANES == 0 {
+            lanes.push([0.0; LANES]);
+        }
+        if let Some(lane) = lanes.last_mut() {
+            lane[k % LANES] = value as f32;
+        }
+    }
+    lanes
 }
 
 /// Inverts the leading block of this size in place, by Gauss and Jordan; it is positive definite.
