@@ -94,7 +94,7 @@ fn colour(value: f32) -> String {
 fn svg(line: &Line) -> String {
     let grid = *line.pipeline.prepared().map.grid();
     let width = line.panels.len() as f64 * (SIDE + GAP) + GAP;
-    let height = SIDE + 3.0 * GAP + 36.0;
+    let height = SIDE + 3.0 * GAP + 32.0;
     let mut text = format!("<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\">\n");
     // Pages may be dark.
     let _ = writeln!(text, "<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>");
@@ -168,10 +168,14 @@ fn main() -> Result<(), Error> {
     line.treat(Treatment::TimeLapse(1440.0))?;
     line.run(160.0)?;
     line.draw("two days later");
-    if let Some(proposal) = line.pipeline.damage().proposal {
-        println!("{:6.1} s  a new baseline is proposed: {}", line.time_s, proposal.reason.name());
-        line.pipeline.tare(false, "proposed")?;
-    }
+    let proposal = line.pipeline.damage().proposal;
+    let why = proposal.map_or("the sheet has healed", |proposal| proposal.reason.name());
+    println!(
+        "{:6.1} s  a new baseline, {}: {why}",
+        line.time_s,
+        if proposal.is_some() { "proposed" } else { "asked for" }
+    );
+    line.pipeline.tare(false, why)?;
     line.period_s = 0.1;
     line.run(10.0)?;
     line.draw("new baseline");

@@ -186,8 +186,8 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
             line.run(40);
             assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
         }
-        // With the proposal taken or not, damage is found: with it, where it is.
-        let half = [8.0, 6.0];
+        // With the proposal taken or not, damage is found, and where it is.
+        let half = [0.0, 10.0];
         line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
         line.run(80);
         assert_eq!(line.names(), ["begin"], "{place_mm:?}: {:?}", line.damages());
