@@ -51,6 +51,9 @@ impl Classes {
     }
 }
 
+/// Probabilities of a frame, classes x rows x columns, and its novelty score.
+pub(super) type Seen = (Vec<f32>, Option<f32>);
+
 /// A network with what it is shown, for one skin.
 #[derive(Debug)]
 pub struct Classifier {
@@ -180,7 +183,7 @@ impl Classifier {
         &mut self,
         differences: &[Vec<f64>],
         mut done: impl FnMut(usize),
-    ) -> Result<Vec<(Vec<f32>, Option<f32>)>, Error> {
+    ) -> Result<Vec<Seen>, Error> {
         let mut all = Vec::with_capacity(differences.len());
         let mut inputs = Vec::new();
         for batch in differences.chunks(BATCH) {
@@ -193,7 +196,7 @@ impl Classifier {
                 Ok((probabilities, self.novelty.as_ref().map(|novelty| novelty.score(network.features()))))
             };
             let frames = inputs.par_chunks_exact_mut(values);
-            let found: Result<Vec<_>, Error> = frames.map_init(|| self.network.clone(), of_frame).collect();
+            let found: Result<Vec<Seen>, Error> = frames.map_init(|| self.network.clone(), of_frame).collect();
             all.extend(found?);
             done(batch.len());
         }
