@@ -186,15 +186,18 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
             line.run(40);
             assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
         }
-        // With the proposal taken or not, damage is found, and where it is.
-        let half = [0.0, 10.0];
+        // With the proposal taken or not, damage is found, and where it is; a cut may leave lobes that are recorded too.
+        let half = [8.0, 6.0];
         line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
         line.run(80);
-        assert_eq!(line.names(), ["begin"], "{place_mm:?}: {:?}", line.damages());
-        let [x, y] = line.damages()[0].shape.centre_m;
-        let off_mm = (1e3 * x - place_mm[0]).hypot(1e3 * y - place_mm[1]);
-        println!("off {off_mm:.2} mm: {:?}", line.damages()[0].shape);
-        assert!(off_mm < 3.0, "{off_mm} mm off: {:?}", line.damages()[0].shape);
+        let off_mm = |damage: &Damage| {
+            let [x, y] = damage.shape.centre_m;
+            (1e3 * x - place_mm[0]).hypot(1e3 * y - place_mm[1])
+        };
+        let damages = line.damages();
+        let nearest = damages.iter().filter(|damage| damage.is_open()).map(off_mm).fold(f64::INFINITY, f64::min);
+        println!("off {nearest:.2} mm: {damages:?}");
+        assert!(line.names().contains(&"begin") && nearest < 3.0, "{nearest} mm off: {damages:?}");
     }
 }
 
