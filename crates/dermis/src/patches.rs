@@ -284,6 +284,11 @@ impl PatchStage {
         Ok(())
     }
 
+    /// Whether it is being worked out what touches the skin.
+    pub(crate) fn is_seeking(&self) -> bool {
+        self.seek.is_some()
+    }
+
     /// Goes on without these channels.
     pub(crate) fn leave_out(&mut self, channels: &[u32]) {
         self.absent.fill(false);

@@ -256,9 +256,9 @@ impl TouchStage {
         &self.events
     }
 
-    /// True while anything lies on the skin, contacts not yet confirmed included.
+    /// True while anything lies on the skin, contacts not yet confirmed and frames not yet explained included.
     pub fn is_loaded(&self) -> bool {
-        self.tracker.is_following()
+        self.tracker.is_following() || self.patches.as_ref().is_some_and(PatchStage::is_seeking)
     }
 
     /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end, and what
