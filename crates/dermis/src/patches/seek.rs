@@ -12,6 +12,8 @@ use super::{BELIEVED, RADII, WORTH, plausible};
 const GOOD: f64 = 0.2;
 /// Steps of a fit at most.
 const STEPS: usize = 15;
+/// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
+const PORTION: f64 = 2000.0;
 /// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit of n
 /// patches n squared times that. Rough figures, by which work is shared out among frames.
 const SET_NS: f64 = 600.0;
@@ -83,7 +85,7 @@ impl Seek {
             let work = std::mem::replace(&mut self.work, Work::Sets);
             let next = match work {
                 Work::Sets => {
-                    let most = (nanoseconds / SET_NS).ceil().clamp(500.0, 1e6) as usize;
+                    let most = (nanoseconds / SET_NS).ceil().clamp(500.0, PORTION) as usize;
                     nanoseconds -= SET_NS * most as f64;
                     match tools.search.look(&mut self.sets, most) {
                         Looked::NotDone => Some(Work::Sets),
