@@ -8,6 +8,7 @@ use crate::network::{Network, softmax};
 use crate::novelty::Novelty;
 use crate::shape::UNetShape;
 use crate::train::checkpoint::State;
+use crate::weights::Tensors;
 
 /// Most frames that features are gathered from.
 const MOST_FEATURE_FRAMES: usize = 2000;
@@ -45,6 +46,17 @@ impl Run<'_> {
     }
 }
 
+/// Takes the classes' weights in the loss out of the logits. What is learnt with weights w is proportional to `w_c p_c` in
+/// place of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq. 2.4), so that `ln w_c`
+/// less is what makes probabilities of it.
+fn unweigh(tensors: &mut Tensors, weights: &[f32]) -> Result<(), LearnError> {
+    let Some((dims, bias)) = tensors.get("head.bias").filter(|(_, bias)| bias.len() == weights.len()) else {
+        return Ok(());
+    };
+    let bias = bias.iter().zip(weights).map(|(bias, weight)| bias - weight.ln()).collect();
+    tensors.insert("head.bias", dims.to_vec(), bias)
+}
+
 pub(super) fn model(
     training: &Training<'_>,
     shape: UNetShape,
@@ -54,6 +66,7 @@ pub(super) fn model(
 ) -> Result<Model, LearnError> {
     let manifest = training.set.manifest();
     let mut tensors = state.best.clone();
+    unweigh(&mut tensors, &training.options.class_weights)?;
     let network = Network::new(shape, &tensors, manifest.rows, manifest.columns)?;
     let mut run = Run { training, scale, network };
     let mut features = Vec::new();
@@ -131,4 +144,23 @@ fn judge(
         Ok(true)
     })?;
     Ok((calibration, confusion))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_of_classes_are_taken_out_of_the_probabilities() {
+        let mut tensors = Tensors::default();
+        // What is learnt with weights 1, 4 where the classes have probabilities 0.8 and 0.2: as 0.8 to 0.8.
+        tensors.insert("head.bias", vec![2], vec![0.3, 0.3]).unwrap();
+        unweigh(&mut tensors, &[1.0, 4.0]).unwrap();
+        let mut values = tensors.get("head.bias").unwrap().1.to_vec();
+        softmax(&mut values, 2, 1.0);
+        assert!((values[0] - 0.8).abs() < 1e-6 && (values[1] - 0.2).abs() < 1e-6, "{values:?}");
+        // Equal weights need not be given, and change nothing.
+        unweigh(&mut tensors, &[]).unwrap();
+        assert_eq!(tensors.get("head.bias").unwrap().1, [0.3, 0.3 - 4.0_f32.ln()]);
+    }
 }
