@@ -447,15 +447,16 @@ impl PatchStage {
     /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
     /// that explain this frame too.
     fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
-        // Not `self.tools()`, which would borrow the search that it is for.
-        let Sheets { coarse, search, .. } = &self.sheets;
-        let tools = Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m };
-        if self.seek.is_none() && time_ns >= self.rest_until_ns {
-            self.seek = Seek::new(&tools, &self.change, &self.deviation);
-        }
-        let Some(seek) = &mut self.seek else { return false };
+        let under_way = self.seek.take();
+        let tools = self.tools();
+        let rested = time_ns >= self.rest_until_ns;
+        let begin = || rested.then(|| Seek::new(&tools, &self.change, &self.deviation)).flatten();
+        let Some(mut seek) = under_way.or_else(begin) else { return false };
         let found = match seek.advance(&tools, share_ns) {
-            Outcome::UnderWay => return false,
+            Outcome::UnderWay => {
+                self.seek = Some(seek);
+                return false;
+            }
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
                 (self.fits, self.misfit, self.standing) = (fits, misfit, None);
@@ -463,7 +464,6 @@ impl PatchStage {
                 self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
             }
         };
-        self.seek = None;
         if found {
             (self.rest_until_ns, self.next_rest_ns) = (0, REST_NS[0]);
         } else {

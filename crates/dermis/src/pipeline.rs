@@ -297,7 +297,6 @@ impl Pipeline {
             touches,
             contacts,
             loaded: load == Load::Touched,
-            classes: None,
         };
         let verdict = damage.process(&input, &self.prepared, &mut ready.imager, &mut self.baseline, patches)?;
         self.baseline.hold_drift(verdict.suspicious);

@@ -43,6 +43,20 @@ pub struct TouchStage {
     floor: f64,
 }
 
+impl Prepared {
+    /// Where the pixels of images are.
+    pub(crate) fn image_geometry(&self) -> ImageGeometry {
+        let grid = self.map.grid();
+        ImageGeometry {
+            columns: grid.columns,
+            rows: grid.rows,
+            pixel_m: grid.pixel_m,
+            left_m: grid.left_m,
+            top_m: grid.top_m,
+        }
+    }
+}
+
 impl TouchStage {
     /// Sets up both from the skin file; `noise` is the image noise of each pixel (row-major, NaN outside).
     ///
@@ -50,14 +64,7 @@ impl TouchStage {
     /// Thresholds out of range.
     pub fn new(prepared: &Prepared, noise: Vec<f32>) -> Result<Self, Error> {
         let settings = &prepared.skin.touch;
-        let grid = prepared.map.grid();
-        let geometry = ImageGeometry {
-            columns: grid.columns,
-            rows: grid.rows,
-            pixel_m: grid.pixel_m,
-            left_m: grid.left_m,
-            top_m: grid.top_m,
-        };
+        let geometry = prepared.image_geometry();
         let half_width = prepared.half_width_m();
         let contact = ContactParams {
             k_on: settings.begin_sigma,

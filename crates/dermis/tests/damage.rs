@@ -28,6 +28,16 @@ impl Line {
         line
     }
 
+    /// A cut that has been found and taken into the baseline; frames are slow from here on.
+    fn with_a_known_cut() -> Self {
+        let mut line = Self::new();
+        line.cut(FROM_MM, TO_MM);
+        line.run(60);
+        line.frame_s = 0.2;
+        line.run(10);
+        line
+    }
+
     fn without_baseline() -> Self {
         let skin = Skin::open("healing-square").unwrap();
         let prepared = Prepared::new(skin.clone()).unwrap();
@@ -203,11 +213,7 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
 
 #[test]
 fn warmth_of_a_small_pad_hides_no_healing() {
-    let mut line = Line::new();
-    line.cut(FROM_MM, TO_MM);
-    line.run(60);
-    line.frame_s = 0.2;
-    line.run(10);
+    let mut line = Line::with_a_known_cut();
     let centre_m = MIDDLE_MM.map(|mm| 1e-3 * mm);
     line.treat(Treatment::TimeLapse(720.0));
     line.treat(Treatment::Heat(Heating::published(centre_m, 0.015)));
@@ -324,11 +330,7 @@ fn cuts_are_measured_by_their_fields() {
 
 #[test]
 fn healing_is_followed_and_ends_with_a_new_baseline() {
-    let mut line = Line::new();
-    line.cut(FROM_MM, TO_MM);
-    line.run(60);
-    line.frame_s = 0.2;
-    line.run(10);
+    let mut line = Line::with_a_known_cut();
     let centre_m = MIDDLE_MM.map(|mm| 1e-3 * mm);
     line.treat(Treatment::Heat(Heating::published(centre_m, 0.025)));
     line.treat(Treatment::TimeLapse(200.0));

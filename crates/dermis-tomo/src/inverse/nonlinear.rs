@@ -151,11 +151,6 @@ impl NonlinearProblem {
         Ok(Self { model, map, rest_conductivity, weighting, prior, combination, at_rest })
     }
 
-    /// Unknowns: inside pixels of the map.
-    pub fn unknowns(&self) -> usize {
-        self.map.inside_count()
-    }
-
     /// Prepares the data side without the missing channels (any order): once for all frames that lack the same ones.
     ///
     /// # Errors

@@ -1,10 +1,8 @@
 //! The stage itself: the second image, the references that it and the touches are taken against, and what follows from the
 //! monitor's events.
 
-use dermis_touch::damage::{
-    ClassProbabilities, Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageState,
-};
-use dermis_touch::{Baseline, Contact, ImageGeometry, PixelNoise, ReferenceOrigin, Touch};
+use dermis_touch::damage::{Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageState};
+use dermis_touch::{Baseline, Contact, PixelNoise, ReferenceOrigin, Touch};
 
 use super::healing::HealingMonitor;
 use super::released::is_release;
@@ -65,7 +63,6 @@ pub(crate) struct DamageInput<'a> {
     /// What touches are made of, and what is not enough to begin one.
     pub contacts: &'a [Contact],
     pub loaded: bool,
-    pub classes: Option<ClassProbabilities<'a>>,
 }
 
 /// Mean of the readings over free frames.
@@ -140,14 +137,7 @@ pub(crate) struct DamageStage {
 
 impl DamageStage {
     pub fn new(prepared: &Prepared) -> Result<Self, Error> {
-        let grid = prepared.map.grid();
-        let geometry = ImageGeometry {
-            columns: grid.columns,
-            rows: grid.rows,
-            pixel_m: grid.pixel_m,
-            left_m: grid.left_m,
-            top_m: grid.top_m,
-        };
+        let geometry = prepared.image_geometry();
         let settings = &prepared.skin.damage;
         let half_width = prepared.half_width_m();
         let params = DamageParams {
@@ -167,7 +157,7 @@ impl DamageStage {
             intact_drift: 1.0,
             intact_record: 0,
             difference: vec![0.0; channels],
-            image: vec![f32::NAN; grid.len()],
+            image: vec![f32::NAN; prepared.map.grid().len()],
             noise: Vec::new(),
             suspicious: false,
             looked_ns: 0,
@@ -244,7 +234,7 @@ impl DamageStage {
             noise: PixelNoise::PerPixel(&self.noise),
             touches: input.touches,
             loaded: input.loaded,
-            classes: input.classes,
+            classes: None,
         })?;
         let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
         if input.loaded || (self.suspicious && !began) {

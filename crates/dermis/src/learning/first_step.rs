@@ -135,22 +135,10 @@ impl FirstStep {
             let (expected, got) = (format!("{} values", self.images() * self.pixels), out.len().to_string());
             return Err(Error::Frames { what: "input images".into(), expected, got });
         }
-        self.update_coverage(difference);
-        for (source, image) in self.sources.iter_mut().zip(out.chunks_exact_mut(self.pixels)) {
-            match source {
-                Source::Coverage => image.copy_from_slice(&self.coverage),
-                Source::Imager(imager) => {
-                    imager.image(difference, image)?;
-                    clear_outside(image);
-                }
-                Source::Refiner(refiner) => {
-                    let refined = refiner.images(&[difference.to_vec()], || ())?;
-                    refined.iter().for_each(|refined| image.copy_from_slice(refined));
-                    clear_outside(image);
-                }
-            }
+        if self.sources.iter().any(|source| matches!(source, Source::Refiner(_))) {
+            self.refine(&[difference.to_vec()], out)?;
         }
-        Ok(())
+        self.image(difference, out)
     }
 
     /// As [`FirstStep::images_of`] for many frames, one after the other in `out`, refined on all threads.
@@ -161,6 +149,16 @@ impl FirstStep {
         let values = self.images() * self.pixels;
         out.clear();
         out.resize(differences.len() * values, 0.0);
+        self.refine(differences, out)?;
+        for (difference, frame) in differences.iter().zip(out.chunks_exact_mut(values)) {
+            self.image(difference, frame)?;
+        }
+        Ok(())
+    }
+
+    /// The refined images of frames, into their places.
+    fn refine(&mut self, differences: &[Vec<f64>], out: &mut [f32]) -> Result<(), Error> {
+        let values = self.images() * self.pixels;
         for (place, source) in self.sources.iter_mut().enumerate() {
             if let Source::Refiner(refiner) = source {
                 let refined = refiner.images(differences, || ())?;
@@ -169,16 +167,19 @@ impl FirstStep {
                 }
             }
         }
-        for (difference, frame) in differences.iter().zip(out.chunks_exact_mut(values)) {
-            self.update_coverage(difference);
-            for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
-                match source {
-                    Source::Coverage => image.copy_from_slice(&self.coverage),
-                    Source::Imager(imager) => imager.image(difference, image)?,
-                    Source::Refiner(_) => {}
-                }
-                clear_outside(image);
+        Ok(())
+    }
+
+    /// The other images of a frame, and all cleared outside the skin.
+    fn image(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
+        self.update_coverage(difference);
+        for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
+            match source {
+                Source::Coverage => image.copy_from_slice(&self.coverage),
+                Source::Imager(imager) => imager.image(difference, image)?,
+                Source::Refiner(_) => {}
             }
+            image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
         }
         Ok(())
     }
@@ -199,10 +200,6 @@ impl FirstStep {
             self.coverage[pixel as usize] = (left / whole.max(f32::MIN_POSITIVE)).sqrt().min(1.0);
         }
     }
-}
-
-fn clear_outside(image: &mut [f32]) {
-    image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
 }
 
 /// As the skin file says, at the live image's lambda.

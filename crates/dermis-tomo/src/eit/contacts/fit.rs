@@ -143,14 +143,14 @@ impl ContactSheet {
                 from.damping *= 8.0;
             }
         }
+        settled |= steps < options.most_steps;
         // A fit that is gone on with on another frame begins boldly again.
-        if settled || steps < options.most_steps {
+        if settled {
             from.damping = DAMPING[0];
         }
         left_v.clear();
         left_v.extend(change_v.iter().zip(&from.change_v).map(|(change, model)| change - model));
         let energy = fit.misfit(&vec![0.0; change_v.len()]);
-        let settled = settled || steps < options.most_steps;
         let summary = FitSummary { misfit, cost: 2.0 * cost, energy, steps, settled };
         let covariance = inverse(&normal);
         let block = |k: usize| {
