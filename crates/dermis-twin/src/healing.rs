@@ -213,21 +213,19 @@ impl Wear {
         self.warmth * (1.0 + passing + lasting)
     }
 
-    /// The cuts as they conduct now, in pieces, each shorter by this at both ends (see [`Cut::shortened`]).
-    pub fn cuts(&self, by_m: f64) -> Vec<Cut> {
-        let pieces = |Laceration { cut, doses }: &Laceration| {
-            let cut = cut.shortened(by_m);
+    /// The cuts as they conduct now, each in equal pieces from end to end.
+    pub fn cuts(&self) -> impl Iterator<Item = Vec<Cut>> + '_ {
+        self.cuts.iter().map(|Laceration { cut, doses }| {
             let count = doses.len() as f64;
             let healed = cut.width_m / (cut.width_m + SCAR_M);
             let piece = |(index, dose): (usize, &f64)| Cut {
                 from_m: cut.at(index as f64 / count),
                 to_m: cut.at((index + 1) as f64 / count),
                 residual: cut.residual + dose * (healed - cut.residual).max(0.0),
-                ..cut
+                ..*cut
             };
-            doses.iter().enumerate().map(piece).collect::<Vec<_>>()
-        };
-        self.cuts.iter().flat_map(pieces).collect()
+            doses.iter().enumerate().map(piece).collect()
+        })
     }
 
     /// The cuts as they were made, and how far they have healed.
@@ -256,7 +254,7 @@ mod tests {
     /// Resistance of a bar of 100 x 10 mm that had `new_ohm`, with a cut across its middle or not, after what was done.
     fn bar_ohm(wear: &Wear, new_ohm: f64) -> f64 {
         let per_m = new_ohm / 0.1 / wear.share_at([0.0; 2]);
-        let scars: f64 = wear.cuts(0.0).iter().take(1).map(|cut| cut.width_m * (1.0 / cut.residual - 1.0)).sum();
+        let scars: f64 = wear.cuts().flatten().take(1).map(|cut| cut.width_m * (1.0 / cut.residual - 1.0)).sum();
         per_m * (0.1 + scars)
     }
 

@@ -101,7 +101,19 @@ impl HealingSquareOptions {
     }
 }
 
-/// The sandwich itself; see the module.
+/// How the cuts are in the mesh.
+#[derive(Debug, Default)]
+struct Slits {
+    /// Both ends of every cut, metres.
+    ends_m: Vec<[[f64; 2]; 2]>,
+    /// Whether the mesh is slit there; else the elements that the cut crosses are blocked whole.
+    is_slit: Vec<bool>,
+    /// The cut that each edge of the slits belongs to.
+    cut_of_edge: Vec<usize>,
+}
+
+/// The sandwich itself; see the module. The composite is slit where it is cut, and joined again across the slit as it heals. A
+/// cut that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it crosses.
 #[derive(Debug)]
 pub struct HealingSquare {
     body: ElectrodedMesh,
@@ -112,8 +124,11 @@ pub struct HealingSquare {
     cuts: Vec<Cut>,
     /// Cuts and heat of its own life.
     wear: Wear,
-    /// Half an element, by which cuts are drawn in at their ends, as elements are blocked whole.
-    cut_inset_m: f64,
+    spec: SheetSpec,
+    contact_impedance_ohm_m2: f64,
+    shortcut: Shortcut,
+    slits: Slits,
+    memory: Option<Memory>,
     cover: Cover,
     contact: ContactLaw,
     state: PressureState,
@@ -163,7 +178,8 @@ impl HealingSquare {
         let protocol = Self::protocol(options.current_a)?;
         let mut spec = SheetSpec::new(Self::outline(), Self::electrodes(), options.element_size_m);
         spec.electrode_element_size_m = options.electrode_element_size_m;
-        let (body, _) = spec.build(&[options.contact_impedance_ohm_m2])?;
+        let contact_impedance_ohm_m2 = options.contact_impedance_ohm_m2;
+        let (body, _) = spec.build(&[contact_impedance_ohm_m2])?;
         let shortcut = Shortcut::Sheet { conductance_s: options.copper_sheet_s };
         let sheets = TwoSheets::new(&body, options.sheet_s(), shortcut)?;
         let nodes = sheets.positions_m().len();
@@ -172,7 +188,11 @@ impl HealingSquare {
             sheet_s: options.sheet_s(),
             cuts: Vec::new(),
             wear: Wear::default(),
-            cut_inset_m: 0.5 * options.element_size_m,
+            spec,
+            contact_impedance_ohm_m2,
+            shortcut,
+            slits: Slits::default(),
+            memory: options.memory,
             cover: options.cover,
             contact: options.contact,
             state: PressureState::new(options.memory, nodes),
@@ -186,7 +206,7 @@ impl HealingSquare {
         })
     }
 
-    /// Its mesh with electrodes.
+    /// Its mesh with electrodes, slit where it is cut.
     pub fn body(&self) -> &ElectrodedMesh {
         &self.body
     }
@@ -213,8 +233,7 @@ impl HealingSquare {
     pub fn set_cuts(&mut self, cuts: Vec<Cut>) -> Result<(), TwinError> {
         cuts.iter().try_for_each(Cut::check)?;
         self.cuts = cuts;
-        self.renew_sheet();
-        Ok(())
+        self.renew_sheet()
     }
 
     /// What has become of the sheet by [`Frontend::treat`].
@@ -222,12 +241,46 @@ impl HealingSquare {
         &self.wear
     }
 
-    fn renew_sheet(&mut self) {
-        let mut cuts = self.wear.cuts(self.cut_inset_m);
-        cuts.extend(self.cuts.iter().map(|cut| cut.shortened(self.cut_inset_m)));
-        let (sheet_s, wear) = (self.sheet_s, &self.wear);
-        self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point), &cuts);
+    fn renew_sheet(&mut self) -> Result<(), TwinError> {
+        // Each cut in equal pieces that conduct differently.
+        let cuts: Vec<Vec<Cut>> = self.wear.cuts().chain(self.cuts.iter().map(|cut| vec![*cut])).collect();
+        let ends_m: Vec<[[f64; 2]; 2]> = cuts.iter().map(|pieces| whole(pieces)).collect();
+        if ends_m != self.slits.ends_m {
+            self.slit(ends_m)?;
+        }
+        let (sheet_s, wear, slits) = (self.sheet_s, &self.wear, &self.slits);
+        let inset_m = 0.5 * self.spec.element_size_m;
+        let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
+        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
+        self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point), &blocking);
+        self.sheets.set_joints(|edge, middle| {
+            let cut = slits.cut_of_edge[edge];
+            let ([from, to], pieces) = (slits.ends_m[cut], &cuts[cut]);
+            let along = [to[0] - from[0], to[1] - from[1]];
+            let share = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
+                / (along[0] * along[0] + along[1] * along[1]);
+            let piece = &pieces[((share * pieces.len() as f64) as usize).min(pieces.len() - 1)];
+            sheet_s * wear.share_at(middle) * piece.joining_per_m()
+        });
         self.solved = false;
+        Ok(())
+    }
+
+    /// Meshes the skin anew with slits along cuts, as many as can be slit.
+    fn slit(&mut self, ends_m: Vec<[[f64; 2]; 2]>) -> Result<(), TwinError> {
+        let (slit, is_slit) = self.spec.build_slit(&[self.contact_impedance_ohm_m2], &ends_m)?;
+        let slit_cuts = is_slit.iter().enumerate().filter(|(_, is_slit)| **is_slit).map(|(cut, _)| cut);
+        let cut_of_edge = slit_cuts.zip(&slit.slits).flat_map(|(cut, edges)| edges.iter().map(move |_| cut)).collect();
+        self.sheets = TwoSheets::with_slits(&slit.mesh, &slit.slits.concat(), self.sheet_s, self.shortcut)?;
+        self.body = slit.mesh;
+        self.slits = Slits { ends_m, is_slit, cut_of_edge };
+        let nodes = self.sheets.positions_m().len();
+        self.state = PressureState::new(self.memory, nodes);
+        for values in [&mut self.pressure_pa, &mut self.contact_s_per_m2, &mut self.solved_s_per_m2] {
+            values.clear();
+            values.resize(nodes, 0.0);
+        }
+        Ok(())
     }
 
     /// Contact conductance at each node after the last frame, S/m^2.
@@ -254,6 +307,24 @@ impl HealingSquare {
     }
 }
 
+/// Both ends of a cut in pieces.
+fn whole(pieces: &[Cut]) -> [[f64; 2]; 2] {
+    [pieces[0].from_m, pieces[pieces.len() - 1].to_m]
+}
+
+/// A cut in pieces, shorter by this at both ends ([`Cut::shortened`]).
+fn drawn_in(pieces: &[Cut], by_m: f64) -> Vec<Cut> {
+    let [from_m, to_m] = whole(pieces);
+    let cut = Cut { from_m, to_m, ..pieces[0] }.shortened(by_m);
+    let count = pieces.len() as f64;
+    let piece = |(k, piece): (usize, &Cut)| Cut {
+        from_m: cut.at(k as f64 / count),
+        to_m: cut.at((k + 1) as f64 / count),
+        ..*piece
+    };
+    pieces.iter().enumerate().map(piece).collect()
+}
+
 impl Frontend for HealingSquare {
     fn channel_count(&self) -> usize {
         self.protocol.channel_count()
@@ -265,8 +336,7 @@ impl Frontend for HealingSquare {
 
     fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
         self.wear.treat(treatment)?;
-        self.renew_sheet();
-        Ok(())
+        self.renew_sheet()
     }
 
     fn wounds(&self) -> Vec<Wound> {
@@ -275,7 +345,7 @@ impl Frontend for HealingSquare {
 
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         if self.wear.advance(dt_s) {
-            self.renew_sheet();
+            self.renew_sheet()?;
         }
         self.pressure_pa.fill(0.0);
         for indenter in indenters {

@@ -35,8 +35,6 @@ fn spent_power(skin: &mut HealingSquare, indenters: &[Indenter]) -> Vec<f64> {
     let options = coarse();
     let shortcut = Shortcut::Sheet { conductance_s: options.copper_sheet_s };
     let mut sheets = TwoSheets::new(skin.body(), options.sheet_s(), shortcut).unwrap();
-    let cuts: Vec<Cut> = skin.cuts().iter().map(|cut| cut.shortened(0.5 * options.element_size_m)).collect();
-    sheets.set_sensing(options.sheet_s(), &cuts);
     let impedance = sheets.impedance(&contact).unwrap();
     let power = |stimulation: &dermis_tomo::eit::Pattern| -> f64 {
         let entries = stimulation.entries();

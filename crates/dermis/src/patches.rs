@@ -5,29 +5,20 @@
 
 mod released;
 mod seek;
+mod sheets;
 
 use std::f64::consts::PI;
 
-use dermis_tomo::eit::ForwardModel;
-use dermis_tomo::eit::contacts::{
-    ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, PatchFit, PatchSearch,
-};
+use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, FitOptions, FitSummary, PatchFit};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use crate::Error;
 use crate::prepare::Prepared;
 use seek::{Outcome, Seek, Tools};
+pub(crate) use sheets::SheetCut;
+use sheets::{CutSheets, Sheets};
 
-/// Elements of the mesh that contacts are fitted on, about 2.5 mm on a skin of 100 mm, and of the one that they are looked for
-/// on, where a fit takes a fifth of the time and sizes are a tenth off.
-const ELEMENTS: usize = 4000;
-const COARSE_ELEMENTS: usize = 2000;
-/// Edges of patches are blurred over so many of the finer elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm this one
-/// placed and sized indenters of 20 and 25 mm best on the twin.
-const EDGE: f64 = 4.25;
-/// Places that are searched, along the shorter side.
-const PLACES: usize = 10;
 /// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
 const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
@@ -68,55 +59,6 @@ const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
 const SEARCH_SHARE: f64 = 0.5;
 
-/// What is left of the conductance of an element that a cut crosses: it blocks the current, and no matrix becomes singular.
-const LEFT_BY_A_CUT: f64 = 1e-4;
-
-/// What sheets are made of.
-#[derive(Debug)]
-struct Bare {
-    fine: ForwardModel,
-    coarse: ForwardModel,
-    edge_m: f64,
-    typical: ContactPatch,
-    places: Vec<[f64; 2]>,
-    sheet_s: f64,
-}
-
-impl Bare {
-    /// The sheet with these cuts, which block the elements that they cross whole; elements that conduct along a cut but not
-    /// across it would hold its sides together.
-    fn with(&self, cuts: &[[[f64; 2]; 2]]) -> Result<Sheets, Error> {
-        let (fine, coarse) = (self.sheet(&self.fine, cuts)?, self.sheet(&self.coarse, cuts)?);
-        let search = PatchSearch::new(&coarse, self.typical, &self.places)?;
-        Ok(Sheets { fine, coarse, search })
-    }
-
-    fn sheet(&self, model: &ForwardModel, cuts: &[[[f64; 2]; 2]]) -> Result<ContactSheet, Error> {
-        let mesh = &model.body().mesh;
-        let corner = |node: u32| [mesh.nodes()[node as usize][0], mesh.nodes()[node as usize][1]];
-        let size = mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64;
-        // Blocked whole, a cut is longer by about half an element at each end.
-        let cuts: Vec<[[f64; 2]; 2]> = cuts.iter().map(|cut| shortened(*cut, 0.5 * size.sqrt())).collect();
-        let conductance: Vec<f64> = mesh
-            .elements()
-            .map(|cell| {
-                let corners = [corner(cell[0]), corner(cell[1]), corner(cell[2])];
-                let blocked = cuts.iter().any(|cut| crosses(corners, *cut));
-                self.sheet_s * if blocked { LEFT_BY_A_CUT } else { 1.0 }
-            })
-            .collect();
-        Ok(ContactSheet::new(model, &conductance, self.edge_m)?)
-    }
-}
-
-/// The sheet with its cuts, ready for contacts.
-#[derive(Debug)]
-struct Sheets {
-    fine: ContactSheet,
-    coarse: ContactSheet,
-    search: PatchSearch,
-}
-
 /// Frames that came since the last fit.
 #[derive(Debug, Default)]
 struct Gathered {
@@ -146,31 +88,11 @@ impl Gathered {
     }
 }
 
-/// A segment without so much at either end; its middle where little is left.
-fn shortened([a, b]: [[f64; 2]; 2], by_m: f64) -> [[f64; 2]; 2] {
-    let length = (b[0] - a[0]).hypot(b[1] - a[1]);
-    let share = (by_m / length.max(f64::MIN_POSITIVE)).min(0.499);
-    let at = |share: f64| [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])];
-    [at(share), at(1.0 - share)]
-}
-
-/// Whether a segment meets a triangle.
-fn crosses(corners: [[f64; 2]; 3], [a, b]: [[f64; 2]; 2]) -> bool {
-    let side = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]);
-    let meets = |p: [f64; 2], q: [f64; 2]| side(p, q, a) * side(p, q, b) <= 0.0 && side(a, b, p) * side(a, b, q) <= 0.0;
-    let edges = [(0, 1), (1, 2), (2, 0)];
-    let inside = edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) >= 0.0)
-        || edges.iter().all(|&(i, j)| side(corners[i], corners[j], a) <= 0.0);
-    inside || edges.iter().any(|&(i, j)| meets(corners[i], corners[j]))
-}
-
 /// Fits the patches of one frame after the other.
 #[derive(Debug)]
 pub(crate) struct PatchStage {
-    bare: Bare,
-    /// Ends of the cuts that the sheets have, metres.
-    cuts: Vec<[[f64; 2]; 2]>,
-    sheets: Sheets,
+    sheets: CutSheets,
+    sheet_s: f64,
     options: FitOptions,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -206,35 +128,15 @@ impl Prepared {
 
     /// What fits patches, at this noise of the channels (model volts).
     pub(crate) fn patch_stage(&self, noise: &[f64]) -> Result<PatchStage, Error> {
-        let model = |elements: usize| -> Result<ForwardModel, Error> {
-            Ok(ForwardModel::new(self.skin.body_with_elements(elements)?.mesh, self.protocol.clone())?)
-        };
-        let (fine, coarse) = (model(ELEMENTS)?, model(COARSE_ELEMENTS)?);
-        let mesh = &fine.body().mesh;
-        let edge_m = EDGE * (mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64).sqrt();
         let touch = &self.skin.touch;
         let typical = ContactPatch {
             position_m: [0.0; 2],
             radius_m: 2.0 * touch.relative_size * self.half_width_m(),
             conductance_s_per_m2: touch.contact_s_per_m2,
         };
-        let (low, high) = self.body.outline.bounds_m();
-        let step = (high[0] - low[0]).min(high[1] - low[1]) / PLACES as f64;
-        let count = |axis: usize| ((high[axis] - low[axis]) / step).round() as usize;
-        let at = |axis: usize, k: usize| low[axis] + (k as f64 + 0.5) * (high[axis] - low[axis]) / count(axis) as f64;
-        let inside = self.map.inside_mask();
-        let grid = *self.map.grid();
-        let places: Vec<[f64; 2]> = (0..count(1))
-            .flat_map(|row| (0..count(0)).map(move |column| (row, column)))
-            .map(|(row, column)| [at(0, column), at(1, row)])
-            .filter(|place| grid.pixel_at(*place).is_some_and(|pixel| inside[pixel]))
-            .collect();
-        let sheet_s = self.skin.sheet_conductance_s();
-        let bare = Bare { fine, coarse, edge_m, typical, places, sheet_s };
-        let sheets = bare.with(&[])?;
+        let sheets = CutSheets::new(self, typical)?;
         Ok(PatchStage {
-            bare,
-            cuts: Vec::new(),
+            sheet_s: self.skin.sheet_conductance_s(),
             options: FitOptions {
                 radius_m: typical.radius_m,
                 radius_log_deviation: LOG_DEVIATIONS[0],
@@ -242,10 +144,10 @@ impl Prepared {
                 conductance_log_deviation: LOG_DEVIATIONS[1],
                 most_steps: STEPS[0],
             },
-            absent: vec![false; sheets.fine.channels()],
+            absent: vec![false; self.channels()],
             sheets,
-            grid,
-            inside,
+            grid: *self.map.grid(),
+            inside: self.map.inside_mask(),
             half_width_m: self.half_width_m(),
             noise: noise.to_vec(),
             change: Vec::new(),
@@ -273,15 +175,10 @@ impl PatchStage {
         self.noise.extend_from_slice(noise);
     }
 
-    /// Takes the sheet to have these cuts (both ends, metres) from now on: works out its Green's function anew, which takes a
-    /// good part of a second. Does nothing where they are those that it has.
-    pub(crate) fn set_cuts(&mut self, cuts: &[[[f64; 2]; 2]]) -> Result<(), Error> {
-        if self.cuts != cuts {
-            self.sheets = self.bare.with(cuts)?;
-            self.cuts = cuts.to_vec();
-            self.forget();
-        }
-        Ok(())
+    /// Takes the sheet to have these cuts, from a second of the frames' time on: its Green's function has to
+    /// be worked out anew. Does nothing where they are those that it has.
+    pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
+        self.sheets.order(time_ns, cuts);
     }
 
     /// Whether it is being worked out what touches the skin.
@@ -313,7 +210,24 @@ impl PatchStage {
     /// only a moment ago. Those of a frame that patches do not explain
     /// stay as the image has them; they begin no touch, unless one stands far out of the image, of which `lowest` is the lowest
     /// value.
-    pub(crate) fn refine(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
+    ///
+    /// # Errors
+    /// A sheet with new cuts that cannot be meshed or solved.
+    pub(crate) fn refine(
+        &mut self,
+        time_ns: u64,
+        difference: &[f64],
+        lowest: f64,
+        contacts: &mut Vec<Contact>,
+    ) -> Result<(), Error> {
+        if self.sheets.take_up(time_ns)? {
+            self.forget();
+        }
+        self.refine_contacts(time_ns, difference, lowest, contacts);
+        Ok(())
+    }
+
+    fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
         // How long a search may take in this frame: as slow as frames come. The first one waits for nothing.
         let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
         self.left.clear();
@@ -421,7 +335,7 @@ impl PatchStage {
             Some(standing) => standing,
             place => {
                 let start: Vec<ContactPatch> = self.fits.iter().map(|fit| fit.patch).collect();
-                match self.sheets.fine.begin_fit(&start) {
+                match self.sheets.now.fine.begin_fit(&start) {
                     Ok(begun) => place.insert(begun),
                     Err(_) => return false,
                 }
@@ -429,7 +343,7 @@ impl PatchStage {
         };
         let before = self.misfit;
         let options = FitOptions { most_steps, ..self.options };
-        let result = self.sheets.fine.go_on(&self.change, &self.deviation, standing, &options, &mut self.left);
+        let result = self.sheets.now.fine.go_on(&self.change, &self.deviation, standing, &options, &mut self.left);
         let Ok((fits, summary)) = result else { return false };
         let believed =
             summary.misfit <= BELIEVED.max(WORSENED * before) && plausible(&fits, &summary, self.half_width_m);
@@ -440,7 +354,7 @@ impl PatchStage {
 
     /// What a search works with.
     fn tools(&self) -> Tools<'_> {
-        let Sheets { coarse, search, .. } = &self.sheets;
+        let Sheets { coarse, search, .. } = &self.sheets.now;
         Tools { sheet: coarse, search, options: &self.options, half_width_m: self.half_width_m }
     }
 
@@ -481,7 +395,7 @@ impl PatchStage {
     /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is at the
     /// mean potential of its rim by symmetry.
     fn effect_m2(&self, patch: &ContactPatch) -> f64 {
-        let x = (patch.conductance_s_per_m2 / self.bare.sheet_s).sqrt() * patch.radius_m;
+        let x = (patch.conductance_s_per_m2 / self.sheet_s).sqrt() * patch.radius_m;
         let [zeroth, second] = bessel_i0_i2(x);
         patch.radius_m * patch.radius_m * second / zeroth
     }

@@ -308,13 +308,10 @@ impl Pipeline {
     }
 
     /// Touches are fitted to the sheet with the cuts that the baseline includes.
-    fn follow_cuts(&mut self) -> Result<(), Error> {
-        let (Some(damage), Some(ready)) = (&self.damage, &mut self.ready) else { return Ok(()) };
-        let Some(patches) = ready.touches.patches_mut() else { return Ok(()) };
-        let open = damage.view(&self.baseline).damages.iter().filter(|damage| damage.is_open());
-        let cuts: Vec<[[f64; 2]; 2]> =
-            open.filter(|damage| damage.shape.length_m > 0.0).map(|damage| damage.shape.ends_m()).collect();
-        patches.set_cuts(&cuts)
+    fn follow_cuts(&mut self) {
+        let (Some(damage), Some(ready)) = (&self.damage, &mut self.ready) else { return };
+        let Some(patches) = ready.touches.patches_mut() else { return };
+        patches.set_cuts(self.clock.time_ns(), &damage.cuts());
     }
 
     /// Damage, the baselines that were in use, and a new one where that is proposed.
@@ -375,7 +372,7 @@ impl Pipeline {
         if let (Some(damage), Some(ready)) = (&mut self.damage, &self.ready) {
             damage.renew(&self.baseline, ready.imager.noise_image());
         }
-        self.follow_cuts()?;
+        self.follow_cuts();
         Ok(())
     }
 

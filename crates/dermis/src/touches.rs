@@ -192,7 +192,7 @@ impl TouchStage {
         if placement.is_none() {
             if let Some(patches) = &mut self.patches {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
-                patches.refine(time_ns, difference, f64::from(lowest), &mut self.contacts);
+                patches.refine(time_ns, difference, f64::from(lowest), &mut self.contacts)?;
             } else if let Some(spots) = &mut self.spots {
                 spots.refine(difference, &mut self.contacts);
             }

@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::circuit::CircuitError;
 use super::protocol::{Measurement, Pattern, Protocol};
 use super::system::{ElementGeometry, System};
-use crate::mesh::{Contact, ElectrodedMesh};
+use crate::mesh::{Contact, ElectrodedMesh, SlitEdge};
 use crate::sparse::{SparseError, SpdFactor};
 
 /// Why a forward problem could not be posed or solved.
@@ -55,6 +55,14 @@ pub enum EitError {
         /// Its conductance per area.
         conductance_s_per_m2: f64,
     },
+    /// A slit's edge that conducts as nothing does.
+    #[error("joint {index} conducts {value} S/m; expected 0 or more, and finite")]
+    Joint {
+        /// Which of the edges.
+        index: usize,
+        /// Its conductance per length.
+        value: f64,
+    },
     /// Contacts were asked for on a body whose reference electrode is a point.
     #[error("contacts need electrodes with a contact impedance, and the last one is a point")]
     PointElectrode,
@@ -91,11 +99,24 @@ impl ForwardModel {
     /// # Errors
     /// Electrode counts that disagree.
     pub fn new(body: ElectrodedMesh, protocol: Protocol) -> Result<Self, EitError> {
+        Self::with_joints(body, protocol, &[])
+    }
+
+    /// As [`ForwardModel::new`], of a sheet with slits ([`crate::mesh::SlitMesh`]) of which these edges conduct from one side to
+    /// the other: siemens per metre of the edge.
+    ///
+    /// # Errors
+    /// As [`ForwardModel::new`]; a conductance that is negative or not finite.
+    pub fn with_joints(body: ElectrodedMesh, protocol: Protocol, joints: &[(SlitEdge, f64)]) -> Result<Self, EitError> {
+        if let Some((index, (_, value))) = joints.iter().enumerate().find(|(_, joint)| !(0.0..1e30).contains(&joint.1))
+        {
+            return Err(EitError::Joint { index, value: *value });
+        }
         if body.electrodes.len() != protocol.electrode_count() || body.electrodes.len() < 2 {
             return Err(EitError::ElectrodeCount { mesh: body.electrodes.len(), protocol: protocol.electrode_count() });
         }
         let geometry = ElementGeometry::new(&body.mesh);
-        let system = System::new(&body, &geometry)?;
+        let system = System::new(&body, &geometry, joints)?;
         Ok(Self { body, protocol, geometry, system })
     }
 

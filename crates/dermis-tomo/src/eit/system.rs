@@ -6,7 +6,7 @@
 //! every stimulation is balanced.
 
 use super::forward::EitError;
-use crate::mesh::{Contact, ElectrodedMesh, Mesh};
+use crate::mesh::{Contact, ElectrodedMesh, Mesh, SlitEdge, joint_entries};
 use crate::sparse::{Ordering, SpdFactor, SpdStructure};
 
 const DROPPED: u32 = u32::MAX;
@@ -23,7 +23,7 @@ pub(super) struct ElementGeometry {
 #[derive(Debug)]
 pub(super) struct System {
     pub(super) structure: SpdStructure,
-    /// Values that do not depend on conductivity: the contacts.
+    /// Values that do not depend on conductivity: the contacts, and what joins slits.
     contact_values: Vec<f64>,
     /// For each element, the local stiffness per unit conductivity, pairs (a >= b).
     stiffness: Vec<f64>,
@@ -37,7 +37,11 @@ pub(super) struct System {
 }
 
 impl System {
-    pub(super) fn new(body: &ElectrodedMesh, geometry: &ElementGeometry) -> Result<Self, EitError> {
+    pub(super) fn new(
+        body: &ElectrodedMesh,
+        geometry: &ElementGeometry,
+        joints: &[(SlitEdge, f64)],
+    ) -> Result<Self, EitError> {
         let mesh = &body.mesh;
         let (node_unknowns, electrode_unknowns, size) = number_unknowns(body);
         let as_index = |unknown: Option<usize>| unknown.map_or(DROPPED, |u| u as u32);
@@ -55,6 +59,13 @@ impl System {
         for (electrode, unknown) in body.electrodes.iter().zip(&electrode_unknowns) {
             let to_unknown = |node: u32| as_index(node_unknowns[node as usize]);
             add_contact(mesh, electrode, as_index(*unknown), &to_unknown, &mut entries);
+        }
+        for &(edge, s_per_m) in joints {
+            let to_unknown = |node: u32| as_index(node_unknowns[node as usize]);
+            let joined = joint_entries(edge, mesh.face_measure(&edge[0]), s_per_m);
+            joined
+                .into_iter()
+                .for_each(|((row, column), value)| entries.push(to_unknown(row), to_unknown(column), value));
         }
         let positions: Vec<(u32, u32)> =
             entries.positions.iter().copied().filter(|p| p.0 != DROPPED && p.1 != DROPPED).collect();

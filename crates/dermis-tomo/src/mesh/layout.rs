@@ -10,6 +10,9 @@ use super::shapes::{Outline, check_coordinate, check_length};
 const GRADING: f64 = 0.35;
 /// More elements than this are refused before any work is done.
 const MOST_ELEMENTS: f64 = 4e6;
+/// Edges along a line inside, and what an edge at its ends, where fields of a slit are singular, is as a share of it.
+const LINE_EDGES: f64 = 10.0;
+const LINE_END: f64 = 3e-3;
 /// Fewest edges of a disc's rim.
 const LEAST_RIM_EDGES: f64 = 24.0;
 
@@ -38,6 +41,8 @@ pub(super) struct Features {
     pub pad_owner: Vec<usize>,
     pub points: Vec<Point>,
     pub point_owner: Vec<usize>,
+    /// Lines inside that edges follow.
+    pub lines: Vec<[Point; 2]>,
 }
 
 /// Wanted sizes.
@@ -187,6 +192,7 @@ impl SizeField {
 pub(super) struct Layout {
     pub border: Border,
     slanted: bool,
+    lined: bool,
     pub tolerance: f64,
     pub nodes: Vec<Point>,
     pub segments: Vec<[usize; 2]>,
@@ -288,6 +294,7 @@ impl Layout {
         let mut layout = Self {
             border,
             slanted: matches!(outline, Outline::Polygon { .. }),
+            lined: !features.lines.is_empty(),
             tolerance,
             nodes: Vec::new(),
             segments: Vec::new(),
@@ -304,6 +311,7 @@ impl Layout {
         }
         layout.add_pads(features)?;
         layout.add_points(features)?;
+        layout.add_lines(features)?;
         Ok(layout)
     }
 
@@ -448,6 +456,11 @@ impl Layout {
         !self.slanted
     }
 
+    /// True where edges follow lines inside.
+    pub fn has_lines(&self) -> bool {
+        self.lined
+    }
+
     /// A disc's rim nodes lie on the circle but its edges do not, so that nothing can be flush with it.
     fn flat_rim(&self) -> bool {
         matches!(self.border, Border::Polygon { .. })
@@ -474,6 +487,30 @@ impl Layout {
         }
         Ok(())
     }
+
+    fn add_lines(&mut self, features: &Features) -> Result<(), MeshError> {
+        for (index, &line) in features.lines.iter().enumerate() {
+            let [a, b] = line;
+            let refuse = |expected: &str| {
+                let value = format!("line from ({}, {}) to ({}, {}) m,", a[0], a[1], b[0], b[1]);
+                Err(MeshError::Shape { field: "lines", value, expected: expected.into() })
+            };
+            let meets = |polygon: &Vec<Point>| sides(polygon).any(|side| plane::touch(line, side, self.tolerance));
+            if meets(&self.rim) || !contains(&self.rim, a) {
+                return refuse("a line strictly inside the sheet");
+            }
+            if self.holes.iter().chain(&self.pads).any(|polygon| meets(polygon) || contains(polygon, a)) {
+                return refuse("a line clear of holes and electrodes");
+            }
+            let points = features.points.iter().any(|&p| plane::to_segment(p, a, b).0 <= self.tolerance);
+            if points || features.lines[..index].iter().any(|&other| plane::touch(line, other, self.tolerance)) {
+                return refuse("a line clear of point electrodes and other lines");
+            }
+            self.nodes.extend(line);
+            self.add_side(self.nodes.len() - 2, self.nodes.len() - 1, 2);
+        }
+        Ok(())
+    }
 }
 
 fn size_field(border: &Border, features: &Features, sizes: Sizes) -> SizeField {
@@ -496,6 +533,11 @@ fn size_field(border: &Border, features: &Features, sizes: Sizes) -> SizeField {
     }
     let rim_points = features.rim_points.iter().map(|&s| border.at(s));
     sources.extend(features.points.iter().copied().chain(rim_points).map(|p| Source::new(vec![[p, p]], electrode)));
+    for &[a, b] in &features.lines {
+        let length = distance(a, b);
+        sources.push(Source::new(vec![[a, b]], length / LINE_EDGES));
+        sources.extend([a, b].map(|end| Source::new(vec![[end, end]], LINE_END * length)));
+    }
     SizeField { base: sizes.base, sources }
 }
 

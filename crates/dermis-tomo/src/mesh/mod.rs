@@ -8,6 +8,7 @@ mod pixels;
 mod plane;
 mod shapes;
 mod sheet;
+mod slit;
 mod solid;
 mod triangulate;
 
@@ -17,4 +18,5 @@ pub use self::import::{ElectrodeGroups, read_msh};
 pub use self::pixels::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 pub use self::shapes::{Direction, ElectrodeShape, Outline};
 pub use self::sheet::{MeshQuality, SheetSpec};
+pub use self::slit::{SlitEdge, SlitMesh, joint_entries};
 pub use self::solid::{PatchShape, PrismElectrode, PrismSpec, SlabElectrode, SlabFace, SlabSpec};

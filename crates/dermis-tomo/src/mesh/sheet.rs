@@ -4,7 +4,7 @@
 
 use super::core::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh, MeshError};
 use super::layout::{Border, Features, Layout, Sizes, Span};
-use super::plane::{Point, smallest_angle};
+use super::plane::{Point, distance, smallest_angle};
 use super::shapes::{ElectrodeShape, Outline, check_coordinate, check_length};
 use super::triangulate::{self, Planar};
 
@@ -30,6 +30,10 @@ pub struct SheetSpec {
     /// Smallest angle of any triangle, degrees, at most 33 (above 30 refinement may not complete). Corners of the
     /// outline sharper than this stay as they are.
     pub min_angle_deg: f64,
+    /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other, that edges follow, so that
+    /// [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of it long, and 0.3 % of it
+    /// at its ends, where the field about a slit is singular.
+    pub lines: Vec<[[f64; 2]; 2]>,
 }
 
 /// How good a mesh came out.
@@ -71,6 +75,7 @@ impl SheetSpec {
             electrode_element_size_m: element_size_m / 2.0,
             least_electrode_segments: 4,
             min_angle_deg: 25.0,
+            lines: Vec::new(),
         }
     }
 
@@ -130,7 +135,12 @@ impl SheetSpec {
 
     fn plan(&self) -> Result<Planar, MeshError> {
         super::layout::check_outline(&self.outline)?;
-        let features = features(&self.outline, &self.electrodes, self.electrode_element_size_m)?;
+        for &[a, b] in &self.lines {
+            [a, b].iter().flatten().try_for_each(|&value| check_coordinate("lines", value))?;
+            check_length("lines", distance(a, b))?;
+        }
+        let mut features = features(&self.outline, &self.electrodes, self.electrode_element_size_m)?;
+        features.lines.clone_from(&self.lines);
         refuse_overlapping_spans(&features, self.outline.perimeter_m())?;
         self.mesh_features(&features)
     }

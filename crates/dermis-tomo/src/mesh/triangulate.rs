@@ -48,7 +48,7 @@ pub(super) fn mesh(layout: &Layout, min_angle_deg: f64) -> Result<Planar, MeshEr
     let parameters = RefinementParameters::new()
         .with_angle_limit(AngleLimit::from_deg(min_angle_deg))
         // Holes and the outside are `spade`'s only where no pad's loop turns its count of loops about.
-        .exclude_outer_faces(layout.pads.is_empty())
+        .exclude_outer_faces(layout.pads.is_empty() && !layout.has_lines())
         .with_max_additional_vertices(limit);
     let refinement_complete = cdt.refine(parameters).refinement_complete;
     Ok(extract(&cdt, layout, refinement_complete))

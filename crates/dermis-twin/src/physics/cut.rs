@@ -61,6 +61,13 @@ impl Cut {
         Self { from_m: self.at(share), to_m: self.at(1.0 - share), ..*self }
     }
 
+    /// Conductance across it per length, over the sheet's conductance, 1/m: as a slit without width it holds back what its
+    /// strip does more than the sheet would, `w (1/d - 1)` metres of sheet.
+    pub fn joining_per_m(&self) -> f64 {
+        // Never without any resistance: a joined slit is a millionth of a metre of sheet.
+        1.0 / (self.width_m * (1.0 / self.residual - 1.0)).max(1e-6)
+    }
+
     fn direction(&self) -> [f64; 2] {
         let length = self.length_m();
         [(self.to_m[0] - self.from_m[0]) / length, (self.to_m[1] - self.from_m[1]) / length]

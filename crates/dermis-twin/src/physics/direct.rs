@@ -5,7 +5,7 @@ use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
 
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
-use super::two_sheets::TwoSheets;
+use super::two_sheets::{TwoSheets, joint_entries};
 
 /// Transfer impedances as [`TwoSheets::impedance`], for a shortcut sheet of any conductance (siemens). Where nothing
 /// touches at all, the floating sheet is tied to ground by one node, through which then no current flows.
@@ -23,6 +23,7 @@ pub fn direct_impedance(
     let upper = |node: u32| (nodes + electrodes) as u32 + node;
     let mut entries: Vec<((u32, u32), f64)> =
         sheets.contacts.iter().map(|entry| ((entry.row, entry.column), entry.value)).collect();
+    entries.extend(sheets.joints.iter().flat_map(|joint| joint_entries(joint, &sheets.positions)));
     for (element, triangle) in sheets.triangles.iter().enumerate() {
         let corners = triangle.map(|node| sheets.positions[node as usize]);
         let g = triangle.map(|node| contact_s_per_m2[node as usize]);

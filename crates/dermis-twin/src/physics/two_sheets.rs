@@ -7,7 +7,7 @@
 //! frame. With 35 um of copper on paper H's composite, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
 //! all unknowns at once and is what the tests compare with.
 
-use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+use dermis_tomo::mesh::{self, Contact, ElectrodedMesh, SlitEdge};
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::{Mat, MatRef};
 
@@ -35,6 +35,9 @@ pub struct TwoSheets {
     pub(super) electrode_count: usize,
     pub(super) contacts: Vec<ContactEntry>,
     pub(super) sensing: Vec<SheetConductance>,
+    /// Edges of slits with the conductance across them per length, S/m.
+    pub(super) joints: Vec<(SlitEdge, f64)>,
+    joint_slots: Vec<u32>,
     shortcut: Shortcut,
     structure: SpdStructure,
     /// Slots of the element pairs, in the order of [`PAIRS`].
@@ -78,6 +81,20 @@ impl TwoSheets {
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.
     pub fn new(body: &ElectrodedMesh, intact_s: f64, shortcut: Shortcut) -> Result<Self, SparseError> {
+        Self::with_slits(body, &[], intact_s, shortcut)
+    }
+
+    /// As [`TwoSheets::new`], of a sheet with these slits ([`dermis_tomo::mesh::SlitMesh`]), open until
+    /// [`TwoSheets::set_joints`] says otherwise. The shortcut has them as well, which changes its loss by less than that is.
+    ///
+    /// # Errors
+    /// As [`TwoSheets::new`].
+    pub fn with_slits(
+        body: &ElectrodedMesh,
+        slits: &[SlitEdge],
+        intact_s: f64,
+        shortcut: Shortcut,
+    ) -> Result<Self, SparseError> {
         let mesh = &body.mesh;
         let positions: Vec<[f64; 2]> = mesh.nodes().iter().map(|p| [p[0], p[1]]).collect();
         let triangles = triangles_of(body)?;
@@ -86,15 +103,20 @@ impl TwoSheets {
         let size = nodes + electrodes - 1;
         let mut entries: Vec<(u32, u32)> = triangles.iter().flat_map(|t| PAIRS.map(|(a, b)| (t[a], t[b]))).collect();
         entries.extend(contacts.iter().map(|entry| (entry.row, entry.column)));
+        let joints: Vec<(SlitEdge, f64)> = slits.iter().map(|&edge| (edge, 0.0)).collect();
+        entries.extend(joints.iter().flat_map(|joint| joint_entries(joint, &positions)).map(|entry| entry.0));
         let coordinates = coordinates(body, &positions);
         let (structure, slots) = SpdStructure::new(size, &entries, Ordering::Dissection(&coordinates))?;
-        let (element_slots, contact_slots) = slots.split_at(6 * triangles.len());
+        let (element_slots, other_slots) = slots.split_at(6 * triangles.len());
+        let (contact_slots, joint_slots) = other_slots.split_at(contacts.len());
         let element_slots = element_slots.chunks_exact(6).map(|c| [c[0], c[1], c[2], c[3], c[4], c[5]]).collect();
         let mut sheets = Self {
             sensing: vec![SheetConductance::isotropic(intact_s); triangles.len()],
             areas: mesh.measures().to_vec(),
             electrode_count: electrodes,
             contact_slots: contact_slots.to_vec(),
+            joint_slots: joint_slots.to_vec(),
+            joints,
             slots: element_slots,
             open_values: vec![0.0; structure.value_count()],
             values: vec![0.0; structure.value_count()],
@@ -158,6 +180,15 @@ impl TwoSheets {
         self.sensing.copy_from_slice(sensing);
         self.assemble_open();
         Ok(())
+    }
+
+    /// Sets what conducts across the slits: siemens per metre of each of their edges, by the edge's number and middle (metres).
+    pub fn set_joints(&mut self, mut s_per_m: impl FnMut(usize, [f64; 2]) -> f64) {
+        for (index, (edge, conductance)) in self.joints.iter_mut().enumerate() {
+            let [a, b] = edge[0].map(|node| self.positions[node as usize]);
+            *conductance = s_per_m(index, [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])]);
+        }
+        self.assemble_open();
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
@@ -255,6 +286,10 @@ impl TwoSheets {
         for (slot, entry) in self.contact_slots.iter().zip(&self.contacts) {
             self.open_values[*slot as usize] += entry.value;
         }
+        let joints = self.joints.iter().flat_map(|joint| joint_entries(joint, &self.positions));
+        for (slot, (_, value)) in self.joint_slots.iter().zip(joints) {
+            self.open_values[*slot as usize] += value;
+        }
         for (element, slots) in self.slots.iter().enumerate() {
             let corners = self.triangles[element].map(|node| self.positions[node as usize]);
             for (slot, value) in slots.iter().zip(stiffness(corners, self.sensing[element])) {
@@ -318,6 +353,12 @@ fn add_exchange(current: &mut Mat<f64>, fields: &Mat<f64>, potentials: &[f64], (
     for (electrode, potential) in potentials.iter().enumerate() {
         current[electrode] += mass * (field[electrode] + potential * below);
     }
+}
+
+/// What a joined edge adds, siemens.
+pub(super) fn joint_entries(&(edge, s_per_m): &(SlitEdge, f64), positions: &[[f64; 2]]) -> Vec<((u32, u32), f64)> {
+    let [p, q] = edge[0].map(|node| positions[node as usize]);
+    mesh::joint_entries(edge, (p[0] - q[0]).hypot(p[1] - q[1]), s_per_m)
 }
 
 /// A factor to be overwritten: that of the identity.

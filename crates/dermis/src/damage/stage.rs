@@ -9,7 +9,7 @@ use super::released::is_release;
 use super::{Crack, CrackModel, CrackScratch, DamageView, Proposal, ProposalReason, estimate_cut, shape_of};
 use crate::Error;
 use crate::imager::Imager;
-use crate::patches::PatchStage;
+use crate::patches::{PatchStage, SheetCut};
 use crate::prepare::Prepared;
 
 /// A fit that explains less of the data's energy is not believed: what is damaged is no cut.
@@ -121,6 +121,8 @@ pub(crate) struct DamageStage {
     scratch: CrackScratch,
     /// Fitted cuts by the damage's identity.
     fitted: Vec<(u64, Crack)>,
+    /// What healed cuts have left in the sheet, as joined as they were when they became part of the intact reference.
+    scars: Vec<Crack>,
     healing: HealingMonitor,
     healing_ns: u64,
     /// Joining of a healed scar, 1/m.
@@ -165,6 +167,7 @@ impl DamageStage {
             cracks: prepared.has_cracks().then(|| CrackModel::new(prepared)).transpose()?,
             scratch: CrackScratch::default(),
             fitted: Vec::new(),
+            scars: Vec::new(),
             healing: HealingMonitor::default(),
             healing_ns: 0,
             healed_per_m: 1e3 / settings.healed_scar_mm,
@@ -187,6 +190,7 @@ impl DamageStage {
             self.intact.copy_from_slice(baseline.baseline());
             self.intact_drift = baseline.drift_factor();
             self.intact_record = baseline.records().len().saturating_sub(1);
+            self.keep_scars();
             self.monitor.renew();
             let monitor = &self.monitor;
             let stands = |id: u64| monitor.damages().iter().any(|damage| damage.id == id);
@@ -195,6 +199,26 @@ impl DamageStage {
         }
         self.ready = true;
         (self.rest_since_ns, self.proposal, self.released_ns) = (None, None, None);
+    }
+
+    /// What is healed leaves the record with the new reference, and stays in the sheet.
+    fn keep_scars(&mut self) {
+        let healed = self.monitor.damages().iter().filter(|damage| damage.state == DamageState::Healed);
+        for damage in healed {
+            let crack = self.fitted.iter().find(|(id, _)| *id == damage.id);
+            let state = self.healing.states().iter().find(|state| state.id == damage.id);
+            if let (Some((_, crack)), Some(state)) = (crack, state) {
+                self.scars.push(Crack { joined_per_m: state.joined * self.healed_per_m, ..*crack });
+            }
+        }
+    }
+
+    /// The cuts and scars that the baseline of touches includes.
+    pub fn cuts(&self) -> Vec<SheetCut> {
+        let open = self.monitor.damages().iter().filter(|damage| damage.is_open() && damage.shape.length_m > 0.0);
+        let open = open.map(|damage| SheetCut { ends_m: damage.shape.ends_m(), joined_per_m: 0.0 });
+        let scar = |crack: &Crack| SheetCut { ends_m: crack.ends_m(), joined_per_m: crack.joined_per_m };
+        open.chain(self.scars.iter().map(scar)).collect()
     }
 
     /// Another operator or other noise is in use.

@@ -8,10 +8,12 @@ impl PatchStage {
     /// reference holds: the share of its weighted energy that patches of the opposite sign explain, none where no patches do.
     /// The patches of the last frame stay as they are.
     pub(crate) fn released_share(&mut self, change: &[f64]) -> Option<f64> {
-        if change.len() != self.absent.len() || change.iter().any(|value| !value.is_finite()) {
+        let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;
+        if change.len() != self.absent.len() || change.iter().zip(&self.absent).any(missing) {
             return None;
         }
-        let opposite = change.iter().map(|value| -value).collect();
+        // Channels that are left out have no part in what follows.
+        let opposite = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
         let kept = std::mem::replace(&mut self.left, opposite);
         self.weigh();
         self.left = kept;

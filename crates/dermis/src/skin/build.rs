@@ -1,7 +1,9 @@
 //! From a skin file to its geometry, mesh and protocol.
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
-use dermis_tomo::mesh::{Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec};
+use dermis_tomo::mesh::{
+    Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec, SlitMesh,
+};
 
 use dermis_twin::physics::Surface;
 use dermis_twin::square_to_disc;
@@ -128,17 +130,39 @@ impl Skin {
         electrodes: Vec<ElectrodeShape>,
         contact_factors: &[f64],
     ) -> Result<SkinBody, Error> {
+        let spec = self.sheet_spec(elements, electrodes)?;
+        let impedances: Vec<f64> = self
+            .sheet_contact_impedances(&spec.electrodes)
+            .zip(contact_factors)
+            .map(|(z, factor)| factor * z)
+            .collect();
+        let (mesh, _) = spec.build(&impedances).map_err(|source| self.not_meshed(source))?;
+        Ok(SkinBody { outline: spec.outline, electrodes: spec.electrodes, mesh })
+    }
+
+    /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring some more;
+    /// and which of them could be slit, see [`SheetSpec::build_slit`].
+    pub(crate) fn slit_mesh(&self, elements: usize, lines: &[[[f64; 2]; 2]]) -> Result<(SlitMesh, Vec<bool>), Error> {
+        let spec = self.sheet_spec(elements, self.electrode_shapes())?;
+        let impedances: Vec<f64> = self.sheet_contact_impedances(&spec.electrodes).collect();
+        spec.build_slit(&impedances, lines).map_err(|source| self.not_meshed(source))
+    }
+
+    fn not_meshed(&self, source: MeshError) -> Error {
+        Error::Mesh { skin: self.name.clone(), source }
+    }
+
+    fn sheet_spec(&self, elements: usize, electrodes: Vec<ElectrodeShape>) -> Result<SheetSpec, Error> {
         let outline = self.outline();
-        let named = |source: MeshError| Error::Mesh { skin: self.name.clone(), source };
         let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
-        let spec = SheetSpec::new(outline.clone(), electrodes.clone(), size);
-        let spec = spec.with_target_elements(elements).map_err(named)?;
+        let spec = SheetSpec::new(outline, electrodes, size);
+        spec.with_target_elements(elements).map_err(|source| self.not_meshed(source))
+    }
+
+    fn sheet_contact_impedances(&self, electrodes: &[ElectrodeShape]) -> impl Iterator<Item = f64> {
         // Coils touch nothing: they are in the mesh to be drawn.
         let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
-        let impedances: Vec<f64> =
-            electrodes.iter().zip(contact_factors).map(|(shape, factor)| factor * impedance(shape)).collect();
-        let (mesh, _) = spec.build(&impedances).map_err(named)?;
-        Ok(SkinBody { outline, electrodes, mesh })
+        electrodes.iter().map(impedance)
     }
 
     /// Contact impedance in the unit that the sheet model takes: ohm.m^2 for pads under the sheet; ohm.m (the specific
