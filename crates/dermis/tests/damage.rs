@@ -112,7 +112,7 @@ fn a_cut_is_found_covered_by_a_press_and_found_again() {
     let [x, y] = before.shape.centre_m;
     let off_mm = 1e3 * (x - 1e-3 * MIDDLE_MM[0]).hypot(y - 1e-3 * MIDDLE_MM[1]);
     println!("off {off_mm:.2} mm, length {:.2} mm", 1e3 * before.shape.length_m);
-    assert!(off_mm < 3.0 && (before.shape.length_m - 0.02).abs() < 4e-3, "{off_mm:.2} mm: {:?}", before.shape);
+    assert!(off_mm < 0.5 && (before.shape.length_m - 0.02).abs() < 1e-3, "{off_mm:.2} mm: {:?}", before.shape);
     // On the cut: one touch, and the damage is covered.
     line.press(MIDDLE_MM[0], MIDDLE_MM[1]);
     let touches = line.run(60);
@@ -153,9 +153,7 @@ fn touches_beside_a_cut_are_placed_as_well_as_before() {
     line.run(80);
     let cut = errors(&mut line);
     println!("intact {intact:.3} cut {cut:.3} mm; {:?}", line.names());
-    // Both are far below what noise and the indenter's own width leave of use; the linear model of the intact sheet that
-    // places them is off by this much beside a cut.
-    assert!(cut <= (1.3 * intact).max(0.6), "{cut:.2} mm with the cut, {intact:.2} mm without");
+    assert!(cut <= 1.3 * intact, "{cut:.2} mm with the cut, {intact:.2} mm without");
 }
 
 #[test]
@@ -324,7 +322,8 @@ fn cuts_are_measured_by_their_fields() {
             estimate.deviations(),
             estimate.uniform
         );
-        assert!(off_mm < 3.0 && longer_mm.abs() < 4.0, "{middle_mm:?}: off {off_mm:.2} mm, {longer_mm:.2} mm longer");
+        // A tenth of what is asked for.
+        assert!(off_mm < 0.3 && longer_mm.abs() < 0.4, "{middle_mm:?}: off {off_mm:.2} mm, {longer_mm:.2} mm longer");
     }
 }
 
@@ -347,4 +346,58 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
     assert!(course.windows(2).all(|pair| pair[1].1 >= pair[0].1 - 0.1), "{course:?}");
     assert!(course[9].1 > 0.9, "{course:?}");
     assert_eq!(line.damages().len(), 1, "the record stays");
+}
+
+#[test]
+fn every_cut_is_one_damage_wherever_it_lies() {
+    // Images of thin cuts have lobes as high as the cut is deep, which are no touches, and lobes at the rim, which are no
+    // damage: along and across the lines between electrodes, by the rim, in the middle, long and short.
+    for (middle_mm, length_mm, degrees) in [
+        ([-20.0, -5.0], 20.0, 37.0_f64),
+        ([-20.0, -5.0], 20.0, 90.0),
+        ([5.0, -28.0], 20.0, 0.0),
+        ([5.0, -36.0], 20.0, 10.0),
+        ([30.0, -28.0], 12.0, 45.0),
+        ([0.0, 0.0], 40.0, 20.0),
+        ([20.0, 0.0], 20.0, 5.0),
+        ([33.0, 10.0], 20.0, 100.0),
+    ] {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let end = |along_mm: f64| [middle_mm[0] + along_mm * cos, middle_mm[1] + along_mm * sin];
+        let mut line = Line::new();
+        line.cut(end(-0.5 * length_mm), end(0.5 * length_mm));
+        let touches = line.run(80);
+        let found = line.damages();
+        assert_eq!((touches.len(), line.names().len(), found.len()), (0, 1, 1), "{middle_mm:?}: {found:?}");
+        let shape = &found[0].shape;
+        let off_mm = (1e3 * shape.centre_m[0] - middle_mm[0]).hypot(1e3 * shape.centre_m[1] - middle_mm[1]);
+        let longer_mm = 1e3 * shape.length_m - length_mm;
+        let turned = (shape.direction_rad.to_degrees() - degrees + 90.0).rem_euclid(180.0) - 90.0;
+        println!(
+            "{middle_mm:?} {length_mm} mm {degrees}: off {off_mm:.2} mm, longer {longer_mm:.2} mm, turned {turned:.1}"
+        );
+        // Of sizes asked for (3 mm, 4 mm); worst are 0.33 mm, 1.2 mm (of 40) and 0.6 degrees.
+        assert!(off_mm < 1.0 && longer_mm.abs() < 0.05 * length_mm && turned.abs() < 2.0, "{middle_mm:?}: {shape:?}");
+    }
+}
+
+#[test]
+fn the_second_cut_is_found_beside_the_first() {
+    let mut line = Line::new();
+    line.cut(FROM_MM, TO_MM);
+    line.run(80);
+    line.cut([-30.0, -5.0], [-12.0, -14.0]);
+    line.run(80);
+    let found = line.damages();
+    println!("{found:#?}");
+    assert_eq!((line.names(), found.len()), (vec!["begin", "begin"], 2));
+    let [x, y] = found[1].shape.centre_m.map(|m| 1e3 * m);
+    // What the first cut does to the field about the second is left out: that is 1.0 mm and 6 degrees.
+    assert!((x + 21.0).hypot(y + 9.5) < 1.5 && (1e3 * found[1].shape.length_m - 20.1).abs() < 2.0, "{:?}", found[1]);
+    // And touches are placed on the sheet with both.
+    line.press(0.0, -30.0);
+    let touches = line.run(40);
+    assert_eq!(touches.len(), 1);
+    let [x, y] = touches[0].position_m.map(|m| 1e3 * m);
+    assert!(x.hypot(y + 30.0) < 0.6, "{x} {y}");
 }

@@ -155,11 +155,25 @@ fn contacts_of_the_sandwich_beat_the_published_network() {
 #[test]
 fn a_cut_is_found_and_reads_as_compression_while_it_is_pressed() {
     let report = replay("H4");
-    // Asked for: within 3 mm, its length within 4 mm.
-    assert!(value(&report, "cut: error of its middle") < 3.0, "{:?}", report.rows);
-    assert!((value(&report, "cut: length") - 20.0).abs() < 4.0, "{:?}", report.rows);
+    // Asked for: within 3 mm, its length within 4 mm, touches beside it at most 1.3 times as far off as before.
+    assert!(value(&report, "cut: error of its middle") < 0.5, "{:?}", report.rows);
+    assert!((value(&report, "cut: length") - 20.0).abs() < 1.0, "{:?}", report.rows);
+    let beside = ["intact", "cut"].map(|state| {
+        let rows = report.rows.iter().filter(|row| row.quantity.starts_with("mean error of"));
+        rows.filter(|row| row.quantity.ends_with(state)).map(|row| row.here).next().unwrap()
+    });
+    assert!(beside[1] <= 1.3 * beside[0], "{beside:?}");
     assert_eq!(value(&report, "touches missed or not alone, cut"), 0.0);
     let report = replay("H6");
     assert_eq!(value(&report, "touches while the cut is pressed"), 1.0, "{:?}", report.rows);
     assert_eq!(value(&report, "released, the same damage is there again"), 1.0, "{:?}", report.rows);
+}
+
+#[test]
+fn a_healed_place_is_as_good_as_before() {
+    let report = replay("H5");
+    assert_eq!(value(&report, "the damage counts as healed"), 1.0, "{:?}", report.rows);
+    assert_eq!(value(&report, "a new baseline is proposed"), 1.0, "{:?}", report.rows);
+    // 0.08 mm before the cut, and 2.41 mm in the paper; off by less than what noise and mesh do elsewhere.
+    assert!(value(&report, "error there, healed, new baseline") < 0.25, "{:?}", report.rows);
 }

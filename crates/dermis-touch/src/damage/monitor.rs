@@ -12,6 +12,8 @@ use crate::track::Touch;
 const DROP_S: f64 = 0.3;
 /// A damage that measures so much more than its worst so far has grown.
 const GROWN: f64 = 1.25;
+/// What is left of a low region's depth, of which the damage known already makes up the rest, if it is one of its own.
+const OF_ITS_OWN: f64 = 0.5;
 /// A healed place with this much of its worst again has opened.
 const REOPENED: f64 = 0.6;
 
@@ -37,6 +39,9 @@ pub struct DamageFrame<'a> {
     pub touches: &'a [Touch],
     /// True while anything touches the skin, contacts that are not yet touches included.
     pub loaded: bool,
+    /// What a model makes of the damage known already, as an image: where it explains a low region, that is a side lobe and
+    /// begins nothing.
+    pub known: Option<&'a [f32]>,
     /// The classes of the pixels, where a network gives them: a damage begins only where most of its place is called
     /// damaged, and is covered where most is called compressed.
     pub classes: Option<ClassProbabilities<'a>>,
@@ -219,6 +224,9 @@ impl DamageMonitor {
     fn check(&self, frame: &DamageFrame<'_>) -> Result<(), TouchError> {
         require_length("image", self.geometry.len(), frame.image.len())?;
         frame.noise.validate(self.geometry.len())?;
+        if let Some(known) = frame.known {
+            require_length("image of the known damage", self.geometry.len(), known.len())?;
+        }
         if let Some(classes) = &frame.classes {
             require_length("probabilities of damage", self.geometry.len(), classes.damaged.len())?;
             require_length("probabilities of compression", self.geometry.len(), classes.compressed.len())?;
@@ -280,13 +288,24 @@ impl DamageMonitor {
         self.finder.find(&self.mean, &self.geometry, &self.params, sigma, least);
         for index in 0..self.finder.regions().len() {
             let region = self.finder.regions()[index];
+            let of_its_own = self.is_of_its_own(&region, frame.known);
             match self.record_of(&region) {
-                Some(record) => self.measure(record, &region, frame.time_ns),
-                None => self.suspect(&region, frame.time_ns),
+                Some(record) if of_its_own || self.records[record].damage.state != DamageState::Suspected => {
+                    self.measure(record, &region, frame.time_ns);
+                }
+                None if of_its_own => self.suspect(&region, frame.time_ns),
+                _ => {}
             }
         }
+        // One at a time, the largest first: once a model knows it, the others may turn out to be its lobes.
+        let seen = |record: &&Record| record.damage.state == DamageState::Suspected && record.seen_ns == frame.time_ns;
+        let largest = |a: &&Record, b: &&Record| a.damage.volume_m2.total_cmp(&b.damage.volume_m2);
+        let first = self.records.iter().filter(seen).max_by(largest).map(|record| record.damage.id);
         for index in 0..self.records.len() {
-            self.follow(index, frame);
+            let damage = &self.records[index].damage;
+            if damage.state != DamageState::Suspected || Some(damage.id) == first {
+                self.follow(index, frame);
+            }
         }
         self.drop_unseen(frame.time_ns);
     }
@@ -305,6 +324,15 @@ impl DamageMonitor {
         let near = self.params.reach_m + 2.0 * self.params.point_spread_m;
         let candidates = self.records.iter().enumerate().filter(|(_, r)| shares(r) || distance(r) <= near);
         candidates.min_by(|a, b| distance(a.1).total_cmp(&distance(b.1))).map(|(index, _)| index)
+    }
+
+    /// Whether a region is more than what the known damage does there.
+    fn is_of_its_own(&self, region: &Region, known: Option<&[f32]>) -> bool {
+        let Some(known) = known else { return true };
+        let pixels = self.finder.labels().iter().zip(self.mean.iter().zip(known));
+        let left =
+            pixels.filter(|(label, _)| **label & region.bit != 0).map(|(_, (mean, known))| f64::from(known - mean));
+        left.fold(0.0, f64::max) >= OF_ITS_OWN * region.depth
     }
 
     fn suspect(&mut self, region: &Region, time_ns: u64) {

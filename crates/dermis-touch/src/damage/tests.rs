@@ -60,7 +60,15 @@ impl Bench {
     fn run_with(&mut self, frames: u64, image: &[f32], touches: &[Touch], classes: Option<ClassProbabilities<'_>>) {
         for _ in 0..frames {
             let time_ns = self.ticks * 40_000_000;
-            let frame = DamageFrame { time_ns, image, noise: NOISE, touches, loaded: !touches.is_empty(), classes };
+            let frame = DamageFrame {
+                time_ns,
+                image,
+                noise: NOISE,
+                touches,
+                loaded: !touches.is_empty(),
+                known: None,
+                classes,
+            };
             self.monitor.process(&frame).unwrap();
             self.events.extend_from_slice(self.monitor.events());
             self.ticks += 1;
@@ -224,6 +232,14 @@ fn nonsense_is_refused_by_name() {
     let error = DamageMonitor::new(geometry(), bad).unwrap_err().to_string();
     assert_eq!(error, "lobe_share = 2: expected from 0 to 1");
     let mut bench = Bench::new();
-    let frame = DamageFrame { time_ns: 0, image: &[0.0; 3], noise: NOISE, touches: &[], loaded: false, classes: None };
+    let frame = DamageFrame {
+        time_ns: 0,
+        image: &[0.0; 3],
+        noise: NOISE,
+        touches: &[],
+        loaded: false,
+        known: None,
+        classes: None,
+    };
     assert!(bench.monitor.process(&frame).is_err());
 }

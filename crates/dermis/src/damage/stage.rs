@@ -1,7 +1,7 @@
 //! The stage itself: the second image, the references that it and the touches are taken against, and what follows from the
 //! monitor's events.
 
-use dermis_touch::damage::{Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageState};
+use dermis_touch::damage::{Damage, DamageEvent, DamageFrame, DamageMonitor, DamageParams, DamageShape, DamageState};
 use dermis_touch::{Baseline, Contact, PixelNoise, ReferenceOrigin, Touch};
 
 use super::healing::HealingMonitor;
@@ -29,6 +29,11 @@ const MEAN_S: f64 = 0.4;
 const FEWEST_IN_MEAN: f64 = 12.0;
 /// Healing is estimated so often, seconds.
 const HEALING_S: f64 = 0.5;
+/// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is it a cut?
+const UNEXPLAINED_S: f64 = 0.4;
+const FEWEST_UNEXPLAINED: u32 = 8;
+/// It is one if a cut explains so much of the mean's weighted energy, and remains one while it explains so much of a frame's.
+const CUT_EXPLAINS: [f64; 2] = [0.9, 0.8];
 /// A suspicion is looked at so often, seconds, in the mean of at least so many frames: is it a touch that has gone?
 const RELEASE_S: f64 = 0.6;
 const FEWEST_FOR_RELEASE: usize = 3;
@@ -91,6 +96,24 @@ impl Readings {
     }
 }
 
+/// Frames in which something is on the skin that begins no touch. A thin cut raises the image almost as much beside it as it
+/// lowers it, because no isotropic conductivity does what a cut does; the rise is taken for something that touches.
+#[derive(Debug, Default)]
+struct Unexplained {
+    since_ns: u64,
+    frames: u32,
+    /// Mean change against the intact sheet with what is known of its damage, model volts.
+    mean: Vec<f64>,
+    /// The response of the cut that it is.
+    cut: Option<Vec<f64>>,
+}
+
+impl Unexplained {
+    fn clear(&mut self) {
+        (self.frames, self.cut) = (0, None);
+    }
+}
+
 /// Something that rests on a damage.
 #[derive(Debug)]
 struct Warm {
@@ -108,6 +131,11 @@ pub(crate) struct DamageStage {
     intact_drift: f64,
     intact_record: usize,
     difference: Vec<f64>,
+    /// What the fitted cuts make of the channels and of the image, as far as they are open; stale after any has changed.
+    known: Vec<f64>,
+    known_image: Vec<f32>,
+    known_is_stale: bool,
+    unexplained: Unexplained,
     image: Vec<f32>,
     noise: Vec<f32>,
     readings: Readings,
@@ -159,6 +187,10 @@ impl DamageStage {
             intact_drift: 1.0,
             intact_record: 0,
             difference: vec![0.0; channels],
+            known: vec![0.0; channels],
+            known_image: vec![0.0; prepared.map.grid().len()],
+            known_is_stale: false,
+            unexplained: Unexplained::default(),
             image: vec![f32::NAN; prepared.map.grid().len()],
             noise: Vec::new(),
             suspicious: false,
@@ -196,7 +228,9 @@ impl DamageStage {
             let stands = |id: u64| monitor.damages().iter().any(|damage| damage.id == id);
             self.fitted.retain(|(id, _)| stands(*id));
             self.healing.retain(stands);
+            self.known_is_stale = true;
         }
+        self.unexplained.clear();
         self.ready = true;
         (self.rest_since_ns, self.proposal, self.released_ns) = (None, None, None);
     }
@@ -224,6 +258,7 @@ impl DamageStage {
     /// Another operator or other noise is in use.
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
+        self.known_is_stale = true;
         self.monitor.restart();
     }
 
@@ -252,12 +287,16 @@ impl DamageStage {
             *value = if left_out { f64::NAN } else { difference };
         }
         imager.image(&self.difference, &mut self.image)?;
+        self.know(imager)?;
+        let loaded = input.loaded && !self.is_cut(input, prepared)?;
+        let input = &DamageInput { loaded, ..*input };
         self.monitor.process(&DamageFrame {
             time_ns: input.time_ns,
             image: &self.image,
             noise: PixelNoise::PerPixel(&self.noise),
             touches: input.touches,
             loaded: input.loaded,
+            known: (!self.fitted.is_empty()).then_some(&self.known_image),
             classes: None,
         })?;
         let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
@@ -315,12 +354,9 @@ impl DamageStage {
         let mut difference = self.mean_difference(&self.readings.mean, input, drift);
         let Some(model) = &self.cracks else { return Ok(()) };
         self.fitted.retain(|(id, _)| *id != damage.id);
-        let mut response = vec![0.0; difference.len()];
-        for (_, crack) in &self.fitted {
-            if model.respond(crack, &mut self.scratch, &mut response) {
-                difference.iter_mut().zip(&response).for_each(|(sum, change)| *sum -= change);
-            }
-        }
+        self.known_is_stale = true;
+        known_response(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.known);
+        difference.iter_mut().zip(&self.known).for_each(|(sum, known)| *sum -= known);
         let estimate = estimate_cut(prepared, model, &difference, input.noise, &damage.shape)?;
         if let Some(estimate) = estimate.filter(|estimate| estimate.explained >= LEAST_EXPLAINED) {
             self.fitted.push((damage.id, estimate.crack));
@@ -328,6 +364,73 @@ impl DamageStage {
             self.monitor.refine(damage.id, shape_of(&estimate), None);
         }
         Ok(())
+    }
+
+    /// Brings what fitted cuts make of the channels and of the image up to date. `difference` is that of the frame.
+    fn know(&mut self, imager: &mut Imager) -> Result<(), Error> {
+        if !std::mem::take(&mut self.known_is_stale) {
+            return Ok(());
+        }
+        let Some(model) = &self.cracks else { return Ok(()) };
+        known_response(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.known);
+        let present = self.known.iter().zip(&self.difference);
+        let present: Vec<f64> = present.map(|(known, d)| if d.is_nan() { f64::NAN } else { *known }).collect();
+        imager.image(&present, &mut self.known_image)
+    }
+
+    /// Whether what is on the skin and begins no touch is a cut: the frame is then one of a free skin.
+    fn is_cut(&mut self, input: &DamageInput<'_>, prepared: &Prepared) -> Result<bool, Error> {
+        let Some(model) = &self.cracks else { return Ok(false) };
+        if !input.loaded || !input.touches.is_empty() {
+            self.unexplained.clear();
+            return Ok(false);
+        }
+        let explains = |cut: &[f64], change: &mut dyn Iterator<Item = f64>| {
+            explained(change, cut, &prepared.voltages) >= CUT_EXPLAINS[1]
+        };
+        // The baseline of touches may not include yet what is known by now.
+        if explains(&self.known, &mut self.difference.iter().copied()) {
+            return Ok(true);
+        }
+        let change = || self.difference.iter().zip(&self.known).map(|(difference, known)| difference - known);
+        if let Some(cut) = &self.unexplained.cut {
+            if explains(cut, &mut change()) {
+                return Ok(true);
+            }
+            self.unexplained.clear();
+        }
+        let Unexplained { since_ns, frames, mean, cut } = &mut self.unexplained;
+        if *frames == 0 {
+            *since_ns = input.time_ns;
+            mean.clear();
+            mean.resize(self.difference.len(), 0.0);
+        }
+        *frames += 1;
+        let share = 1.0 / f64::from(*frames);
+        mean.iter_mut().zip(change()).for_each(|(mean, change)| *mean += share * (change - *mean));
+        let elapsed_s = input.time_ns.saturating_sub(*since_ns) as f64 * 1e-9;
+        if elapsed_s < UNEXPLAINED_S || *frames < FEWEST_UNEXPLAINED {
+            return Ok(false);
+        }
+        *frames = 0;
+        let grid = prepared.map.grid();
+        let pixels = self.image.iter().enumerate().filter(|(_, value)| value.is_finite());
+        let Some((lowest, _)) = pixels.min_by(|a, b| a.1.total_cmp(b.1)) else { return Ok(false) };
+        let start = DamageShape {
+            centre_m: grid.centre_m(lowest),
+            length_m: 0.0,
+            width_m: 0.0,
+            direction_rad: 0.0,
+            deviations: None,
+        };
+        let estimate = estimate_cut(prepared, model, mean, input.noise, &start)?;
+        if let Some(estimate) = estimate.filter(|estimate| estimate.explained >= CUT_EXPLAINS[0]) {
+            let mut response = vec![0.0; mean.len()];
+            if model.respond(&estimate.crack, &mut self.scratch, &mut response) {
+                *cut = Some(response);
+            }
+        }
+        Ok(cut.is_some())
     }
 
     /// Estimates, now and then, how far fitted cuts have healed.
@@ -341,6 +444,7 @@ impl DamageStage {
         self.healing_ns = input.time_ns;
         let difference = self.mean_difference(&readings.mean, input, drift);
         self.healing.take(input.time_ns, &difference, input.noise, &prepared.voltages, self.healed_per_m);
+        self.known_is_stale = true;
         for state in self.healing.states() {
             let damage = self.monitor.damages().iter().find(|damage| damage.id == state.id && damage.is_open());
             if let Some(shape) = damage.map(|damage| damage.shape) {
@@ -457,6 +561,38 @@ impl DamageStage {
             drift: baseline.drift_factor() - 1.0,
         }
     }
+}
+
+/// Response of all fitted cuts together, each as far as it is still open.
+fn known_response(
+    model: &CrackModel,
+    fitted: &[(u64, Crack)],
+    healing: &HealingMonitor,
+    scratch: &mut CrackScratch,
+    known: &mut [f64],
+) {
+    known.fill(0.0);
+    let mut response = vec![0.0; known.len()];
+    for (id, crack) in fitted {
+        let left = healing.states().iter().find(|state| state.id == *id).map_or(1.0, |state| state.left);
+        if model.respond(crack, scratch, &mut response) {
+            known.iter_mut().zip(&response).for_each(|(sum, change)| *sum += left * change);
+        }
+    }
+}
+
+/// Share of a change's energy (missing channels `NaN`) that a cut explains, together with a change of all resting voltages by
+/// the same share.
+fn explained(change: &mut dyn Iterator<Item = f64>, cut: &[f64], rest: &[f64]) -> f64 {
+    let (mut energy, mut left, mut along, mut square) = (0.0, 0.0, 0.0, 0.0);
+    for ((change, cut), rest) in change.zip(cut).zip(rest).filter(|((change, _), _)| change.is_finite()) {
+        let difference = change - cut;
+        energy += change * change;
+        left += difference * difference;
+        along += difference * rest;
+        square += rest * rest;
+    }
+    if square > 0.0 && energy > 0.0 { 1.0 - (left - along * along / square) / energy } else { 0.0 }
 }
 
 /// Root mean square over the channels of how far means are from other readings, in standard deviations.
