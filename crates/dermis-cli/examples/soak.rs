@@ -1,9 +1,10 @@
 //! The whole of `dermis run` under load for as long as asked: an instrument on a socket sends 208 channels at a fixed rate;
 //! image, touches, recording and page follow, with three viewers, one of which never reads.
 //!
-//! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000]` after
+//! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after
 //! `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end; it fails if a frame was
-//! lost without being counted, or if memory grew by more than a tenth after the first minute.
+//! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin is cut after
+//! so many seconds, and left alone for six, in which it becomes known.
 
 use std::error::Error;
 use std::io::{Read, Write};
@@ -20,6 +21,8 @@ use dermis::skin::Skin;
 use dermis::twins::TwinKit;
 use dermis_device::instruments::wire::WireDevice;
 use dermis_device::{Frame, HostStamp, Status};
+use dermis_twin::physics::Cut;
+use dermis_twin::{Frontend, Treatment};
 
 use futures_util::{SinkExt, StreamExt};
 use serde_json::{Value, json};
@@ -39,13 +42,14 @@ type Failure = Box<dyn Error + Send + Sync>;
 
 fn main() -> Result<(), Failure> {
     let (seconds, rate) = (argument("--seconds", 3600.0)?, argument("--rate", 1000.0)?);
-    let frames = frames()?;
+    let cut_s = argument("--cut", f64::INFINITY)?;
+    let played = Played { intact: frames(false)?, cut: frames(true)?, cut_after: rate * cut_s, rest: 6.0 * rate };
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let port = listener.local_addr()?.port();
     let (stop, sent) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
     let device = {
         let (stop, sent) = (stop.clone(), sent.clone());
-        thread::spawn(move || send(&listener, &frames, rate, &stop, &sent))
+        thread::spawn(move || send(&listener, &played, rate, &stop, &sent))
     };
     let folder = env::temp_dir().join(format!("dermis-soak-{}", std::process::id()));
     fs::create_dir_all(&folder)?;
@@ -61,9 +65,32 @@ fn main() -> Result<(), Failure> {
     outcome
 }
 
-/// Frames of the twin's readings, half of them pressed by a finger that moves.
-fn frames() -> Result<Vec<Vec<f64>>, Failure> {
+/// What the instrument reads.
+struct Played {
+    intact: Vec<Vec<f64>>,
+    cut: Vec<Vec<f64>>,
+    /// Frames before the cut, and of rest after it.
+    cut_after: f64,
+    rest: f64,
+}
+
+impl Played {
+    fn frame(&self, number: u64) -> &[f64] {
+        let (since_cut, place) = (number as f64 - self.cut_after, number as usize % LOOP);
+        match since_cut {
+            _ if since_cut < 0.0 => &self.intact[place],
+            _ if since_cut < self.rest => &self.cut[place % (LOOP / 2)],
+            _ => &self.cut[place],
+        }
+    }
+}
+
+/// Frames of the twin's readings, half of them pressed by a finger that moves, on a skin that is cut or not.
+fn frames(cut: bool) -> Result<Vec<Vec<f64>>, Failure> {
     let mut kit = TwinKit::of(&Skin::open(SKIN)?)?;
+    if cut {
+        kit.twin.frontend_mut().treat(&Treatment::Cut(Cut::open([0.015, 0.018], [0.031, 0.03])))?;
+    }
     let (mut frames, mut values) = (Vec::new(), Vec::new());
     for k in 0..LOOP {
         let (y, x) = (0.02 * k as f64).sin_cos();
@@ -82,7 +109,7 @@ fn frames() -> Result<Vec<Vec<f64>>, Failure> {
 /// Plays the instrument to one host until told to stop.
 fn send(
     listener: &TcpListener,
-    frames: &[Vec<f64>],
+    played: &Played,
     rate: f64,
     stop: &AtomicBool,
     sent: &AtomicU64,
@@ -110,12 +137,7 @@ fn send(
         }
         while (number as f64) < rate * began.elapsed().as_secs_f64() {
             let at_ns = (1e9 * number as f64 / rate) as u64;
-            frame.refill(
-                number,
-                HostStamp { monotonic_ns: at_ns, wall_ns: at_ns },
-                &frames[number as usize % LOOP],
-                &[],
-            );
+            frame.refill(number, HostStamp { monotonic_ns: at_ns, wall_ns: at_ns }, played.frame(number), &[]);
             frame.device_time_ns = Some(at_ns);
             bytes.clear();
             device.frame(&frame, Status::default(), &mut bytes);

@@ -40,7 +40,8 @@ impl Tensors {
         self.entries.iter().map(|(name, (dims, values))| (name.as_str(), dims.as_slice(), values.as_slice()))
     }
 
-    /// Reads safetensors; all tensors must be 32-bit and finite. `file` is for messages.
+    /// Reads safetensors; all tensors must be 32-bit and finite. PyTorch's counters of batches (`num_batches_tracked`), which no
+    /// network needs, are passed over. `file` is for messages.
     ///
     /// # Errors
     /// Bytes that are no safetensors, other types, values that are not finite.
@@ -50,6 +51,9 @@ impl Tensors {
             SafeTensors::deserialize(bytes).map_err(|error| refuse("header", format!("no safetensors: {error}")))?;
         let mut tensors = Self::default();
         for (name, view) in parsed.iter() {
+            if name.ends_with(".num_batches_tracked") && view.dtype() == Dtype::I64 {
+                continue;
+            }
             if view.dtype() != Dtype::F32 {
                 return Err(refuse(name, format!("expected type F32, found {:?}", view.dtype())));
             }

@@ -3,8 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use dermis_learn::train::{Backend, EpochReport, Progress, TrainOptions, Training, train};
-use dermis_learn::{Model, ModelCard, TrainingSet};
+use dermis_learn::{Model, ModelCard, Tensors, TrainingSet};
 
 use super::progress_bar;
 use crate::exit::Outcome;
@@ -58,8 +59,16 @@ pub struct Arguments {
     #[arg(long)]
     symmetries: bool,
     /// A model of the same architecture and inputs to begin with; random weights where left out.
-    #[arg(long, value_name = "MODEL.json")]
+    #[arg(long, value_name = "MODEL.json", conflicts_with = "weights")]
     start: Option<PathBuf>,
+    /// Weights to begin with that were trained elsewhere: a PyTorch state_dict of the same names, in safetensors. With
+    /// --epochs 0 they stay as they are, and are judged and given a card.
+    #[arg(long, value_name = "FILE.safetensors")]
+    weights: Option<PathBuf>,
+    /// Factors that the input images are multiplied by, commas between; those that bring each to a root mean square of 1 where
+    /// left out.
+    #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
+    input_scale: Vec<f32>,
     /// What computes.
     #[arg(long, value_enum, default_value_t)]
     backend: Computes,
@@ -83,9 +92,19 @@ impl Arguments {
         let checkpoint = self.out.with_extension("checkpoint");
         let options = self.options();
         let command = self.command();
-        let start = self.start.as_deref().map(Model::load).transpose()?;
-        let start = start.as_ref().map(|model| &model.tensors);
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: &command, start };
+        let start = match (&self.start, &self.weights) {
+            (Some(model), _) => Some(Model::load(model)?.tensors),
+            (None, Some(file)) => Some(weights_of(file)?),
+            (None, None) => None,
+        };
+        let training = Training {
+            set: &set,
+            options: &options,
+            checkpoint: &checkpoint,
+            command: &command,
+            start: start.as_ref(),
+            input_scale: (!self.input_scale.is_empty()).then_some(&self.input_scale),
+        };
         let bar = progress_bar("samples");
         let mut failed = Ok(());
         let classes = set.manifest().classes.clone();
@@ -133,7 +152,14 @@ impl Arguments {
         let weights: Vec<String> = self.class_weights.iter().map(ToString::to_string).collect();
         let weights =
             if weights.is_empty() { String::new() } else { format!(" --class-weights {}", weights.join(",")) };
-        let start = self.start.as_deref().map_or(String::new(), |start| format!(" --start {}", name(start)));
+        let mut start = self.start.as_deref().map_or(String::new(), |start| format!(" --start {}", name(start)));
+        if let Some(file) = &self.weights {
+            start += &format!(" --weights {}", name(file));
+        }
+        if !self.input_scale.is_empty() {
+            let factors: Vec<String> = self.input_scale.iter().map(ToString::to_string).collect();
+            start += &format!(" --input-scale {}", factors.join(","));
+        }
         format!(
             "dermis train --set {} --out {} --width {} --levels {} --epochs {} --batch {} --learning-rate {} \
              --patience {} --held-out {} --seed {}{weights}{}{start}",
@@ -160,6 +186,12 @@ impl Computes {
             Computes::BurnFlex => Backend::Burn(dermis_learn::train::Device::flex()),
         }
     }
+}
+
+/// Weights from a file of their own.
+fn weights_of(file: &Path) -> anyhow::Result<Tensors> {
+    let bytes = std::fs::read(file).with_context(|| format!("{}: cannot be read", file.display()))?;
+    Ok(Tensors::from_bytes(&bytes, file)?)
 }
 
 /// The last part of a path: a card tells nothing of the machine that it was made on.

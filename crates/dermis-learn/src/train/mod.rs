@@ -79,7 +79,7 @@ pub struct TrainOptions {
     pub width: usize,
     /// Levels.
     pub levels: usize,
-    /// Most passes over the samples.
+    /// Most passes over the samples; with none, the weights to begin with are judged and given a card.
     pub epochs: usize,
     /// Samples a step.
     pub batch: usize,
@@ -152,9 +152,24 @@ pub struct Training<'a> {
     pub command: &'a str,
     /// Weights to begin with; random ones where `None`.
     pub start: Option<&'a Tensors>,
+    /// Factors that the input images are multiplied by; where `None`, those that bring each to a root mean square of 1.
+    pub input_scale: Option<&'a [f32]>,
 }
 
 impl Training<'_> {
+    fn input_scale(&self, split: &Split) -> Result<Vec<f32>, LearnError> {
+        let Some(scale) = self.input_scale else { return input_scale(self.set, split) };
+        let (expected, got) = (self.set.manifest().inputs.len(), scale.len());
+        if got != expected {
+            return Err(LearnError::Size { what: "factors of the input images", expected, got });
+        }
+        if let Some(factor) = scale.iter().find(|factor| !(factor.is_finite() && **factor > 0.0)) {
+            let (what, value) = ("factor of an input image", factor.to_string());
+            return Err(LearnError::Value { what, value, expected: "a positive and finite one".into() });
+        }
+        Ok(scale.to_vec())
+    }
+
     fn first_weights(&self, shape: &UNetShape) -> Result<Tensors, LearnError> {
         let Some(start) = self.start else {
             return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
@@ -175,9 +190,9 @@ impl TrainOptions {
         let refuse = |what: &'static str, value: String, expected: &str| {
             Err(LearnError::Value { what, value, expected: expected.into() })
         };
-        if self.epochs == 0 || self.batch == 0 || self.patience == 0 {
-            let value = format!("{}, {}, {}", self.epochs, self.batch, self.patience);
-            return refuse("epochs, batch and patience", value, "at least 1 each");
+        if self.batch == 0 || self.patience == 0 {
+            let value = format!("{}, {}", self.batch, self.patience);
+            return refuse("batch and patience", value, "at least 1 each");
         }
         if !(self.learning_rate > 0.0 && self.learning_rate < 1.0) {
             return refuse("learning rate", self.learning_rate.to_string(), "between 0 and 1");
@@ -222,6 +237,10 @@ pub fn train(
 ) -> Result<Model, LearnError> {
     let (set, options) = (training.set, training.options);
     options.check()?;
+    if options.epochs == 0 && training.start.is_none() {
+        let (what, expected) = ("epochs", "at least 1 where there are no weights to begin with".into());
+        return Err(LearnError::Value { what, value: "0".into(), expected });
+    }
     let manifest = set.manifest();
     let shape = UNetShape {
         inputs: manifest.inputs.len(),
@@ -236,7 +255,7 @@ pub fn train(
         return Err(LearnError::Value { what, value, expected: "squares".into() });
     }
     let split = Split::of(set, options.held_out)?;
-    let scale = input_scale(set, &split)?;
+    let scale = training.input_scale(&split)?;
     let store = Checkpoint::new(training.checkpoint, set.manifest_sha256(), options);
     let mut state = match store.read(&shape)? {
         Some(state) => state,
@@ -256,6 +275,9 @@ pub fn train(
         store.write(&state)?;
         let held_out_iou = confusion.summary(0).0;
         progress(&Progress::Epoch(EpochReport { epoch: state.epoch, loss, held_out_loss, held_out_iou, best }));
+    }
+    if state.epoch == 0 {
+        state.best_loss = held_out(set, &split, shape, &state.tensors, &scale)?.0;
     }
     finish::model(training, shape, &split, &scale, &state)
 }

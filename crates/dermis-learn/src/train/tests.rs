@@ -114,7 +114,14 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     let run = |checkpoint: &str, stop_after: usize| {
         let checkpoint = folder.path().join(checkpoint);
         let options = options(4);
-        let training = Training { set: &set, options: &options, checkpoint: &checkpoint, command: "test", start: None };
+        let training = Training {
+            set: &set,
+            options: &options,
+            checkpoint: &checkpoint,
+            command: "test",
+            start: None,
+            input_scale: None,
+        };
         let mut reports = Vec::new();
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             train(&training, &Backend::Native, |progress| {
@@ -145,7 +152,14 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     // Turned samples and unlike weights of the classes change the training, and it goes on.
     let options_turned = TrainOptions { symmetries: true, class_weights: vec![1.0, 2.0], ..options(2) };
     let other = folder.path().join("turned");
-    let training = Training { set: &set, options: &options_turned, checkpoint: &other, command: "test", start: None };
+    let training = Training {
+        set: &set,
+        options: &options_turned,
+        checkpoint: &other,
+        command: "test",
+        start: None,
+        input_scale: None,
+    };
     let turned = train(&training, &Backend::Native, |_| {}).unwrap();
     assert!(turned.card.training.held_out_iou[1].unwrap() > 0.3, "{:?}", turned.card.training);
     assert_ne!(turned.tensors, whole.tensors);
@@ -153,18 +167,58 @@ fn an_interrupted_training_ends_as_the_uninterrupted_one() {
     // A training that begins with finished weights begins where they are.
     let (better, other) = (options(1), folder.path().join("further"));
     let start = Some(&whole.tensors);
-    let training = Training { set: &set, options: &better, checkpoint: &other, command: "test", start };
+    let training =
+        Training { set: &set, options: &better, checkpoint: &other, command: "test", start, input_scale: None };
     let further = train(&training, &Backend::Native, |_| {}).unwrap().card.training;
     assert!(further.held_out_loss < 0.8 * reports[0].held_out_loss, "{further:?} {reports:?}");
 
     // Another training does not take the checkpoint for its own; a damaged one is named.
     let other = TrainOptions { seed: 9, ..options(4) };
     let checkpoint = folder.path().join("whole");
-    let training = Training { set: &set, options: &other, checkpoint: &checkpoint, command: "test", start: None };
+    let training = Training {
+        set: &set,
+        options: &other,
+        checkpoint: &checkpoint,
+        command: "test",
+        start: None,
+        input_scale: None,
+    };
     let error = train(&training, &Backend::Native, |_| {}).unwrap_err().to_string();
     assert!(error.contains("made with other options"), "{error}");
     std::fs::write(checkpoint.join("checkpoint-0.safetensors"), b"no").unwrap();
     let training = Training { options: &options(4), ..training };
     let error = train(&training, &Backend::Native, |_| {}).unwrap_err().to_string();
     assert!(error.contains("not what the checkpoint says"), "{error}");
+}
+
+#[test]
+fn weights_made_elsewhere_get_a_card_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = discs(&folder.path().join("set"), 40);
+    let given = TrainOptions { epochs: 0, ..options(0) };
+    let shape = UNetShape {
+        inputs: set.manifest().inputs.len(),
+        classes: set.manifest().classes.len(),
+        width: given.width,
+        levels: given.levels,
+    };
+    let elsewhere = crate::network::tests::random_tensors(&shape, 7);
+    let scale = vec![0.5; shape.inputs];
+    let checkpoint = folder.path().join("none");
+    let judged = |start, input_scale| {
+        let (options, command) = (&given, "test");
+        train(
+            &Training { set: &set, options, checkpoint: &checkpoint, command, start, input_scale },
+            &Backend::Native,
+            |_| (),
+        )
+    };
+    let model = judged(Some(&elsewhere), Some(&scale[..])).unwrap();
+    assert!(elsewhere.iter().all(|(name, _, values)| model.tensors.get(name).unwrap().1 == values));
+    assert_eq!((model.card.training.epochs, &model.card.input_scale), (0, &scale));
+    assert!(model.card.training.held_out_loss < 100.0 && model.novelty().is_some());
+    let error = judged(None, None).unwrap_err().to_string();
+    assert!(error.contains("at least 1 where there are no weights"), "{error}");
+    let error = judged(Some(&elsewhere), Some(&[1.0, -1.0])).unwrap_err().to_string();
+    assert!(error.contains("factor"), "{error}");
 }

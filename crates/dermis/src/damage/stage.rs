@@ -30,7 +30,8 @@ const FEWEST_IN_MEAN: f64 = 12.0;
 /// Healing is estimated so often, seconds.
 const HEALING_S: f64 = 0.5;
 /// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is it a cut?
-const UNEXPLAINED_S: f64 = 0.4;
+/// Each look in vain doubles the time to the next, up to the most.
+const UNEXPLAINED_S: [f64; 2] = [0.4, 12.8];
 const FEWEST_UNEXPLAINED: u32 = 8;
 /// It is one if a cut explains so much of the mean's weighted energy, and remains one while it explains so much of a frame's.
 const CUT_EXPLAINS: [f64; 2] = [0.9, 0.8];
@@ -102,6 +103,7 @@ impl Readings {
 struct Unexplained {
     since_ns: u64,
     frames: u32,
+    wait_s: f64,
     /// Mean change against the intact sheet with what is known of its damage, model volts.
     mean: Vec<f64>,
     /// The response of the cut that it is.
@@ -110,7 +112,7 @@ struct Unexplained {
 
 impl Unexplained {
     fn clear(&mut self) {
-        (self.frames, self.cut) = (0, None);
+        (self.frames, self.wait_s, self.cut) = (0, UNEXPLAINED_S[0], None);
     }
 }
 
@@ -190,7 +192,7 @@ impl DamageStage {
             known: vec![0.0; channels],
             known_image: vec![0.0; prepared.map.grid().len()],
             known_is_stale: false,
-            unexplained: Unexplained::default(),
+            unexplained: Unexplained { wait_s: UNEXPLAINED_S[0], ..Unexplained::default() },
             image: vec![f32::NAN; prepared.map.grid().len()],
             noise: Vec::new(),
             suspicious: false,
@@ -388,8 +390,8 @@ impl DamageStage {
         let explains = |cut: &[f64], change: &mut dyn Iterator<Item = f64>| {
             explained(change, cut, &prepared.voltages) >= CUT_EXPLAINS[1]
         };
-        // The baseline of touches may not include yet what is known by now.
-        if explains(&self.known, &mut self.difference.iter().copied()) {
+        // The baseline of touches does not include yet what is known by now.
+        if self.pending.is_some() && explains(&self.known, &mut self.difference.iter().copied()) {
             return Ok(true);
         }
         let change = || self.difference.iter().zip(&self.known).map(|(difference, known)| difference - known);
@@ -399,7 +401,7 @@ impl DamageStage {
             }
             self.unexplained.clear();
         }
-        let Unexplained { since_ns, frames, mean, cut } = &mut self.unexplained;
+        let Unexplained { since_ns, frames, wait_s, mean, cut } = &mut self.unexplained;
         if *frames == 0 {
             *since_ns = input.time_ns;
             mean.clear();
@@ -409,10 +411,11 @@ impl DamageStage {
         let share = 1.0 / f64::from(*frames);
         mean.iter_mut().zip(change()).for_each(|(mean, change)| *mean += share * (change - *mean));
         let elapsed_s = input.time_ns.saturating_sub(*since_ns) as f64 * 1e-9;
-        if elapsed_s < UNEXPLAINED_S || *frames < FEWEST_UNEXPLAINED {
+        if elapsed_s < *wait_s || *frames < FEWEST_UNEXPLAINED {
             return Ok(false);
         }
         *frames = 0;
+        *wait_s = (2.0 * *wait_s).min(UNEXPLAINED_S[1]);
         let grid = prepared.map.grid();
         let pixels = self.image.iter().enumerate().filter(|(_, value)| value.is_finite());
         let Some((lowest, _)) = pixels.min_by(|a, b| a.1.total_cmp(b.1)) else { return Ok(false) };
