@@ -212,7 +212,7 @@ def main():
             worst = max(worst, gap)
     print("compared with", f"PyTorch {torch.__version__}" if torch else f"NumPy {np.__version__}")
     # PyTorch's own 32-bit arithmetic differs by up to 1.0e-6 from its 64-bit one on these networks.
-    sys.exit(worst > 2e-6)
+    sys.exit(int(worst > 2e-6))
 
 
 if __name__ == "__main__":
