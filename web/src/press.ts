@@ -26,6 +26,8 @@ export class Presser {
   describe: (x_mm: number, y_mm: number) => string = () => "";
   private readonly held = new Map<number, Held>();
   private cursor: Held | null = null;
+  /** What the mouse is over, millimetres. */
+  private hovered: [number, number] | null = null;
   private scene: Scene | null = null;
 
   constructor(
@@ -41,7 +43,10 @@ export class Presser {
     for (const kind of ["pointerup", "pointercancel", "lostpointercapture"] as const) {
       stage.addEventListener(kind, (event) => this.up(event.pointerId));
     }
-    stage.addEventListener("pointerleave", () => (this.readout.textContent = ""));
+    stage.addEventListener("pointerleave", () => {
+      this.hovered = null;
+      this.readout.textContent = "";
+    });
     stage.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
     stage.addEventListener("contextmenu", (event) => this.scene?.is_twin && event.preventDefault());
     stage.addEventListener("keydown", (event) => this.key(event));
@@ -70,8 +75,9 @@ export class Presser {
     this.leave();
   }
 
-  /** Sends what moved since the last drawn frame. */
+  /** Sends what moved since the last drawn frame, and says what is under the mouse by now. */
   flush(): void {
+    if (this.hovered) this.tell(this.hovered);
     for (const press of this.held.values()) {
       if (!press.isMoved) continue;
       press.isMoved = false;
@@ -100,13 +106,19 @@ export class Presser {
   private move(event: PointerEvent): void {
     const place = this.view.skinFromWindow(event.clientX, event.clientY);
     if (!place) return;
-    const more = this.describe(place[0], place[1]);
-    this.readout.textContent = `${place[0].toFixed(1)}, ${place[1].toFixed(1)} mm${more && `; ${more}`}`;
+    this.hovered = place;
+    this.tell(place);
     const held = this.held.get(event.pointerId);
     if (!held) return;
     [held.x_mm, held.y_mm] = place;
     held.isMoved = true;
     this.show();
+  }
+
+  private tell([x_mm, y_mm]: [number, number]): void {
+    const more = this.describe(x_mm, y_mm);
+    const text = `${x_mm.toFixed(1)}, ${y_mm.toFixed(1)} mm${more && `; ${more}`}`;
+    if (this.readout.textContent !== text) this.readout.textContent = text;
   }
 
   private up(pointer_id: number): void {
@@ -165,6 +177,7 @@ export class Presser {
     held.x_mm = Math.min(Math.max(held.x_mm + dx, x_min_mm), x_max_mm);
     held.y_mm = Math.min(Math.max(held.y_mm + dy, y_min_mm), y_max_mm);
     held.isMoved = held.isDown;
+    this.hovered = null;
     this.readout.textContent = `${held.x_mm.toFixed(1)}, ${held.y_mm.toFixed(1)} mm`;
     this.show();
   }
