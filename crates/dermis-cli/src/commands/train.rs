@@ -65,8 +65,8 @@ pub struct Arguments {
     /// --epochs 0 they stay as they are, and are judged and given a card.
     #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
-    /// Factors that the input images are multiplied by, commas between; those that bring each to a root mean square of 1 where
-    /// left out.
+    /// Factors that the input images are multiplied by, commas between; where left out those of the model to begin with, or
+    /// those that bring each image to a root mean square of 1.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
     input_scale: Vec<f32>,
     /// What computes.
@@ -83,6 +83,9 @@ enum Computes {
     /// The processor, through the framework burn.
     #[cfg(feature = "train")]
     BurnFlex,
+    /// A graphics processor (Vulkan, Metal, DirectX), through the framework burn.
+    #[cfg(feature = "wgpu")]
+    BurnWgpu,
 }
 
 impl Arguments {
@@ -92,18 +95,22 @@ impl Arguments {
         let checkpoint = self.out.with_extension("checkpoint");
         let options = self.options();
         let command = self.command();
-        let start = match (&self.start, &self.weights) {
-            (Some(model), _) => Some(Model::load(model)?.tensors),
-            (None, Some(file)) => Some(weights_of(file)?),
-            (None, None) => None,
+        // Weights go with the factors that their images were multiplied by.
+        let (start, mut input_scale) = match (&self.start, &self.weights) {
+            (Some(model), _) => Model::load(model).map(|model| (Some(model.tensors), model.card.input_scale))?,
+            (None, Some(file)) => (Some(weights_of(file)?), Vec::new()),
+            (None, None) => (None, Vec::new()),
         };
+        if !self.input_scale.is_empty() {
+            input_scale.clone_from(&self.input_scale);
+        }
         let training = Training {
             set: &set,
             options: &options,
             checkpoint: &checkpoint,
             command: &command,
             start: start.as_ref(),
-            input_scale: (!self.input_scale.is_empty()).then_some(&self.input_scale),
+            input_scale: (!input_scale.is_empty()).then_some(&input_scale),
         };
         let bar = progress_bar("samples");
         let mut failed = Ok(());
@@ -184,6 +191,8 @@ impl Computes {
             Computes::Native => Backend::Native,
             #[cfg(feature = "train")]
             Computes::BurnFlex => Backend::Burn(dermis_learn::train::Device::flex()),
+            #[cfg(feature = "wgpu")]
+            Computes::BurnWgpu => Backend::Burn(dermis_learn::train::Device::wgpu(Default::default())),
         }
     }
 }
