@@ -4,7 +4,9 @@
 //! that conducts along the cut would hold the potentials of its two sides together wherever elements are oblique to it: linear
 //! elements cannot jump and stay level at once. A cut of 20 mm would then act like one of 14, on any mesh.) Elements need not
 //! follow the cut. They are blocked whole, so that a cut acts as if it were longer by about their size, and by more where it
-//! runs oblique to them: whoever knows their size may shorten it beforehand ([`Cut::shortened`]).
+//! runs oblique to them: whoever knows their size may shorten it beforehand ([`Cut::shortened`]). A sheet whose mesh can be slit
+//! along the cut needs none of this ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and holds back by
+//! [`Cut::joining_per_m`].
 
 use serde::{Deserialize, Serialize};
 
