@@ -31,15 +31,6 @@ pub struct Crack {
     pub joined_per_m: f64,
 }
 
-impl Crack {
-    /// Both ends, metres.
-    pub fn ends_m(&self) -> [[f64; 2]; 2] {
-        let (sin, cos) = self.direction_rad.sin_cos();
-        let at = |along_m: f64| [self.centre_m[0] + along_m * cos, self.centre_m[1] + along_m * sin];
-        [at(-0.5 * self.length_m), at(0.5 * self.length_m)]
-    }
-}
-
 /// Responses to cuts of a prepared sheet.
 #[derive(Debug)]
 pub struct CrackModel {

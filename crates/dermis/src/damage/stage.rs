@@ -152,7 +152,7 @@ pub(crate) struct DamageStage {
     /// Fitted cuts by the damage's identity.
     fitted: Vec<(u64, Crack)>,
     /// What healed cuts have left in the sheet, as joined as they were when they became part of the intact reference.
-    scars: Vec<Crack>,
+    scars: Vec<SheetCut>,
     healing: HealingMonitor,
     healing_ns: u64,
     /// Joining of a healed scar, 1/m.
@@ -241,11 +241,12 @@ impl DamageStage {
     fn keep_scars(&mut self) {
         let healed = self.monitor.damages().iter().filter(|damage| damage.state == DamageState::Healed);
         for damage in healed {
-            let crack = self.fitted.iter().find(|(id, _)| *id == damage.id);
-            let state = self.healing.states().iter().find(|state| state.id == damage.id);
-            if let (Some((_, crack)), Some(state)) = (crack, state) {
-                self.scars.push(Crack { joined_per_m: state.joined * self.healed_per_m, ..*crack });
-            }
+            let is_fitted = self.fitted.iter().any(|(id, _)| *id == damage.id);
+            let state = self.healing.states().iter().find(|state| state.id == damage.id && is_fitted);
+            self.scars.extend(state.map(|state| SheetCut {
+                ends_m: damage.shape.ends_m(),
+                joined_per_m: state.joined * self.healed_per_m,
+            }));
         }
     }
 
@@ -253,8 +254,7 @@ impl DamageStage {
     pub fn cuts(&self) -> Vec<SheetCut> {
         let open = self.monitor.damages().iter().filter(|damage| damage.is_open() && damage.shape.length_m > 0.0);
         let open = open.map(|damage| SheetCut { ends_m: damage.shape.ends_m(), joined_per_m: 0.0 });
-        let scar = |crack: &Crack| SheetCut { ends_m: crack.ends_m(), joined_per_m: crack.joined_per_m };
-        open.chain(self.scars.iter().map(scar)).collect()
+        open.chain(self.scars.iter().copied()).collect()
     }
 
     /// Another operator or other noise is in use.
