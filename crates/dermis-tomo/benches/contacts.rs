@@ -39,6 +39,7 @@ fn contacts(c: &mut Criterion) {
         radius_log_deviation: 0.5,
         conductance_s_per_m2: 700.0,
         conductance_log_deviation: 0.5,
+        gain_deviation: 0.0,
         most_steps: 4,
     };
     let all = [patch(-25.0, 12.0), patch(24.0, 20.0), patch(-20.0, -26.0), patch(22.0, -21.0)];

@@ -54,6 +54,9 @@ const INTERVAL_NS: u64 = 5_000_000;
 const LEAST_NS: f64 = 500_000.0;
 /// Shares of a search below this are hurried, nanoseconds.
 const HURRIED_NS: f64 = 5e6;
+/// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since by the
+/// second: 2 % in ten minutes.
+const DRIFT_PER_S: f64 = 0.02 / 600.0;
 /// Steps of a fit: from the frame before, and from what a search found.
 const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
@@ -113,6 +116,8 @@ pub(crate) struct PatchStage {
     /// A search under way.
     seek: Option<Seek>,
     seen_ns: Option<u64>,
+    /// Since when something has been on the skin.
+    touched_ns: Option<u64>,
     /// Contacts of the last fit.
     shown: Vec<Contact>,
     /// No search before this time, and how long the next rest is.
@@ -142,6 +147,7 @@ impl Prepared {
                 radius_log_deviation: LOG_DEVIATIONS[0],
                 conductance_s_per_m2: typical.conductance_s_per_m2,
                 conductance_log_deviation: LOG_DEVIATIONS[1],
+                gain_deviation: 0.0,
                 most_steps: STEPS[0],
             },
             absent: vec![false; self.channels()],
@@ -162,6 +168,7 @@ impl Prepared {
             shown: Vec::new(),
             seek: None,
             seen_ns: None,
+            touched_ns: None,
             rest_until_ns: 0,
             next_rest_ns: REST_NS[0],
         })
@@ -234,8 +241,11 @@ impl PatchStage {
         self.left.extend_from_slice(difference);
         if contacts.is_empty() {
             self.let_go();
+            self.touched_ns = None;
             return;
         }
+        let touched_ns = time_ns.saturating_sub(*self.touched_ns.get_or_insert(time_ns));
+        self.options.gain_deviation = DRIFT_PER_S * touched_ns as f64 * 1e-9;
         if difference.len() != self.absent.len() || difference.iter().any(|v| !v.is_finite()) {
             self.fits.clear();
             self.shown.clear();

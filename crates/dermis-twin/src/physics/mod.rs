@@ -11,6 +11,7 @@ mod liquid;
 mod patches;
 mod patches_cells;
 mod patches_surface;
+mod paths;
 mod two_sheets;
 
 pub use cut::{Cut, damaged_conductance};
@@ -20,4 +21,5 @@ pub use liquid::{LiquidElectrodes, LiquidFields, LiquidSpec};
 pub use patches::{PatchedSheet, direct_patched_impedance};
 pub use patches_cells::{ContactCell, PatchLayout};
 pub use patches_surface::Surface;
+pub use paths::{SlitPath, SlitPaths};
 pub use two_sheets::{Shortcut, TwoSheets};

@@ -7,12 +7,16 @@
 //! frame. With 35 um of copper on paper H's composite, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
 //! all unknowns at once and is what the tests compare with.
 
+use std::collections::HashMap;
+
 use dermis_tomo::mesh::{self, Contact, ElectrodedMesh, SlitEdge};
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
-use faer::{Mat, MatRef};
+use faer::linalg::solvers::Solve;
+use faer::{Mat, MatRef, Side};
 
 use super::cut::{Cut, damaged_conductance};
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
+use super::paths::SlitPath;
 
 /// The sheet above.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,13 +42,17 @@ pub struct TwoSheets {
     /// Edges of slits with the conductance across them per length, S/m.
     pub(super) joints: Vec<(SlitEdge, f64)>,
     joint_slots: Vec<u32>,
+    /// Slits along the mesh's edges, and the second values of their inner nodes.
+    paths: Vec<SlitPath>,
+    second: SecondValues,
     shortcut: Shortcut,
     structure: SpdStructure,
     /// Slots of the element pairs, in the order of [`PAIRS`].
     slots: Vec<[u32; 6]>,
     contact_slots: Vec<u32>,
-    /// The system without contact between the sheets.
+    /// The system without contact between the sheets; stale after the sensing sheet has changed.
     open_values: Vec<f64>,
+    open_is_stale: bool,
     values: Vec<f64>,
     factor: SpdFactor,
     /// One row an electrode with its unit current, then one with the contact's load; solved in place. Rows, so that
@@ -66,6 +74,32 @@ pub(super) struct ContactEntry {
     pub(super) row: u32,
     pub(super) column: u32,
     pub(super) value: f64,
+}
+
+/// What paths add to the system `K u = r`: an element on the slit's side takes `u + w` at the path's inner nodes, so that
+/// `K u + B w = r` and `B' u + D w = s`.
+#[derive(Debug)]
+struct SecondValues {
+    /// Elements with the numbers that their corners have among the second values; with one or more of them.
+    elements: Vec<(u32, [Option<u32>; 3])>,
+    /// What joins the sides, entries of D.
+    joined: Vec<(u32, u32, f64)>,
+    count: usize,
+    /// B by node, second value.
+    coupling: Vec<(u32, u32, f64)>,
+    /// s where the shortcut has unit potential.
+    load: Vec<f64>,
+    /// `K^-1 B`, a row for each second value.
+    lifted: Mat<f64>,
+    /// w, second values x right-hand sides.
+    solved: Mat<f64>,
+}
+
+impl SecondValues {
+    fn none() -> Self {
+        let (elements, joined, coupling, load) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { elements, joined, count: 0, coupling, load, lifted: Mat::zeros(0, 0), solved: Mat::zeros(0, 0) }
+    }
 }
 
 #[derive(Debug)]
@@ -117,8 +151,11 @@ impl TwoSheets {
             contact_slots: contact_slots.to_vec(),
             joint_slots: joint_slots.to_vec(),
             joints,
+            paths: Vec::new(),
+            second: SecondValues::none(),
             slots: element_slots,
             open_values: vec![0.0; structure.value_count()],
+            open_is_stale: true,
             values: vec![0.0; structure.value_count()],
             factor: unit_factor(&structure)?,
             fields: Mat::zeros(electrodes, size),
@@ -135,7 +172,6 @@ impl TwoSheets {
             structure,
         };
         sheets.copper = sheets.make_copper()?;
-        sheets.assemble_open();
         Ok(sheets)
     }
 
@@ -166,7 +202,7 @@ impl TwoSheets {
             let centroid = [0, 1].map(|axis| corners.iter().map(|corner| corner[axis]).sum::<f64>() / 3.0);
             *tensor = damaged_conductance(intact_s(centroid), cuts, corners);
         }
-        self.assemble_open();
+        self.open_is_stale = true;
     }
 
     /// Sets the sensing sheet triangle by triangle, in the mesh's order.
@@ -178,7 +214,7 @@ impl TwoSheets {
             return Err(refuse(format!("expected {} conductances, got {}", self.triangles.len(), sensing.len())));
         }
         self.sensing.copy_from_slice(sensing);
-        self.assemble_open();
+        self.open_is_stale = true;
         Ok(())
     }
 
@@ -188,7 +224,57 @@ impl TwoSheets {
             let [a, b] = edge[0].map(|node| self.positions[node as usize]);
             *conductance = s_per_m(index, [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])]);
         }
-        self.assemble_open();
+        self.open_is_stale = true;
+    }
+
+    /// Slits the sheet along edges of its mesh, in place of what was slit so before. What a resistive shortcut loses is
+    /// taken from the values on one side, an error of a share of that loss.
+    ///
+    /// # Errors
+    /// Paths of another mesh, or two with a node in common.
+    pub fn set_slit_paths(&mut self, paths: Vec<SlitPath>) -> Result<(), SparseError> {
+        let mut second = SecondValues::none();
+        let mut number = vec![None; self.positions.len()];
+        let mut of_element: HashMap<u32, [Option<u32>; 3]> = HashMap::new();
+        for path in &paths {
+            let inner = &path.nodes[1..path.nodes.len() - 1];
+            let largest = path.side.iter().flatten().max().map_or(0, |element| *element as usize);
+            if path.nodes.iter().any(|&node| node as usize >= number.len()) || largest >= self.triangles.len() {
+                return Err(refuse("expected slits along edges of this mesh".into()));
+            }
+            for &node in inner {
+                if number[node as usize].replace(second.count as u32).is_some() {
+                    return Err(refuse(format!("expected slits without common nodes, got two through node {node}")));
+                }
+                second.count += 1;
+            }
+            for (&node, elements) in inner.iter().zip(&path.side) {
+                for element in elements {
+                    let corner = self.triangles[*element as usize].iter().position(|other| *other == node);
+                    let corner = corner.ok_or_else(|| refuse("expected slits along edges of this mesh".into()))?;
+                    of_element.entry(*element).or_default()[corner] = number[node as usize];
+                }
+            }
+            for ends in path.nodes.windows(2) {
+                let [a, b] = [ends[0], ends[1]].map(|node| self.positions[node as usize]);
+                let mass = path.s_per_m * (a[0] - b[0]).hypot(a[1] - b[1]) / 6.0;
+                let [i, j] = [ends[0], ends[1]].map(|node| number[node as usize].filter(|_| inner.contains(&node)));
+                second.joined.extend([i, j].into_iter().flatten().map(|i| (i, i, 2.0 * mass)));
+                if let (Some(i), Some(j)) = (i, j) {
+                    second.joined.extend([(i, j, mass), (j, i, mass)]);
+                }
+            }
+        }
+        second.elements = of_element.into_iter().collect();
+        // In an order of their own, so that sums are always the same.
+        second.elements.sort_unstable_by_key(|entry| entry.0);
+        (self.paths, self.second) = (paths, second);
+        Ok(())
+    }
+
+    /// The slits along edges of the mesh.
+    pub fn slit_paths(&self) -> &[SlitPath] {
+        &self.paths
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
@@ -199,6 +285,9 @@ impl TwoSheets {
     /// A singular system, as after cutting an electrode off entirely.
     pub fn impedance(&mut self, contact_s_per_m2: &[f64]) -> Result<MatRef<'_, f64>, SparseError> {
         let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
+        if std::mem::take(&mut self.open_is_stale) {
+            self.assemble_open();
+        }
         self.assemble_contact(contact_s_per_m2);
         self.structure.refactor(&self.values, &mut self.factor)?;
         self.fields.fill(0.0);
@@ -210,6 +299,9 @@ impl TwoSheets {
         }
         let solved = if self.touching.is_empty() { electrodes } else { electrodes + 1 };
         self.structure.solve_in_place(&self.factor, self.fields.as_mut().subrows_mut(0, solved).transpose_mut());
+        if self.second.count > 0 {
+            self.open_paths(contact_s_per_m2, solved)?;
+        }
         for row in 0..electrodes {
             for column in 0..electrodes {
                 self.impedance[(row, column)] = self.fields[(column, nodes + row)];
@@ -220,6 +312,67 @@ impl TwoSheets {
             self.add_copper_loss(contact_s_per_m2, &potentials);
         }
         Ok(self.impedance.as_ref())
+    }
+
+    /// Corrects the fields, where they are read, for the slits along edges.
+    fn open_paths(&mut self, contact_s_per_m2: &[f64], solved: usize) -> Result<(), SparseError> {
+        let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
+        let second = &mut self.second;
+        let mut system: Mat<f64> = Mat::zeros(second.count, second.count);
+        second.joined.iter().for_each(|&(i, j, value)| system[(i as usize, j as usize)] += value);
+        second.coupling.clear();
+        second.load.clear();
+        second.load.resize(second.count, 0.0);
+        for (element, numbers) in &second.elements {
+            let triangle = self.triangles[*element as usize];
+            let g = triangle.map(|node| contact_s_per_m2[node as usize]);
+            let corners = triangle.map(|node| self.positions[node as usize]);
+            let area = self.areas[*element as usize];
+            let local = stiffness(corners, self.sensing[*element as usize]).into_iter().zip(weighted_mass(area, g));
+            for (&(a, b), (stiffness, mass)) in PAIRS.iter().zip(local) {
+                let both = [(a, b), (b, a)];
+                for &(a, b) in &both[..if a == b { 1 } else { 2 }] {
+                    let Some(column) = numbers[b] else { continue };
+                    second.coupling.push((triangle[a], column, stiffness + mass));
+                    if let Some(row) = numbers[a] {
+                        system[(row as usize, column as usize)] += stiffness + mass;
+                    }
+                }
+            }
+            let sum: f64 = g.iter().sum();
+            for (corner, number) in numbers.iter().enumerate().filter_map(|(c, n)| n.map(|n| (c, n))) {
+                second.load[number as usize] += area * (sum + g[corner]) / 12.0;
+            }
+        }
+        second.lifted = Mat::zeros(second.count, nodes + electrodes);
+        for &(node, column, value) in &second.coupling {
+            second.lifted[(column as usize, node as usize)] += value;
+        }
+        self.structure.solve_in_place(&self.factor, second.lifted.as_mut().transpose_mut());
+        let mut right: Mat<f64> = Mat::zeros(second.count, solved);
+        if solved > electrodes {
+            second.load.iter().enumerate().for_each(|(row, load)| right[(row, electrodes)] = *load);
+        }
+        for &(node, row, value) in &second.coupling {
+            let (row, node) = (row as usize, node as usize);
+            for column in 0..second.count {
+                system[(row, column)] -= value * second.lifted[(column, node)];
+            }
+            for column in 0..solved {
+                right[(row, column)] -= value * self.fields[(column, node)];
+            }
+        }
+        let factor =
+            system.llt(Side::Lower).map_err(|_| refuse("slits that leave a part of the sheet alone".into()))?;
+        second.solved = factor.solve(&right);
+        let read = self.touching.iter().map(|&node| node as usize).chain(nodes..nodes + electrodes);
+        for place in read {
+            for row in 0..solved {
+                let change: f64 = (0..second.count).map(|k| second.lifted[(k, place)] * second.solved[(k, row)]).sum();
+                self.fields[(row, place)] -= change;
+            }
+        }
+        Ok(())
     }
 
     /// Adds what an equipotential shortcut carries; its potential for each electrode's unit current. With
@@ -233,6 +386,12 @@ impl TwoSheets {
             shortfall += load * (1.0 - field[electrodes]);
             for (electrode, sum) in inflow.iter_mut().enumerate() {
                 *sum += load * field[electrode];
+            }
+        }
+        for (number, load) in self.second.load.iter().enumerate().take(self.second.count) {
+            shortfall -= load * self.second.solved[(number, electrodes)];
+            for (electrode, sum) in inflow.iter_mut().enumerate() {
+                *sum += load * self.second.solved[(number, electrode)];
             }
         }
         let potentials: Vec<f64> = inflow.into_iter().map(|current| current / shortfall).collect();

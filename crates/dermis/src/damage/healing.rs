@@ -65,6 +65,11 @@ impl HealingMonitor {
         &self.states
     }
 
+    /// The largest sum of squares of an open cut's response, of those that are followed.
+    pub fn open_square(&self) -> f64 {
+        self.watched.iter().map(|watched| dot(&watched.open, &watched.open)).fold(0.0, f64::max)
+    }
+
     /// Follows a cut from now on, in place of what was followed under its identity.
     pub fn watch(&mut self, id: u64, crack: &Crack, model: &CrackModel, prepared: &Prepared) {
         self.forget(id);

@@ -29,6 +29,7 @@ const MEAN_S: f64 = 0.4;
 const FEWEST_IN_MEAN: f64 = 12.0;
 /// Healing is estimated so often, seconds.
 const HEALING_S: f64 = 0.5;
+const FEWEST_FOR_HEALING: usize = 8;
 /// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is it a cut?
 /// Each look in vain doubles the time to the next, up to the most.
 const UNEXPLAINED_S: [f64; 2] = [0.4, 12.8];
@@ -43,6 +44,9 @@ const FEWEST_FOR_RELEASE: usize = 3;
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
 const WARM_TRAVEL_M: f64 = 3e-3;
+/// And so is what came on steadily, however high and wherever it moves, and has been there for so long: between two looks
+/// ([`HEALING_S`]) the readings changed by less than this share of the open cut's response. A press comes on within one.
+const STEADY: f64 = 0.25;
 /// And lies within so much of it, metres. So is what lies there for so long and begins no touch at all.
 const WARM_REACH_M: f64 = 20e-3;
 
@@ -124,6 +128,34 @@ struct Warm {
     readings: Readings,
 }
 
+/// What has come on steadily about a damage.
+#[derive(Debug, Default)]
+struct Course {
+    since_ns: u64,
+    readings: Readings,
+    /// Change against the intact skin at the last look, model volts.
+    last: Vec<f64>,
+    /// It went on otherwise than steadily, or elsewhere.
+    broken: bool,
+}
+
+impl Course {
+    /// What is on the skin now begins a new one.
+    fn restart(&mut self, time_ns: u64) {
+        (self.since_ns, self.readings.frames, self.broken) = (time_ns, 0, false);
+    }
+
+    /// Whether a change is near that of the last look, `square` being that of the size to compare with.
+    fn goes_on(&self, change: &[f64], square: f64) -> bool {
+        if self.last.len() != change.len() {
+            return false;
+        }
+        let both = change.iter().zip(&self.last).map(|(now, last)| now - last);
+        let moved: f64 = both.filter(|moved| moved.is_finite()).map(|moved| moved * moved).sum();
+        moved <= STEADY * STEADY * square
+    }
+}
+
 /// The monitor of a skin, the reference it judges by, and the rest that proposals wait for.
 #[derive(Debug)]
 pub(crate) struct DamageStage {
@@ -158,6 +190,7 @@ pub(crate) struct DamageStage {
     /// Joining of a healed scar, 1/m.
     healed_per_m: f64,
     warm: Option<Warm>,
+    course: Course,
     /// Readings where the rest began.
     rest: Vec<f64>,
     rest_since_ns: Option<u64>,
@@ -206,6 +239,7 @@ impl DamageStage {
             healing_ns: 0,
             healed_per_m: 1e3 / settings.healed_scar_mm,
             warm: None,
+            course: Course::default(),
             readings: Readings { mean: Vec::with_capacity(channels), ..Readings::default() },
             rest: Vec::with_capacity(channels),
             rest_since_ns: None,
@@ -314,8 +348,12 @@ impl DamageStage {
         };
         for index in 0..self.monitor.events().len() {
             if let Some(damage) = news(&self.monitor.events()[index]) {
+                let others = self.fitted.iter().any(|(id, _)| *id != damage.id);
+                let is_new = matches!(self.monitor.events()[index], DamageEvent::Begin(_));
+                // Where the baseline of touches has all the others, the new one is what differs from it.
+                let includes = is_new && others && self.pending.is_none();
                 self.pending = Some(damage.id);
-                self.place(&damage, input, prepared, drift)?;
+                self.place(&damage, input, prepared, drift, includes.then_some(baseline.baseline()))?;
             }
         }
         if input.loaded {
@@ -324,6 +362,7 @@ impl DamageStage {
             self.readings.take(input.time_ns, baseline.raw());
         }
         self.look_for_release(input, prepared, baseline, patches);
+        self.follow_course(input, baseline);
         let adopted = self.adopt(input, baseline)? || self.adopt_warmth(input, baseline)?;
         self.follow_healing(input, prepared, drift);
         if !input.loaded && !adopted {
@@ -334,31 +373,36 @@ impl DamageStage {
     }
 
     /// Mean readings, of the free skin or of a warm one, against the intact one, model volts, NaN where channels are left out.
-    fn mean_difference(&self, mean: &[f64], input: &DamageInput<'_>, drift: f64) -> Vec<f64> {
-        let mean = |(channel, scale): (usize, &f64)| {
-            let change = scale * (mean[channel] - drift * self.intact[channel]);
-            if input.difference[channel].is_nan() { f64::NAN } else { change }
-        };
-        input.scale.iter().enumerate().map(mean).collect()
+    fn against_intact(&self, mean: &[f64], input: &DamageInput<'_>, drift: f64) -> Vec<f64> {
+        let intact: Vec<f64> = self.intact.iter().map(|value| drift * value).collect();
+        mean_difference(mean, &intact, input)
     }
 
-    /// Fits a cut to a new damage, beside those known already.
+    /// Fits a cut to a new damage, beside those known already: as measured, where readings with those and without the new one
+    /// are given, which leaves out what the model makes of them; as modelled otherwise.
     fn place(
         &mut self,
         damage: &Damage,
         input: &DamageInput<'_>,
         prepared: &Prepared,
         drift: f64,
+        others: Option<&[f64]>,
     ) -> Result<(), Error> {
         if self.readings.frames == 0 {
             return Ok(());
         }
-        let mut difference = self.mean_difference(&self.readings.mean, input, drift);
         let Some(model) = &self.cracks else { return Ok(()) };
         self.fitted.retain(|(id, _)| *id != damage.id);
         self.known_is_stale = true;
-        known_response(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.known);
-        difference.iter_mut().zip(&self.known).for_each(|(sum, known)| *sum -= known);
+        let difference = match others {
+            Some(others) => mean_difference(&self.readings.mean, others, input),
+            None => {
+                let mut difference = self.against_intact(&self.readings.mean, input, drift);
+                known_response(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.known);
+                difference.iter_mut().zip(&self.known).for_each(|(sum, known)| *sum -= known);
+                difference
+            }
+        };
         let estimate = estimate_cut(prepared, model, &difference, input.noise, &damage.shape)?;
         if let Some(estimate) = estimate.filter(|estimate| estimate.explained >= LEAST_EXPLAINED) {
             self.fitted.push((damage.id, estimate.crack));
@@ -436,16 +480,46 @@ impl DamageStage {
         Ok(cut.is_some())
     }
 
+    /// Gathers what is read while something lies on damage and nowhere else.
+    fn follow_course(&mut self, input: &DamageInput<'_>, baseline: &Baseline) {
+        if !input.loaded {
+            self.course.restart(input.time_ns);
+            return;
+        }
+        let places = input.touches.iter().map(|touch| touch.position_m);
+        let mut places = places.chain(input.contacts.iter().map(|contact| contact.centroid_m));
+        self.course.broken |= !places.all(|at_m| self.lies_on_damage(at_m));
+        self.course.readings.take(input.time_ns, baseline.raw());
+    }
+
+    fn lies_on_damage(&self, at_m: [f64; 2]) -> bool {
+        let reached = |damage: &Damage| damage.is_open() && damage.shape.distance_m(at_m) <= WARM_REACH_M;
+        self.monitor.damages().iter().any(reached)
+    }
+
     /// Estimates, now and then, how far fitted cuts have healed.
     fn follow_healing(&mut self, input: &DamageInput<'_>, prepared: &Prepared, drift: f64) {
-        let due = input.time_ns.saturating_sub(self.healing_ns) as f64 * 1e-9 >= HEALING_S;
-        let warm = self.warm.as_ref().map(|warm| &warm.readings).filter(|_| input.loaded);
-        let readings = warm.unwrap_or(&self.readings);
-        if !due || readings.frames < 8 || self.healing.states().is_empty() {
+        if self.healing.states().is_empty() {
+            self.course.broken = true;
+            self.course.last.clear();
+            return;
+        }
+        if input.time_ns.saturating_sub(self.healing_ns) as f64 * 1e-9 < HEALING_S {
             return;
         }
         self.healing_ns = input.time_ns;
-        let difference = self.mean_difference(&readings.mean, input, drift);
+        if input.loaded {
+            self.course.broken |= !self.course.goes_on(&self.difference, self.healing.open_square());
+            if self.course.broken {
+                return;
+            }
+        }
+        self.course.last.clone_from(&self.difference);
+        let readings = if input.loaded { &self.course.readings } else { &self.readings };
+        if readings.frames < FEWEST_FOR_HEALING {
+            return;
+        }
+        let difference = self.against_intact(&readings.mean, input, drift);
         self.healing.take(input.time_ns, &difference, input.noise, &prepared.voltages, self.healed_per_m);
         self.known_is_stale = true;
         for state in self.healing.states() {
@@ -471,7 +545,7 @@ impl DamageStage {
         let Some(patches) = patches.filter(|_| due && seen && !input.loaded) else { return };
         self.looked_ns = input.time_ns;
         let drift = baseline.drift_factor() / self.intact_drift;
-        let change = self.mean_difference(&self.readings.mean, input, drift);
+        let change = self.against_intact(&self.readings.mean, input, drift);
         if is_release(&change, &self.intact, input, prepared, patches) {
             self.intact.copy_from_slice(&self.readings.mean);
             self.intact_drift = baseline.drift_factor();
@@ -482,10 +556,16 @@ impl DamageStage {
 
     /// Takes into the baseline what rests on a damage for so long and so low that it is warmth and no touch.
     fn adopt_warmth(&mut self, input: &DamageInput<'_>, baseline: &mut Baseline) -> Result<bool, Error> {
-        let near = |at_m: [f64; 2]| {
-            let reached = |damage: &Damage| damage.is_open() && damage.shape.distance_m(at_m) <= WARM_REACH_M;
-            self.monitor.damages().iter().any(reached)
-        };
+        let has_lasted = |since_ns: u64| input.time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= WARM_S;
+        let reason = "warmth about a damage";
+        if input.loaded && !self.course.broken && has_lasted(self.course.since_ns) {
+            let readings = &self.course.readings;
+            baseline.adopt(input.time_ns, &readings.mean, readings.frames, reason)?;
+            self.course.restart(input.time_ns);
+            self.warm = None;
+            return Ok(true);
+        }
+        let near = |at_m: [f64; 2]| self.lies_on_damage(at_m);
         let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
         let here = match (input.touches, input.contacts) {
             // Something was there a moment ago: the next frames will tell.
@@ -506,10 +586,10 @@ impl DamageStage {
         }
         let Some(warm) = &mut self.warm else { return Ok(false) };
         warm.readings.take(input.time_ns, baseline.raw());
-        if input.time_ns.saturating_sub(warm.since_ns) as f64 * 1e-9 < WARM_S {
+        if !has_lasted(warm.since_ns) {
             return Ok(false);
         }
-        baseline.adopt(input.time_ns, &warm.readings.mean, warm.readings.frames, "warmth about a damage")?;
+        baseline.adopt(input.time_ns, &warm.readings.mean, warm.readings.frames, reason)?;
         self.warm = None;
         Ok(true)
     }
@@ -564,6 +644,15 @@ impl DamageStage {
             drift: baseline.drift_factor() - 1.0,
         }
     }
+}
+
+/// Mean readings against others, model volts, NaN where channels are left out.
+fn mean_difference(mean: &[f64], from: &[f64], input: &DamageInput<'_>) -> Vec<f64> {
+    let change = |(channel, scale): (usize, &f64)| {
+        let left_out = input.difference[channel].is_nan();
+        if left_out { f64::NAN } else { scale * (mean[channel] - from[channel]) }
+    };
+    input.scale.iter().enumerate().map(change).collect()
 }
 
 /// Response of all fitted cuts together, each as far as it is still open.

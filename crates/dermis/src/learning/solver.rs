@@ -5,7 +5,7 @@
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
-use dermis_twin::physics::{Cut, SheetConductance, Shortcut, TwoSheets, damaged_conductance};
+use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
 use rand::Rng;
 use rand::rngs::StdRng;
 
@@ -30,7 +30,13 @@ pub(super) enum Solver {
     /// Inclusions change the conductivity.
     OneSheet { model: Box<ForwardModel>, elements: Elements, conductance_s: f64 },
     /// Touches are contacts with a floating shortcut, cuts are cut.
-    TwoSheets { sheets: Box<TwoSheets>, protocol: Protocol, triangles: Vec<[[f64; 2]; 3]>, conductance_s: f64 },
+    TwoSheets {
+        sheets: Box<TwoSheets>,
+        paths: Box<SlitPaths>,
+        protocol: Protocol,
+        triangles: Vec<[[f64; 2]; 3]>,
+        conductance_s: f64,
+    },
 }
 
 impl Solver {
@@ -56,7 +62,9 @@ impl Solver {
         let positions = sheets.positions_m();
         let corners = |cell: &[u32]| [0, 1, 2].map(|k| positions[cell[k] as usize]);
         let triangles = body.mesh.elements().map(corners).collect();
-        Ok(Self::TwoSheets { sheets: Box::new(sheets), protocol: protocol.clone(), triangles, conductance_s })
+        let paths = SlitPaths::new(body).map_err(dermis_twin::TwinError::from)?;
+        let (sheets, paths, protocol) = (Box::new(sheets), Box::new(paths), protocol.clone());
+        Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s })
     }
 
     /// Side of a square of the elements' mean area, metres.
@@ -75,10 +83,11 @@ impl Solver {
             Self::OneSheet { model, elements, conductance_s } => {
                 Ok(model.voltages(&elements.conductivity(scene, *conductance_s))?)
             }
-            Self::TwoSheets { sheets, protocol, triangles, conductance_s } => {
-                let sensing = sensing(scene, triangles, *conductance_s, random);
+            Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s } => {
+                let (slits, sensing) = damaged(scene, paths, triangles, *conductance_s, random);
                 let contact = contact(scene, sheets.positions_m(), random);
                 sheets.set_sensing_elements(&sensing).map_err(dermis_twin::TwinError::from)?;
+                sheets.set_slit_paths(slits).map_err(dermis_twin::TwinError::from)?;
                 let impedance = sheets.impedance(&contact).map_err(dermis_twin::TwinError::from)?;
                 let voltage = |channel: &dermis_tomo::eit::Measurement| {
                     let pattern = &protocol.patterns()[channel.pattern as usize];
@@ -92,8 +101,16 @@ impl Solver {
     }
 }
 
-/// The sheet with what lowers its conductance: strokes are cuts, other figures conduct a share.
-fn sensing(scene: &Scene, triangles: &[[[f64; 2]; 3]], rest_s: f64, random: &mut StdRng) -> Vec<SheetConductance> {
+/// What lowers the sheet's conductance: strokes are cuts, which slit it where its edges can follow them and are blocked where
+/// not; other figures conduct a share.
+fn damaged(
+    scene: &Scene,
+    paths: &SlitPaths,
+    triangles: &[[[f64; 2]; 3]],
+    rest_s: f64,
+    random: &mut StdRng,
+) -> (Vec<SlitPath>, Vec<SheetConductance>) {
+    let mut slits = Vec::new();
     let mut cuts = Vec::new();
     let mut holes = Vec::new();
     for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class != RAISED) {
@@ -102,7 +119,11 @@ fn sensing(scene: &Scene, triangles: &[[[f64; 2]; 3]], rest_s: f64, random: &mut
                 let width_m = width * random.random_range(CUT_WIDTH[0]..CUT_WIDTH[1]);
                 let residual = inclusion.factor * 10_f64.powf(-CUT_DECADES * random.random::<f64>());
                 let cut = |ends: &[[f64; 2]]| Cut { from_m: ends[0], to_m: ends[1], width_m, residual };
-                cuts.extend(chain.windows(2).map(cut));
+                let joined_per_m = chain.windows(2).next().map_or(0.0, |ends| cut(ends).joining_per_m());
+                match paths.along(chain, &slits, rest_s * joined_per_m) {
+                    Some(path) => slits.push(path),
+                    None => cuts.extend(chain.windows(2).map(cut)),
+                }
             }
             figure => holes.push((figure, inclusion.factor)),
         }
@@ -119,7 +140,7 @@ fn sensing(scene: &Scene, triangles: &[[[f64; 2]; 3]], rest_s: f64, random: &mut
         let near: Vec<Cut> = cuts.iter().filter(near).copied().collect();
         if near.is_empty() { SheetConductance::isotropic(own_s) } else { damaged_conductance(own_s, &near, *corners) }
     };
-    triangles.iter().map(of_triangle).collect()
+    (slits, triangles.iter().map(of_triangle).collect())
 }
 
 /// Contact conductance at each node, S/m^2: that of a touch in its middle, falling to nothing at its rim.

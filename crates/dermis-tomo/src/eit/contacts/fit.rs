@@ -29,6 +29,9 @@ pub struct FitOptions {
     pub conductance_s_per_m2: f64,
     /// Standard deviation of its natural logarithm.
     pub conductance_log_deviation: f64,
+    /// Standard deviation of a change of all voltages by the same share, which is fitted beside the patches: a sheet grows
+    /// warmer. 0: there is none.
+    pub gain_deviation: f64,
     /// Steps at most.
     pub most_steps: usize,
 }
@@ -63,9 +66,11 @@ pub struct FitSummary {
 pub struct PatchFit {
     patches: Vec<ContactPatch>,
     touched: Touched,
-    /// Change of the channels, volts.
+    /// Change of the channels by the patches, volts.
     change_v: Vec<f64>,
-    /// Its derivatives, channels x parameters; worked out when they are needed.
+    /// Change of all voltages beside it, a share of those of the bare sheet.
+    gain: f64,
+    /// Derivatives of the change by the patches, channels x parameters; worked out when they are needed.
     jacobian: Option<Vec<f64>>,
     damping: f64,
 }
@@ -74,6 +79,11 @@ impl PatchFit {
     /// The patches as they are now.
     pub fn patches(&self) -> &[ContactPatch] {
         &self.patches
+    }
+
+    /// Change of all voltages that was found beside the patches, a share of those of the bare sheet.
+    pub fn gain(&self) -> f64 {
+        self.gain
     }
 }
 
@@ -85,7 +95,7 @@ impl ContactSheet {
     pub fn begin_fit(&self, start: &[ContactPatch]) -> Result<PatchFit, EitError> {
         let touched = self.touch(start)?;
         let change_v = self.change_of(&touched);
-        Ok(PatchFit { patches: start.to_vec(), touched, change_v, jacobian: None, damping: DAMPING[0] })
+        Ok(PatchFit { patches: start.to_vec(), touched, change_v, gain: 0.0, jacobian: None, damping: DAMPING[0] })
     }
 
     /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count) with
@@ -130,7 +140,7 @@ impl ContactSheet {
             }
             steps += 1;
             let mut next = self.begin_fit(&stepped(&from.patches, &step))?;
-            let (next_misfit, next_cost) = fit.judge(&next);
+            let (next_misfit, next_cost) = fit.judge(&mut next);
             if next_cost < cost {
                 // Where the cost falls as predicted it is a parabola, whose bottom this is.
                 settled = (cost - next_cost - predicted).abs() < SETTLED;
@@ -149,8 +159,9 @@ impl ContactSheet {
             from.damping = DAMPING[0];
         }
         left_v.clear();
-        left_v.extend(change_v.iter().zip(&from.change_v).map(|(change, model)| change - model));
-        let energy = fit.misfit(&vec![0.0; change_v.len()]);
+        let model = from.change_v.iter().zip(&self.bare_v).map(|(change, bare)| change + from.gain * bare);
+        left_v.extend(change_v.iter().zip(model).map(|(change, model)| change - model));
+        let energy = fit.misfit(&vec![0.0; change_v.len()], 0.0);
         let summary = FitSummary { misfit, cost: 2.0 * cost, energy, steps, settled };
         let covariance = inverse(&normal);
         let block = |k: usize| {
@@ -235,22 +246,43 @@ struct Fit<'a> {
 }
 
 impl Fit<'_> {
-    fn misfit(&self, model: &[f64]) -> f64 {
+    fn misfit(&self, model: &[f64], gain: f64) -> f64 {
         let (mut sum, mut count) = (0.0, 0.0);
-        for ((change, sigma), model) in self.change_v.iter().zip(self.deviation_v).zip(model) {
+        for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
             if change.is_finite() {
-                sum += ((change - model) / sigma).powi(2);
+                sum += ((change - model[channel] - gain * self.sheet.bare_v[channel]) / sigma).powi(2);
                 count += 1.0;
             }
         }
         sum / f64::max(count, 1.0)
     }
 
-    /// Misfit and cost of where a fit stands.
-    fn judge(&self, at: &PatchFit) -> (f64, f64) {
-        let misfit = self.misfit(&at.change_v);
+    /// The gain that suits patches best, and its precision (one over its variance), where it is fitted.
+    fn gain(&self, model: &[f64]) -> Option<(f64, f64)> {
+        let deviation = self.options.gain_deviation;
+        if deviation == 0.0 {
+            return None;
+        }
+        let (mut cross, mut precision) = (0.0, 1.0 / (deviation * deviation));
+        for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
+            if change.is_finite() {
+                let bare = self.sheet.bare_v[channel] / sigma;
+                cross += bare * (change - model[channel]) / sigma;
+                precision += bare * bare;
+            }
+        }
+        Some((cross / precision, precision))
+    }
+
+    /// Misfit and cost of where a fit stands, at the gain that suits it best.
+    fn judge(&self, at: &mut PatchFit) -> (f64, f64) {
+        at.gain = self.gain(&at.change_v).map_or(0.0, |(gain, _)| gain);
+        let misfit = self.misfit(&at.change_v, at.gain);
         let count = self.change_v.iter().filter(|change| change.is_finite()).count() as f64;
-        let prior: f64 = at.patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
+        let mut prior: f64 = at.patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
+        if at.gain != 0.0 {
+            prior += (at.gain / self.options.gain_deviation).powi(2);
+        }
         (misfit, 0.5 * (count * misfit + prior))
     }
 
@@ -263,9 +295,12 @@ impl Fit<'_> {
         ]
     }
 
-    /// Normal matrix and gradient where a fit stands.
+    /// Normal matrix and gradient where a fit stands; the gain is eliminated.
     fn normal(&self, at: &mut PatchFit) -> (Mat<f64>, Vec<f64>) {
         let size = OF_PATCH * at.patches.len();
+        let precision = self.gain(&at.change_v).map(|(_, precision)| precision);
+        let gain = at.gain;
+        let mut by_gain = vec![0.0; size];
         let PatchFit { patches, touched, jacobian, .. } = at;
         let jacobian = &*jacobian.get_or_insert_with(|| self.sheet.derivatives(patches, touched));
         let (mut normal, mut gradient) = (Mat::<f64>::zeros(size, size), vec![0.0; size]);
@@ -275,8 +310,10 @@ impl Fit<'_> {
             }
             let row = &jacobian[channel * size..(channel + 1) * size];
             let weight = 1.0 / (sigma * sigma);
-            let residual = change - at.change_v[channel];
+            let bare = self.sheet.bare_v[channel];
+            let residual = change - at.change_v[channel] - gain * bare;
             for a in 0..size {
+                by_gain[a] += weight * bare * row[a];
                 gradient[a] += weight * residual * row[a];
                 for b in 0..=a {
                     normal[(a, b)] += weight * row[a] * row[b];
@@ -284,7 +321,10 @@ impl Fit<'_> {
             }
         }
         for a in 0..size {
-            for b in 0..a {
+            for b in 0..=a {
+                if let Some(precision) = precision {
+                    normal[(a, b)] -= by_gain[a] * by_gain[b] / precision;
+                }
                 normal[(b, a)] = normal[(a, b)];
             }
         }

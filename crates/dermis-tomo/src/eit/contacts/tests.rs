@@ -119,6 +119,7 @@ fn known_patches_are_found_and_fitted() {
         // Data say little of radius and conductance apart: the prior decides, and is right here.
         conductance_s_per_m2: 600.0,
         conductance_log_deviation: 0.5,
+        gain_deviation: 0.0,
         most_steps: 30,
     };
     let truth = [
@@ -146,6 +147,39 @@ fn known_patches_are_found_and_fitted() {
             assert!((near.patch.radius_m / truth.radius_m - 1.0).abs() < 0.1, "{near:?} for {truth:?}");
         }
     }
+}
+
+#[test]
+fn a_change_of_all_voltages_displaces_no_patch_where_it_is_allowed_for() {
+    let sheet = sheet();
+    let truth = patch(-20.0, 10.0, 10.0);
+    let gain = -0.008;
+    let bare = sheet.bare_v().iter();
+    let change: Vec<f64> = sheet.change_v(&[truth]).unwrap().iter().zip(bare).map(|(v, b)| v + gain * b).collect();
+    let deviation = vec![1e-3 * norm(&change) / (change.len() as f64).sqrt(); change.len()];
+    let start = [patch(-18.0, 11.0, 9.0)];
+    let off_m = |gain_deviation: f64| {
+        let options = FitOptions {
+            radius_m: 10e-3,
+            radius_log_deviation: 0.5,
+            conductance_s_per_m2: truth.conductance_s_per_m2,
+            conductance_log_deviation: 0.5,
+            gain_deviation,
+            most_steps: 30,
+        };
+        let mut fit = sheet.begin_fit(&start).unwrap();
+        let mut left = Vec::new();
+        let (fits, summary) = sheet.go_on(&change, &deviation, &mut fit, &options, &mut left).unwrap();
+        let at = fits[0].patch.position_m;
+        let off_m = (at[0] - truth.position_m[0]).hypot(at[1] - truth.position_m[1]);
+        println!("{gain_deviation}: {off_m:.2e} m off, gain {:.5}, {summary:?}", fit.gain());
+        (off_m, fit.gain(), norm(&left) / norm(&change))
+    };
+    let (displaced_m, none, _) = off_m(0.0);
+    assert!(displaced_m > 1e-3 && none == 0.0, "{displaced_m}");
+    // The prior pulls at the gain by one over the number of its deviations in the data, thousands here.
+    let (off_m, found, left) = off_m(0.008);
+    assert!(off_m < 1e-4 && (found - gain).abs() < 1e-4 && left < 1e-3, "{off_m} {found} {left}");
 }
 
 #[test]
