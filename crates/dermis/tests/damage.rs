@@ -254,7 +254,7 @@ fn drift_of_the_whole_sheet_is_followed_and_a_slow_press_is_not() {
     println!("touched after {touched_s:?} s; {touches:?}");
     assert_eq!(touches.len(), 1, "held for two minutes it is still there");
     let [x, y] = touches[0].position_m;
-    assert!((x + 0.02).hypot(y - 0.01) < 3e-3, "{:?}", touches[0].position_m);
+    assert!((x + 0.02).hypot(y - 0.01) < 5e-4, "{:?}", touches[0].position_m);
     assert!(touches[0].amplitude > 0.2, "{}", touches[0].amplitude);
     line.release();
     assert!(line.run(40).is_empty());
@@ -341,8 +341,8 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
         println!("truth {truth:.3} {state:?}");
         course.push((truth, state.joined.min(1.0)));
     }
-    // Coarse: the sheet's rise about the cut and what is left of the cut answer alike in part.
-    assert!(course.iter().all(|(truth, joined)| (truth - joined).abs() < 0.5), "{course:?}");
+    // The sheet's rise about the cut and what is left of the cut answer alike in part; readings are means over a few frames.
+    assert!(course.iter().all(|(truth, joined)| (truth - joined).abs() < 0.15), "{course:?}");
     assert!(course.windows(2).all(|pair| pair[1].1 >= pair[0].1 - 0.1), "{course:?}");
     assert!(course[9].1 > 0.9, "{course:?}");
     assert_eq!(line.damages().len(), 1, "the record stays");
@@ -392,8 +392,10 @@ fn the_second_cut_is_found_beside_the_first() {
     println!("{found:#?}");
     assert_eq!((line.names(), found.len()), (vec!["begin", "begin"], 2));
     let [x, y] = found[1].shape.centre_m.map(|m| 1e3 * m);
-    // What the first cut does to the field about the second is left out: that is 1.0 mm and 6 degrees.
-    assert!((x + 21.0).hypot(y + 9.5) < 1.5 && (1e3 * found[1].shape.length_m - 20.1).abs() < 2.0, "{:?}", found[1]);
+    // Of what is asked for (3 mm, 4 mm); 0.13 mm, 0.2 mm and half a degree are found.
+    assert!((x + 21.0).hypot(y + 9.5) < 0.5 && (1e3 * found[1].shape.length_m - 20.1).abs() < 1.0, "{:?}", found[1]);
+    let turned = found[1].shape.direction_rad.to_degrees() + f64::to_degrees((9.0_f64 / 18.0).atan());
+    assert!(turned.abs() < 2.0, "{turned} degrees");
     // And touches are placed on the sheet with both.
     line.press(0.0, -30.0);
     let touches = line.run(40);

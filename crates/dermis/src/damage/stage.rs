@@ -492,9 +492,9 @@ impl DamageStage {
         self.course.readings.take(input.time_ns, baseline.raw());
     }
 
+    /// Whether a place lies on damage, open or healed: a scar is warm for longer than it is open.
     fn lies_on_damage(&self, at_m: [f64; 2]) -> bool {
-        let reached = |damage: &Damage| damage.is_open() && damage.shape.distance_m(at_m) <= WARM_REACH_M;
-        self.monitor.damages().iter().any(reached)
+        self.monitor.damages().iter().any(|damage| damage.shape.distance_m(at_m) <= WARM_REACH_M)
     }
 
     /// Estimates, now and then, how far fitted cuts have healed.

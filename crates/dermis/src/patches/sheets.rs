@@ -124,8 +124,10 @@ impl CutSheets {
             .map(|(row, column)| [at(0, column), at(1, row)])
             .filter(|place| prepared.map.grid().pixel_at(*place).is_some_and(|pixel| inside[pixel]))
             .collect();
-        let edge_m = EDGE * (prepared.body.outline.area_m2() / ELEMENTS as f64).sqrt();
         let (skin, protocol) = (prepared.skin.clone(), prepared.protocol.clone());
+        let (uncut, _) = skin.slit_mesh(ELEMENTS, &[])?;
+        let mesh = &uncut.mesh.mesh;
+        let edge_m = EDGE * (mesh.measures().iter().sum::<f64>() / mesh.element_count() as f64).sqrt();
         let bare = Arc::new(Bare { skin, protocol, edge_m, typical, places });
         let now = bare.with(&[])?;
         Ok(Self { bare, cuts: Vec::new(), now, coming: None })
