@@ -120,9 +120,16 @@ impl SlitPaths {
 
     /// The node nearest to a point, within so far.
     fn nearest(&self, nodes: &[u32], point: [f64; 2], within_m: f64) -> Option<u32> {
-        let off = |node: &u32| distance(self.positions[*node as usize], point);
-        let nearest = nodes.iter().copied().min_by(|a, b| off(a).total_cmp(&off(b)))?;
-        (off(&nearest) <= within_m).then_some(nearest)
+        let off = |node: u32| {
+            let [x, y] = self.positions[node as usize];
+            (x - point[0]) * (x - point[0]) + (y - point[1]) * (y - point[1])
+        };
+        let within = (within_m * within_m, None);
+        let nearer = |best: (f64, Option<u32>), &node: &u32| {
+            let square = off(node);
+            if square <= best.0 { (square, Some(node)) } else { best }
+        };
+        nodes.iter().fold(within, nearer).1
     }
 
     /// The chain of edges over these nodes that is short and near a chain of points (Dijkstra's algorithm).
