@@ -4,6 +4,8 @@
 mod elements;
 mod refine;
 
+use std::sync::Arc;
+
 use dermis_tomo::inverse::{
     Hyperparameter, LinearProblem, LiveOperator, MissingChannels, Operator, PriorMatrix, Weighting,
 };
@@ -20,7 +22,7 @@ pub use refine::Refiner;
 /// The live inverse of a skin: difference data in, image out.
 #[derive(Debug)]
 pub struct Imager {
-    problem: LinearProblem,
+    problem: Arc<LinearProblem>,
     operator: Operator,
     live: LiveOperator,
     polarity: f64,
@@ -54,9 +56,11 @@ impl Prepared {
     /// # Errors
     /// Weights that the reference cannot give, or a hyperparameter that cannot be found.
     pub fn imager(&self, reference: &Reference, data: &[Vec<f64>]) -> Result<Imager, Error> {
-        let weighting = self.weighting(reference)?;
-        let prior = self.prior_matrix(&weighting)?;
-        let problem = LinearProblem::new(self.jacobian.as_mat(), weighting, prior)?;
+        let problem = self.problem(self.weights_need_no_baseline(), || {
+            let weighting = self.weighting(reference)?;
+            let prior = self.prior_matrix(&weighting)?;
+            Ok(LinearProblem::new(self.jacobian.as_mat(), weighting, prior)?)
+        })?;
         let rule = match &self.skin.imaging.hyperparameter {
             HyperparameterChoice::Number(value) => Hyperparameter::Number(*value),
             HyperparameterChoice::Relative(factor) => Hyperparameter::Relative(*factor),
@@ -83,11 +87,12 @@ impl Prepared {
     /// A lambda that is not positive and finite.
     pub fn imager_from(
         &self,
-        problem: LinearProblem,
+        problem: impl Into<Arc<LinearProblem>>,
         lambda: f64,
         noise: &[f64],
         polarity: f64,
     ) -> Result<Imager, Error> {
+        let problem = problem.into();
         let operator = problem.operator(lambda)?;
         let live = LiveOperator::new(&operator, polarity);
         let pixel_noise = pixel_noise(&operator, noise);
@@ -109,13 +114,16 @@ impl Prepared {
     /// True where neither weights nor hyperparameter are taken from measurements, so that the operator can be built before
     /// there are any.
     pub(crate) fn operator_needs_no_baseline(&self) -> bool {
-        let imaging = &self.skin.imaging;
-        let weights = matches!(imaging.weights, WeightChoice::Identity | WeightChoice::FloorAndShare { .. });
         let rule = matches!(
-            imaging.hyperparameter,
+            self.skin.imaging.hyperparameter,
             HyperparameterChoice::Number(_) | HyperparameterChoice::Relative(_) | HyperparameterChoice::NoiseFigure(_)
         );
-        weights && rule && self.skin.backend.circuit.is_none()
+        self.weights_need_no_baseline() && rule && self.skin.backend.circuit.is_none()
+    }
+
+    /// True where weights, and with them the whole problem but for its hyperparameter, follow from the skin file.
+    fn weights_need_no_baseline(&self) -> bool {
+        matches!(self.skin.imaging.weights, WeightChoice::Identity | WeightChoice::FloorAndShare { .. })
     }
 
     pub(crate) fn weighting(&self, reference: &Reference) -> Result<Weighting, Error> {

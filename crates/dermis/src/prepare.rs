@@ -1,7 +1,9 @@
 //! From a skin file to its forward model on the image grid: done once per skin, before any frame is seen.
 
+use std::sync::{Arc, OnceLock};
+
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
-use dermis_tomo::inverse::{ImageBasis, Prior};
+use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
 use dermis_tomo::mesh::PixelMap;
 
 use crate::Error;
@@ -10,7 +12,8 @@ use crate::skin::{MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 /// Below this share of a pixel there is no skin to speak of.
 const LEAST_RIM_COVERAGE: f64 = 5e-3;
 
-/// A skin's forward model at rest, on the grid that its images live on.
+/// A skin's forward model at rest, on the grid that its images live on. Its parts belong together: where one of them is
+/// changed, imagers made before and after may not fit it.
 #[derive(Debug)]
 pub struct Prepared {
     /// The skin file.
@@ -28,6 +31,9 @@ pub struct Prepared {
     pub jacobian: Jacobian,
     /// The inside pixels as unknowns.
     pub basis: ImageBasis,
+    /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and imagers
+    /// that differ in lambda alone share it.
+    problem: OnceLock<Arc<LinearProblem>>,
 }
 
 impl Prepared {
@@ -43,7 +49,7 @@ impl Prepared {
         if skin.modality == Modality::Mit {
             let (voltages, jacobian) = skin.magnetic_model(&map.inside_centres_m(), map.grid().pixel_m)?;
             let basis = pixel_basis(&map);
-            return Ok(Self { skin, body, protocol, map, voltages, jacobian, basis });
+            return Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() });
         }
         let conductance = skin.sheet_conductance_s();
         let sigma = vec![conductance; body.mesh.mesh.element_count()];
@@ -59,7 +65,7 @@ impl Prepared {
         };
         jacobian.values.iter_mut().for_each(|value| *value *= conductance);
         let basis = pixel_basis(&map);
-        Ok(Self { skin, body, protocol, map, voltages, jacobian, basis })
+        Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() })
     }
 
     /// Number of channels of a frame.
@@ -120,6 +126,23 @@ impl Prepared {
             }));
         }
         rows
+    }
+
+    /// The problem in use, or that which `build` makes, kept if `lasts`.
+    pub(crate) fn problem(
+        &self,
+        lasts: bool,
+        build: impl FnOnce() -> Result<LinearProblem, Error>,
+    ) -> Result<Arc<LinearProblem>, Error> {
+        if let Some(problem) = self.problem.get().filter(|_| lasts) {
+            return Ok(problem.clone());
+        }
+        let problem = Arc::new(build()?);
+        if lasts {
+            // Where another thread was faster, both are the same.
+            let _ = self.problem.set(problem.clone());
+        }
+        Ok(problem)
     }
 
     /// The prior of the skin file in metres.
