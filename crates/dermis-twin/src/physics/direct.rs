@@ -5,18 +5,21 @@ use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
 
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
-use super::two_sheets::{TwoSheets, joint_entries};
+use super::two_sheets::{TwoSheets, joint_entries, refuse};
 
 /// Transfer impedances as [`TwoSheets::impedance`], for a shortcut sheet of any conductance (siemens). Where nothing
 /// touches at all, the floating sheet is tied to ground by one node, through which then no current flows.
 ///
 /// # Errors
-/// A singular system.
+/// A singular system; a sheet with slits along its edges ([`TwoSheets::set_slit_paths`]), which has unknowns of its own.
 pub fn direct_impedance(
     sheets: &TwoSheets,
     shortcut_s: f64,
     contact_s_per_m2: &[f64],
 ) -> Result<Mat<f64>, SparseError> {
+    if !sheets.slit_paths().is_empty() {
+        return Err(refuse("expected a sheet without slits along its edges".into()));
+    }
     let (nodes, electrodes) = (sheets.positions.len(), sheets.electrode_count - 1);
     let size = 2 * nodes + electrodes;
     // Unknowns: u at the nodes, electrodes, v at the nodes.

@@ -388,7 +388,7 @@ impl TwoSheets {
                 *sum += load * field[electrode];
             }
         }
-        for (number, load) in self.second.load.iter().enumerate().take(self.second.count) {
+        for (number, load) in self.second.load.iter().enumerate() {
             shortfall -= load * self.second.solved[(number, electrodes)];
             for (electrode, sum) in inflow.iter_mut().enumerate() {
                 *sum += load * self.second.solved[(number, electrode)];

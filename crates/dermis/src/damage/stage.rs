@@ -44,11 +44,11 @@ const FEWEST_FOR_RELEASE: usize = 3;
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
 const WARM_TRAVEL_M: f64 = 3e-3;
-/// And so is what came on steadily, however high and wherever it moves, and has been there for so long: between two looks
-/// ([`HEALING_S`]) the readings changed by less than this share of the open cut's response. A press comes on within one.
-const STEADY: f64 = 0.25;
-/// And lies within so much of it, metres. So is what lies there for so long and begins no touch at all.
+/// It lies within so much of the damage, metres. What lies there for so long and begins no touch at all is warmth too.
 const WARM_REACH_M: f64 = 20e-3;
+/// And so is what came on steadily there, however high and wherever it moves: between two looks ([`HEALING_S`]) the readings
+/// changed by less than this share of the open cut's response. A press comes on within one.
+const STEADY: f64 = 0.25;
 
 /// What one frame has shown.
 #[derive(Clone, Copy, Debug, Default)]
@@ -554,7 +554,7 @@ impl DamageStage {
         }
     }
 
-    /// Takes into the baseline what rests on a damage for so long and so low that it is warmth and no touch.
+    /// Takes into the baseline what is warmth about a damage and no touch: it has come on steadily, or rests there low, for long.
     fn adopt_warmth(&mut self, input: &DamageInput<'_>, baseline: &mut Baseline) -> Result<bool, Error> {
         let has_lasted = |since_ns: u64| input.time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= WARM_S;
         let reason = "warmth about a damage";
