@@ -4,15 +4,16 @@
 mod bench;
 
 use bench::{Analog, Bench, Pause, Shared, Spi, Wires, chips};
-use dermis::measured_list::measured_list;
-use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis::Skin;
+use dermis::lab::measured_list::measured_list;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
 use dermis_device::instruments::wire::Order;
 use dermis_device::{Layout, Status};
 use dermis_firmware::mux64::{Mux64, STEP_A, Selection};
+use dermis_twin::from_skin::patched_options;
 use dermis_twin::mechanics::Indenter;
-use dermis_twin::{Frontend, PiezoOptions, PiezoSkin};
+use dermis_twin::{Frontend, PatchedSkin};
 
 /// Resistance of the multiplexer's ground switch, ohm, as the paper gives it.
 const SWITCH_OHM: f64 = 400.0;
@@ -21,14 +22,15 @@ const NOISE_V: f64 = 20e-6;
 
 /// Sheet and patches, as impedances between the electrodes.
 struct Sheet {
-    skin: PiezoSkin,
+    skin: PatchedSkin,
     /// Potential of the row's electrode for 1 A into the column's and out of the last, ohm.
     ohm: Vec<[f64; 64]>,
 }
 
 impl Sheet {
     fn new() -> Self {
-        let skin = PiezoSkin::new(&PiezoOptions::disc()).expect("the twin's own skin");
+        let file = Skin::open("piezo-disc").expect("a built-in skin");
+        let skin = PatchedSkin::new(patched_options(&file).expect("patches")).expect("the twin's own skin");
         let mut sheet = Self { skin, ohm: vec![[0.0; 64]; 64] };
         sheet.press(&[]);
         sheet

@@ -16,9 +16,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 use std::{env, fs, thread};
 
-use dermis::serve::device_info;
+use dermis::lab::serve::device_info;
 use dermis::skin::Skin;
-use dermis::twins::TwinKit;
+use dermis::twin::TwinKit;
 use dermis_device::instruments::wire::WireDevice;
 use dermis_device::{Frame, HostStamp, Status};
 use dermis_twin::physics::Cut;

@@ -3,7 +3,7 @@
 use std::io;
 use std::process::ExitCode;
 
-use dermis::acquire::AcquisitionCounters;
+use dermis::device::acquire::AcquisitionCounters;
 use dermis_device::DeviceError;
 use dermis_learn::LearnError;
 use dermis_tomo::eit::EitError;
@@ -80,36 +80,74 @@ fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     if cause.is::<UsageError>() {
         return Some(BAD_INPUT);
     }
-    if let Some(error) = cause.downcast_ref::<dermis::Error>() {
-        return Some(code_of_dermis(error));
-    }
-    if let Some(error) = cause.downcast_ref::<LearnError>() {
-        return Some(code_of_learn(error));
-    }
-    if let Some(error) = cause.downcast_ref::<DeviceError>() {
-        return Some(code_of_device(error));
-    }
-    cause.downcast_ref::<io::Error>().map(code_of_io)
+    cause
+        .downcast_ref()
+        .map(code_of_dermis)
+        .or_else(|| cause.downcast_ref().map(code_of_skin))
+        .or_else(|| cause.downcast_ref().map(code_of_live))
+        .or_else(|| cause.downcast_ref().map(code_of_record))
+        .or_else(|| cause.downcast_ref().map(code_of_learn))
+        .or_else(|| cause.downcast_ref().map(code_of_device))
+        .or_else(|| cause.downcast_ref().map(code_of_io))
 }
 
 fn code_of_dermis(error: &dermis::Error) -> u8 {
     use dermis::Error;
     match error {
-        Error::SkinFile { .. }
-        | Error::SkinField { .. }
-        | Error::UnknownSkin { .. }
-        | Error::Content { .. }
-        | Error::Frames { .. }
-        | Error::Mesh { .. }
-        | Error::Protocol { .. }
-        | Error::Touch(_) => BAD_INPUT,
+        Error::Skin(error) => code_of_skin(error),
+        Error::Live(error) => code_of_live(error),
+        Error::Record(error) => code_of_record(error),
+        Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
+        Error::Touch(_) => BAD_INPUT,
         Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),
         Error::Learn(error) => code_of_learn(error),
-        Error::Forward(EitError::System(_)) | Error::Inverse(InverseError::Singular { .. }) => FAILED,
-        Error::Forward(_) | Error::Inverse(_) => BAD_INPUT,
+        Error::Forward(error) => code_of_forward(error),
+        Error::Inverse(error) => code_of_inverse(error),
         _ => FAILED,
     }
+}
+
+fn code_of_skin(error: &dermis::skin::Error) -> u8 {
+    match error {
+        dermis::skin::Error::Io { source, .. } => code_of_io(source),
+        _ => BAD_INPUT,
+    }
+}
+
+fn code_of_live(error: &dermis::live::Error) -> u8 {
+    use dermis::live::Error;
+    match error {
+        Error::Skin(error) => code_of_skin(error),
+        Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
+        Error::Touch(_) => BAD_INPUT,
+        Error::Io { source, .. } => code_of_io(source),
+        Error::Device(error) => code_of_device(error),
+        Error::Learn(error) => code_of_learn(error),
+        Error::Forward(error) => code_of_forward(error),
+        Error::Inverse(error) => code_of_inverse(error),
+        _ => FAILED,
+    }
+}
+
+fn code_of_record(error: &dermis::record::Error) -> u8 {
+    use dermis::record::Error;
+    match error {
+        Error::Live(error) => code_of_live(error),
+        Error::Skin(error) => code_of_skin(error),
+        Error::Io { source, .. } => code_of_io(source),
+        Error::Device(error) => code_of_device(error),
+        Error::Content { .. } | Error::Frames { .. } | Error::Touch(_) => BAD_INPUT,
+        _ => FAILED,
+    }
+}
+
+fn code_of_forward(error: &EitError) -> u8 {
+    if matches!(error, EitError::System(_)) { FAILED } else { BAD_INPUT }
+}
+
+fn code_of_inverse(error: &InverseError) -> u8 {
+    if matches!(error, InverseError::Singular { .. }) { FAILED } else { BAD_INPUT }
 }
 
 fn code_of_learn(error: &LearnError) -> u8 {

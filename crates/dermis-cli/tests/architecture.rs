@@ -1,22 +1,14 @@
-//! The rules of ARCHITECTURE.md: who may use whom, and which crates stay free of files, sockets and clocks.
+//! The rules of ARCHITECTURE.md: who uses whom, which crates stay free of files, sockets and clocks, and in which crates no
+//! files depend on each other in a circle.
+
+#[path = "architecture/file_graph.rs"]
+mod file_graph;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// Our crates, and those of ours that each may use.
-const MAY_USE: [(&str, &[&str]); 8] = [
-    ("dermis-tomo", &[]),
-    ("dermis-touch", &[]),
-    ("dermis-wire", &[]),
-    ("dermis-learn", &[]),
-    ("dermis-device", &["dermis-wire"]),
-    ("dermis-twin", &["dermis-tomo"]),
-    ("dermis", &["dermis-device", "dermis-learn", "dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"]),
-    ("dermis-cli", &["dermis", "dermis-device", "dermis-learn", "dermis-tomo", "dermis-touch", "dermis-twin"]),
-];
-
-/// Crates that compute and do nothing else.
-const PURE: [&str; 4] = ["dermis-tomo", "dermis-touch", "dermis-twin", "dermis-wire"];
+/// Crates whose files do not depend on each other in a circle.
+const WITHOUT_CYCLES: [&str; 2] = ["dermis-live", "dermis-mit"];
 
 /// What a pure crate has no business with.
 const OUTSIDE_WORLD: [&str; 6] = ["std::fs", "std::net", "std::process", "std::env", "Instant::now", "SystemTime"];
@@ -65,15 +57,80 @@ fn sources(folder: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
+/// A row of the table of crates.
+struct Row {
+    floor: u32,
+    name: String,
+    /// `None` where it may use all others.
+    uses: Option<BTreeSet<String>>,
+    is_pure: bool,
+}
+
+fn architecture() -> String {
+    std::fs::read_to_string(crates().join("../ARCHITECTURE.md")).expect("ARCHITECTURE.md")
+}
+
+/// The table of crates in ARCHITECTURE.md: floor, crate, reason, what it uses, files and the like.
+fn table() -> Vec<Row> {
+    let text = architecture();
+    let rows = text.lines().filter_map(|line| {
+        let cells: Vec<&str> = line.strip_prefix('|')?.strip_suffix('|')?.split('|').map(str::trim).collect();
+        let [floor, name, _reason, uses, outside] = cells[..] else { return None };
+        let name = name.strip_prefix('`')?.strip_suffix('`')?.to_string();
+        let listed = uses.split(',').map(str::trim).filter(|name| *name != "-");
+        let listed = listed.map(|name| format!("dermis-{name}")).collect();
+        let uses = (uses != "all").then_some(listed);
+        Some(Row { floor: floor.parse().ok()?, name, uses, is_pure: outside.starts_with("none") })
+    });
+    rows.collect()
+}
+
 #[test]
-fn crates_use_only_whom_they_may() {
-    let manifests = manifests();
-    let known: BTreeSet<&str> = MAY_USE.iter().map(|(name, _)| *name).collect();
+fn the_table_of_crates_says_who_uses_whom() {
+    let (manifests, table) = (manifests(), table());
+    let floors: BTreeMap<&str, u32> = table.iter().map(|row| (row.name.as_str(), row.floor)).collect();
     let present: BTreeSet<&str> = manifests.keys().map(String::as_str).collect();
-    assert_eq!(present, known, "the crates on disk and the rules in ARCHITECTURE.md differ");
-    for (name, allowed) in MAY_USE {
-        for used in our_dependencies(&manifests[name]) {
-            assert!(allowed.contains(&used.as_str()), "{name} depends on {used}, which ARCHITECTURE.md does not allow");
+    assert_eq!(present, floors.keys().copied().collect(), "the crates on disk and those in ARCHITECTURE.md differ");
+    let mut wrong = Vec::new();
+    for Row { floor, name, uses, .. } in &table {
+        let used = our_dependencies(&manifests[name]);
+        let above = used.iter().filter(|other| floors.get(other.as_str()).is_none_or(|other| other > floor));
+        wrong.extend(above.map(|other| format!("{name} uses {other}, which is above it")));
+        if let Some(listed) = uses {
+            wrong.extend(used.difference(listed).map(|other| format!("{name} uses {other}, which the table lacks")));
+            wrong.extend(listed.difference(&used).map(|other| format!("{name} does not use {other}, which is listed")));
+        }
+    }
+    assert!(wrong.is_empty(), "ARCHITECTURE.md and the manifests differ:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_diagram_shows_only_what_the_table_allows() {
+    let (text, table) = (architecture(), table());
+    let full = |short: &str| if short == "dermis" { short.to_string() } else { format!("dermis-{short}") };
+    let mut arrows = 0;
+    for line in text.lines() {
+        let Some((user, used)) = line.trim().split_once(" --> ") else { continue };
+        let node = |text: &str| full(text.split('[').next().unwrap_or(text).trim());
+        let (user, used) = (node(user), node(used));
+        if user == "dermis-firmware" {
+            continue;
+        }
+        let row = table.iter().find(|row| row.name == user).unwrap_or_else(|| panic!("{user} is not in the table"));
+        let is_listed = row.uses.as_ref().is_none_or(|uses| uses.contains(&used));
+        assert!(is_listed, "the diagram has {user} use {used}, the table has not");
+        arrows += 1;
+    }
+    assert!(arrows >= table.len(), "only {arrows} arrows in the diagram");
+}
+
+#[test]
+fn files_do_not_depend_on_each_other_in_a_circle() {
+    for name in WITHOUT_CYCLES {
+        let graph = file_graph::file_graph(&crates().join(name).join("src"));
+        assert!(graph.values().any(|uses| !uses.is_empty()), "{name}: no file names another");
+        if let Some(cycle) = file_graph::cycle(&graph) {
+            panic!("{name}: {}", cycle.join(" -> "));
         }
     }
 }
@@ -97,7 +154,7 @@ fn the_firmware_uses_the_wire_alone_and_no_standard_library() {
 
 #[test]
 fn pure_crates_touch_no_files_sockets_or_clocks() {
-    for name in PURE {
+    for Row { name, .. } in table().iter().filter(|row| row.is_pure) {
         let mut files = Vec::new();
         sources(&crates().join(name).join("src"), &mut files);
         assert!(!files.is_empty(), "{name} has no sources");

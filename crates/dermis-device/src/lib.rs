@@ -9,6 +9,7 @@
 //! Decoders take bytes and return values, so they can be tested without a file system; [`read`] is the one place where
 //! bytes come from disk, and [`stream`] the one where they come from ports and sockets.
 
+pub mod acquire;
 mod atomic;
 mod error;
 mod frame;

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
-use dermis_tomo::inverse::{DataPrecision, ImageBasis, LinearProblem, LiveOperator, Operator, Prior, Weighting};
+use dermis_tomo::inverse::{DataPrecision, ImageBasis, LinearProblem, Operator, Prior, QuantisedOperator, Weighting};
 use dermis_tomo::mesh::{
     Direction, ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, PixelMap, PrismElectrode, PrismSpec,
     SheetSpec,
@@ -168,7 +168,7 @@ fn operators(c: &mut Criterion) -> Outcome {
 }
 
 fn live(c: &mut Criterion, name: &str, operator: &Operator) {
-    let mut live = LiveOperator::new(operator, 1.0);
+    let mut live = QuantisedOperator::new(operator, 1.0);
     let frame: Vec<f32> = (0..live.channels()).map(|channel| (channel as f32).sin() * 1e-3).collect();
     let mut image = vec![0.0; live.unknowns()];
     c.bench_function(name, |b| b.iter(|| live.apply(black_box(&frame), &mut image)));

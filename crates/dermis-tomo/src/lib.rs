@@ -7,7 +7,8 @@
 
 pub mod eit;
 pub mod inverse;
+pub mod least_squares;
+pub mod membrane;
 pub mod mesh;
-pub mod mit;
 pub mod quality;
 pub mod sparse;

@@ -3,7 +3,7 @@
 
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::inverse::{
-    GreitSpec, Hyperparameter, ImageBasis, LinearProblem, LiveOperator, MissingChannels, Prior, TotalVariation,
+    GreitSpec, Hyperparameter, ImageBasis, LinearProblem, MissingChannels, Prior, QuantisedOperator, TotalVariation,
     Weighting,
 };
 use dermis_tomo::mesh::{Direction, Outline, SheetSpec};
@@ -142,7 +142,7 @@ fn live_images_are_the_operators_within_their_rounding() {
     let j = skin.jacobian.as_mat();
     let matrix = Prior::Identity.matrix(j, &Weighting::Identity, &skin.basis).unwrap();
     let operator = LinearProblem::new(j, Weighting::Identity, matrix).unwrap().operator(0.1).unwrap();
-    let mut live = LiveOperator::new(&operator, -2.0);
+    let mut live = QuantisedOperator::new(&operator, -2.0);
     let frame: Vec<f64> = (0..j.nrows()).map(|c| (c as f64).sin()).collect();
     let mut image = vec![0.0; live.unknowns()];
     live.apply(&frame.iter().map(|v| *v as f32).collect::<Vec<_>>(), &mut image);

@@ -1,10 +1,10 @@
 //! One 64 x 64 image to contacts, and contacts to touches.
 
 use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
-use dermis_touch::{Contact, ContactFinder, ContactParams, ImageGeometry, PixelNoise, Tracker, TrackerParams};
+use dermis_touch::{Contact, ContactFinder, ContactParams, GridGeometry, PixelNoise, Tracker, TrackerParams};
 use std::hint::black_box;
 
-fn image(geometry: &ImageGeometry, touches: usize, noise: f64) -> Vec<f32> {
+fn image(geometry: &GridGeometry, touches: usize, noise: f64) -> Vec<f32> {
     let centres = [(-0.025, 0.02), (0.03, 0.025), (0.0, -0.03), (-0.03, -0.025), (0.035, -0.02)];
     let mut state = 1u64;
     let mut grain = move || {
@@ -22,7 +22,7 @@ fn image(geometry: &ImageGeometry, touches: usize, noise: f64) -> Vec<f32> {
 }
 
 fn touch(c: &mut Criterion) {
-    let geometry = ImageGeometry::centred(64, 64, 0.002);
+    let geometry = GridGeometry::centred(64, 64, 0.002);
     for (name, touches, correlation_length_m) in
         [("no touch", 0, 0.0), ("one touch", 1, 0.006), ("two touches", 2, 0.006), ("five touches", 5, 0.006)]
     {
@@ -43,7 +43,7 @@ fn touch(c: &mut Criterion) {
 }
 
 fn tracking(c: &mut Criterion) {
-    let geometry = ImageGeometry::centred(64, 64, 0.002);
+    let geometry = GridGeometry::centred(64, 64, 0.002);
     let Ok(mut finder) = ContactFinder::new(geometry, ContactParams::default()) else { return };
     let mut contacts = Vec::new();
     if finder.find(&image(&geometry, 5, 0.02), PixelNoise::Uniform(0.02), &mut contacts).is_err() {

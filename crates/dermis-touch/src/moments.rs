@@ -2,101 +2,109 @@
 //!
 //! With noise of standard deviation sigma_i and correlation rho_ij = exp(-d_ij^2 / (2 l^2)), a sum q = sum_i g_i n_i
 //! with vectors g_i has the covariance sum_ij g_i g_j' sigma_i sigma_j rho_ij. The Gaussian rho is separable, so the
-//! double sum is a convolution along rows, one along columns, and a dot product. Pixels are first gathered into blocks
-//! of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks.
+//! double sum is a convolution along rows, one along columns, and a dot product. Cells are first gathered into square
+//! blocks of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks. (On a surface a block is
+//! also at least half a cell.) White noise needs no blocks: only each cell's own term counts.
 
-/// The pixels from `first` to `last`, both included, as (column, row).
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct PixelBox {
-    pub first: (usize, usize),
-    pub last: (usize, usize),
-}
+use crate::cells::{Bounds, Lattice};
 
-impl PixelBox {
-    pub(crate) fn around(column: usize, row: usize) -> Self {
-        Self { first: (column, row), last: (column, row) }
-    }
-
-    pub(crate) fn include(&mut self, column: usize, row: usize) {
-        self.first = (self.first.0.min(column), self.first.1.min(row));
-        self.last = (self.last.0.max(column), self.last.1.max(row));
-    }
-}
-
-/// Below this correlation length in pixels the noise counts as white: rho at one pixel is under 0.004.
-const WHITE_BELOW_PIXELS: f64 = 0.3;
+/// Below this correlation length in cells the noise counts as white: rho at one cell is under 0.004.
+const WHITE_BELOW: f64 = 0.3;
 /// The kernel ends where rho falls below exp(-4.5) = 0.011.
 const KERNEL_REACH: f64 = 3.0;
 /// Largest block, in correlation lengths.
 const BLOCK: f64 = 0.5;
 
-/// Scratch for the double sum over one region.
+/// Scratch for the double sum over one region. Lengths are in the lattice's units.
 #[derive(Debug, Clone)]
 pub(crate) struct CorrelatedSum {
-    block: usize,
+    white: bool,
+    /// The sum of white noise: xx, xy, yy.
+    own: [f64; 3],
+    /// Side of a block.
+    block: f64,
     /// rho at 0, 1, 2 ... blocks.
     kernel: Vec<f64>,
     columns: usize,
     rows: usize,
-    origin: (usize, usize),
+    origin: [f64; 2],
     field: [Vec<f64>; 2],
     along_rows: Vec<f64>,
     along_both: Vec<f64>,
 }
 
 impl CorrelatedSum {
-    /// For images of `columns` x `rows` pixels and a correlation length in pixels.
-    pub(crate) fn new(columns: usize, rows: usize, correlation_pixels: f64) -> Self {
-        let white = correlation_pixels < WHITE_BELOW_PIXELS;
-        let largest = columns.max(rows);
-        let block = if white { 1 } else { ((BLOCK * correlation_pixels) as usize).clamp(1, largest) };
-        let reach = if white { 0.0 } else { KERNEL_REACH * correlation_pixels / block as f64 };
-        let taps = (reach as usize).min(largest) + 1;
+    /// For cells of a lattice and a correlation length in its units.
+    pub(crate) fn new(lattice: &impl Lattice, correlation: f64) -> Self {
+        let [columns, rows] = lattice.extent();
+        let white = correlation < WHITE_BELOW;
+        let block = if white { 1.0 } else { lattice.block(BLOCK * correlation) };
+        let reach = if white { 0.0 } else { KERNEL_REACH * correlation / block };
+        let taps = (reach as usize).min(columns.max(rows) as usize) + 1;
         let rho = |blocks: usize| match blocks {
             0 => 1.0,
-            _ => (-0.5 * (blocks as f64 * block as f64 / correlation_pixels).powi(2)).exp(),
+            _ => (-0.5 * (blocks as f64 * block / correlation).powi(2)).exp(),
         };
-        let size = (columns / block + 1) * (rows / block + 1);
+        let size = if white { 0 } else { ((columns / block) as usize + 1) * ((rows / block) as usize + 1) };
         Self {
+            white,
+            own: [0.0; 3],
             block,
             kernel: (0..taps).map(rho).collect(),
             columns: 0,
             rows: 0,
-            origin: (0, 0),
+            origin: [0.0; 2],
             field: [vec![0.0; size], vec![0.0; size]],
             along_rows: vec![0.0; size],
             along_both: vec![0.0; size],
         }
     }
 
-    /// Empties the sum and sets the region that pixels will be added in.
-    pub(crate) fn start(&mut self, region: PixelBox) {
+    /// Empties the sum and sets the region that cells will be added in.
+    pub(crate) fn start(&mut self, region: Bounds) {
+        self.own = [0.0; 3];
         self.origin = region.first;
-        self.columns = (region.last.0 - region.first.0) / self.block + 1;
-        self.rows = (region.last.1 - region.first.1) / self.block + 1;
+        if self.white {
+            return;
+        }
+        self.columns = ((region.last[0] - region.first[0]) / self.block) as usize + 1;
+        self.rows = ((region.last[1] - region.first[1]) / self.block) as usize + 1;
         let size = self.columns * self.rows;
         for field in &mut self.field {
             field[..size].fill(0.0);
         }
     }
 
-    /// Adds one pixel's vector g_i sigma_i.
-    pub(crate) fn add(&mut self, column: usize, row: usize, vector: [f64; 2]) {
-        let index = (row - self.origin.1) / self.block * self.columns + (column - self.origin.0) / self.block;
+    /// Adds the vector g_i sigma_i of the cell at these coordinates.
+    #[inline]
+    pub(crate) fn add(&mut self, at: [f64; 2], vector: [f64; 2]) {
+        if self.white {
+            self.own[0] += vector[0] * vector[0];
+            self.own[1] += vector[0] * vector[1];
+            self.own[2] += vector[1] * vector[1];
+            return;
+        }
+        let row = ((at[1] - self.origin[1]) / self.block) as usize;
+        let column = ((at[0] - self.origin[0]) / self.block) as usize;
+        let index = row * self.columns + column;
         self.field[0][index] += vector[0];
         self.field[1][index] += vector[1];
     }
 
     /// The double sum as (xx, xy, yy).
     pub(crate) fn covariance(&mut self) -> (f64, f64, f64) {
-        self.convolve(0);
-        let (xx, xy) = (self.dot(0), self.dot(1));
-        self.convolve(1);
-        let yy = self.dot(1);
+        let [xx, xy, yy] = if self.white { self.own } else { self.correlated() };
         // Cutting the kernel can leave a tiny negative eigenvalue.
         let (xx, yy) = (xx.max(0.0), yy.max(0.0));
         let bound = (xx * yy).sqrt();
         (xx, xy.clamp(-bound, bound), yy)
+    }
+
+    fn correlated(&mut self) -> [f64; 3] {
+        self.convolve(0);
+        let (xx, xy) = (self.dot(0), self.dot(1));
+        self.convolve(1);
+        [xx, xy, self.dot(1)]
     }
 
     fn dot(&self, component: usize) -> f64 {
@@ -134,6 +142,7 @@ fn add_scaled(to: &mut [f64], from: &[f64], factor: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cells::{GridGeometry, GridLattice};
 
     fn direct(points: &[(usize, usize, [f64; 2])], length: f64) -> [f64; 3] {
         let mut sum = [0.0; 3];
@@ -151,18 +160,19 @@ mod tests {
 
     fn both(length: f64) -> ([f64; 3], [f64; 3]) {
         let mut points = Vec::new();
-        let mut region = PixelBox::around(3, 4);
+        let mut region = Bounds::around([3.0, 4.0]);
         for row in 4..15 {
             for column in 3..17 {
                 let slope = if column > 9 { 1.4 } else { 1.0 };
                 points.push((column, row, [(column as f64 - 9.7) * slope, row as f64 - 8.2 + 0.3 * column as f64]));
-                region.include(column, row);
+                region.include([column as f64, row as f64]);
             }
         }
-        let mut sum = CorrelatedSum::new(20, 20, length);
+        let lattice = GridLattice::new(GridGeometry::centred(20, 20, 1e-3));
+        let mut sum = CorrelatedSum::new(&lattice, length);
         sum.start(region);
         for &(column, row, vector) in &points {
-            sum.add(column, row, vector);
+            sum.add([column as f64, row as f64], vector);
         }
         let (xx, xy, yy) = sum.covariance();
         ([xx, xy, yy], direct(&points, length))

@@ -1,9 +1,11 @@
 //! Splits an image into the basins of its peaks by flooding from the top.
 //!
-//! Pixels are visited from the highest down (ties by index, so the result is deterministic); a pixel without flooded
+//! Cells are visited from the highest down (ties by index, so the result is deterministic); a cell without flooded
 //! neighbours opens a basin, others join the basin of their highest neighbour. Where two basins first meet stands their
 //! saddle: the lower one is absorbed when its prominence over the saddle is too small. This is the watershed by
 //! immersion of Vincent and Soille, IEEE PAMI 13 (1991) 583, run downwards and with merging by persistence.
+
+use crate::cells::{Bounds, Lattice};
 
 /// When two basins that meet are one peak.
 #[derive(Debug, Clone, Copy)]
@@ -14,63 +16,59 @@ pub(crate) struct MergeRule {
     pub min_prominence_sigma: f32,
 }
 
-/// A peak and the pixels that drain to it.
+/// A peak and the cells that drain to it.
 #[derive(Debug, Clone, Copy)]
 struct Basin {
     peak: f32,
-    /// Padded index of the peak's pixel.
-    pixel: u32,
+    /// Slot of the peak's cell.
+    slot: u32,
     /// Index of the basin that absorbed this one, or its own.
     parent: u32,
     /// Prominence that the peak must have to stand alone, image units.
     min_prominence: f32,
 }
 
-/// The flooded image, with the memory it is flooded in.
-///
-/// Values and labels carry a border of one pixel, NaN in the values, so that neighbours need no bounds.
+/// The flooded image, with the memory it is flooded in. Values and labels stand in the slots of a lattice; the values of
+/// slots without a cell are NaN.
 #[derive(Debug, Clone)]
-pub(crate) struct Watershed {
-    columns: usize,
-    rows: usize,
-    stride: usize,
+pub(crate) struct Watershed<L> {
+    lattice: L,
     /// Oriented so that contacts are positive; NaN outside.
     values: Vec<f32>,
     /// Basin index + 1; 0 = not flooded.
     labels: Vec<u32>,
-    /// (descending value, ascending padded index) packed into one integer.
+    /// (descending value, ascending slot) packed into one integer.
     order: Vec<u64>,
     basins: Vec<Basin>,
 }
 
-impl Watershed {
-    pub(crate) fn new(columns: usize, rows: usize) -> Self {
-        let stride = columns + 2;
-        let padded = stride * (rows + 2);
+impl<L: Lattice> Watershed<L> {
+    pub(crate) fn new(lattice: L) -> Self {
+        let (slots, cells, most_peaks) = (lattice.slots(), lattice.cells(), lattice.most_peaks());
         Self {
-            columns,
-            rows,
-            stride,
-            values: vec![f32::NAN; padded],
-            labels: vec![0; padded],
-            order: Vec::with_capacity(columns * rows),
-            // Peaks are never neighbours.
-            basins: Vec::with_capacity(columns.div_ceil(2) * rows.div_ceil(2)),
+            lattice,
+            values: vec![f32::NAN; slots],
+            labels: vec![0; slots],
+            order: Vec::with_capacity(cells),
+            basins: Vec::with_capacity(most_peaks),
         }
     }
 
-    /// Copies an image in, row by row: values times `factor`, NaN where they are not finite or their noise is not usable,
-    /// and returns the largest value (0 when none is positive).
+    /// The cells.
+    pub(crate) fn lattice(&self) -> &L {
+        &self.lattice
+    }
+
+    /// Copies an image in: values times `factor`, NaN where they are not finite or their noise is not usable, and returns
+    /// the largest value (0 when none is positive).
     pub(crate) fn load(&mut self, image: &[f32], sigma: Option<&[f32]>, factor: f32) -> f32 {
-        for row in 0..self.rows {
-            let range = row * self.columns..(row + 1) * self.columns;
-            let start = (row + 1) * self.stride + 1;
-            let target = &mut self.values[start..start + self.columns];
+        for (slots, cells) in self.lattice.pieces() {
+            let target = &mut self.values[slots];
             let oriented = |value: f32| if value.abs() <= f32::MAX { factor * value } else { f32::NAN };
             match sigma {
-                None => target.iter_mut().zip(&image[range]).for_each(|(to, &from)| *to = oriented(from)),
+                None => target.iter_mut().zip(&image[cells]).for_each(|(to, &from)| *to = oriented(from)),
                 Some(sigma) => {
-                    for ((to, &from), &sigma) in target.iter_mut().zip(&image[range.clone()]).zip(&sigma[range]) {
+                    for ((to, &from), &sigma) in target.iter_mut().zip(&image[cells.clone()]).zip(&sigma[cells]) {
                         *to = if (0.0..=f32::MAX).contains(&sigma) { oriented(from) } else { f32::NAN };
                     }
                 }
@@ -79,46 +77,101 @@ impl Watershed {
         largest_of(&self.values, |value| value)
     }
 
-    /// Floods every pixel at or above `floor` (which must be positive); `sigma` gives the noise at an image index.
+    /// Floods every cell at or above `floor` (which must be positive); `sigma` gives the noise of a cell.
     pub(crate) fn flood(&mut self, floor: f32, rule: MergeRule, sigma: impl Fn(usize) -> f32) {
-        self.sort_pixels(floor);
+        self.sort_cells(floor);
         self.labels.fill(0);
         self.basins.clear();
-        for position in 0..self.order.len() {
-            let pixel = unpack_pixel(self.order[position]);
-            self.flood_pixel(pixel, rule, &sigma);
-        }
+        let Self { lattice, values, labels, order, basins } = self;
+        let mut flood = Flood { values, labels, basins, rule, sigma };
+        lattice.with_room(|lattice, roots| {
+            for &key in order.iter() {
+                flood.take(lattice, unpack_slot(key), roots);
+            }
+        });
     }
 
-    fn sort_pixels(&mut self, floor: f32) {
+    fn sort_cells(&mut self, floor: f32) {
         self.order.clear();
-        for row in 1..=self.rows {
-            let start = row * self.stride;
-            for index in start + 1..=start + self.columns {
-                let value = self.values[index];
+        for (slots, _) in self.lattice.pieces() {
+            for slot in slots {
+                let value = self.values[slot];
                 if value >= floor {
                     // Positive floats sort as their bit patterns do.
-                    self.order.push((u64::from(!value.to_bits()) << 32) | index as u64);
+                    self.order.push((u64::from(!value.to_bits()) << 32) | slot as u64);
                 }
             }
         }
         self.order.sort_unstable();
     }
 
-    fn flood_pixel(&mut self, pixel: usize, rule: MergeRule, sigma: &impl Fn(usize) -> f32) {
-        let value = self.values[pixel];
-        let mut roots = [0u32; 8];
+    /// Standing peaks from the highest down: (basin, value, slot).
+    pub(crate) fn peaks(&self) -> impl Iterator<Item = (u32, f32, usize)> + '_ {
+        self.basins
+            .iter()
+            .enumerate()
+            .filter(|(index, basin)| basin.parent == *index as u32)
+            .map(|(index, basin)| (index as u32, basin.peak, basin.slot as usize))
+    }
+
+    /// Lets one standing basin absorb another.
+    pub(crate) fn absorb(&mut self, basin: u32, into: u32) {
+        self.basins[basin as usize].parent = into;
+    }
+
+    /// Number of flooded cells.
+    pub(crate) fn flooded(&self) -> usize {
+        self.order.len()
+    }
+
+    /// The `position`-th flooded cell from the highest down: (slot, value, standing basin).
+    pub(crate) fn flooded_cell(&mut self, position: usize) -> (usize, f32, u32) {
+        let slot = unpack_slot(self.order[position]);
+        let basin = root(&mut self.basins, self.labels[slot] - 1);
+        (slot, self.values[slot], basin)
+    }
+
+    /// Slots with their standing basins of the flooded cells within bounds, as far as their value is at least `least`.
+    pub(crate) fn for_each_within(&mut self, bounds: Bounds, least: f32, mut visit: impl FnMut(&L, usize, u32)) {
+        let Self { lattice, values, labels, basins, .. } = self;
+        lattice.slots_within(bounds).for_each(|slot| {
+            if values[slot] >= least && labels[slot] != 0 {
+                visit(lattice, slot, root(basins, labels[slot] - 1));
+            }
+        });
+    }
+
+    /// Shift and height of the peak at a slot: see [`Lattice::refined_peak`].
+    pub(crate) fn refined_peak(&self, slot: usize) -> ([f64; 2], f64) {
+        self.lattice.refined_peak(&self.values, slot)
+    }
+}
+
+/// An image while it is flooded.
+struct Flood<'a, F> {
+    values: &'a [f32],
+    labels: &'a mut [u32],
+    basins: &'a mut Vec<Basin>,
+    rule: MergeRule,
+    sigma: F,
+}
+
+impl<F: Fn(usize) -> f32> Flood<'_, F> {
+    /// Floods one cell; `roots` has room for one number a neighbour.
+    #[inline]
+    fn take<L: Lattice>(&mut self, lattice: &L, slot: usize, roots: &mut [u32]) {
+        let value = self.values[slot];
         let mut count = 0;
         let mut highest = (f32::NEG_INFINITY, 0u32);
         let mut last = (0u32, 0u32);
-        for neighbour in self.neighbours(pixel) {
+        for neighbour in lattice.neighbours(slot) {
             let label = self.labels[neighbour];
             if label == 0 {
                 continue;
             }
             // Most neighbours carry one label: look its basin up once.
             if label != last.0 {
-                last = (label, self.root(label - 1));
+                last = (label, root(self.basins, label - 1));
                 if !roots[..count].contains(&last.1) {
                     roots[count] = last.1;
                     count += 1;
@@ -130,102 +183,37 @@ impl Watershed {
         }
         if count == 0 {
             let basin = self.basins.len() as u32;
-            let min_prominence = rule.min_prominence_sigma * sigma(self.image_index(pixel));
-            self.basins.push(Basin { peak: value, pixel: pixel as u32, parent: basin, min_prominence });
-            self.labels[pixel] = basin + 1;
+            let min_prominence = self.rule.min_prominence_sigma * (self.sigma)(lattice.cell(slot));
+            self.basins.push(Basin { peak: value, slot: slot as u32, parent: basin, min_prominence });
+            self.labels[slot] = basin + 1;
             return;
         }
-        self.labels[pixel] = highest.1 + 1;
+        self.labels[slot] = highest.1 + 1;
         if count > 1 {
             // Basins are numbered in the order of their peaks: the lowest number is the highest peak.
             roots[..count].sort_unstable();
-            self.absorb_at_saddle(&roots[..count], value, rule);
+            self.absorb_at_saddle(&roots[..count], value);
         }
     }
 
-    fn absorb_at_saddle(&mut self, roots: &[u32], saddle: f32, rule: MergeRule) {
+    fn absorb_at_saddle(&mut self, roots: &[u32], saddle: f32) {
         for &lower in &roots[1..] {
             let Basin { peak, min_prominence, .. } = self.basins[lower as usize];
-            if saddle > rule.saddle_ratio * peak || peak - saddle < min_prominence {
+            if saddle > self.rule.saddle_ratio * peak || peak - saddle < min_prominence {
                 self.basins[lower as usize].parent = roots[0];
             }
         }
     }
+}
 
-    fn neighbours(&self, pixel: usize) -> [usize; 8] {
-        let (up, down) = (pixel - self.stride, pixel + self.stride);
-        [up - 1, up, up + 1, pixel - 1, pixel + 1, down - 1, down, down + 1]
+/// The basin that finally holds `basin`.
+fn root(basins: &mut [Basin], mut basin: u32) -> u32 {
+    while basins[basin as usize].parent != basin {
+        let parent = basins[basin as usize].parent;
+        basins[basin as usize].parent = basins[parent as usize].parent;
+        basin = parent;
     }
-
-    /// The basin that finally holds `basin`.
-    pub(crate) fn root(&mut self, mut basin: u32) -> u32 {
-        while self.basins[basin as usize].parent != basin {
-            let parent = self.basins[basin as usize].parent;
-            self.basins[basin as usize].parent = self.basins[parent as usize].parent;
-            basin = parent;
-        }
-        basin
-    }
-
-    /// Standing peaks from the highest down: (basin, value, padded pixel).
-    pub(crate) fn peaks(&self) -> impl Iterator<Item = (u32, f32, usize)> + '_ {
-        self.basins
-            .iter()
-            .enumerate()
-            .filter(|(index, basin)| basin.parent == *index as u32)
-            .map(|(index, basin)| (index as u32, basin.peak, basin.pixel as usize))
-    }
-
-    /// Lets one standing basin absorb another.
-    pub(crate) fn absorb(&mut self, basin: u32, into: u32) {
-        self.basins[basin as usize].parent = into;
-    }
-
-    /// Number of flooded pixels.
-    pub(crate) fn flooded(&self) -> usize {
-        self.order.len()
-    }
-
-    /// The `position`-th flooded pixel from the highest down: (padded pixel, value, standing basin).
-    pub(crate) fn flooded_pixel(&mut self, position: usize) -> (usize, f32, u32) {
-        let pixel = unpack_pixel(self.order[position]);
-        let basin = self.root(self.labels[pixel] - 1);
-        (pixel, self.values[pixel], basin)
-    }
-
-    /// Standing basin of a padded pixel, if it was flooded.
-    pub(crate) fn basin_of(&mut self, pixel: usize) -> Option<u32> {
-        match self.labels[pixel] {
-            0 => None,
-            label => Some(self.root(label - 1)),
-        }
-    }
-
-    /// Value at a padded pixel, NaN outside.
-    pub(crate) fn value(&self, pixel: usize) -> f32 {
-        self.values[pixel]
-    }
-
-    /// Length of a padded row.
-    pub(crate) fn stride(&self) -> usize {
-        self.stride
-    }
-
-    /// (column, row) of a padded pixel.
-    pub(crate) fn column_row(&self, pixel: usize) -> (usize, usize) {
-        (pixel % self.stride - 1, pixel / self.stride - 1)
-    }
-
-    /// Padded index of (column, row).
-    pub(crate) fn padded(&self, column: usize, row: usize) -> usize {
-        (row + 1) * self.stride + column + 1
-    }
-
-    /// Index in the image of a padded pixel.
-    pub(crate) fn image_index(&self, pixel: usize) -> usize {
-        let (column, row) = self.column_row(pixel);
-        row * self.columns + column
-    }
+    basin
 }
 
 /// Values compared side by side: comparisons lane by lane become vector instructions, one running extreme does not.
@@ -248,7 +236,7 @@ pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
     most.into_iter().fold(0.0, f32::max)
 }
 
-/// The same over pixels of which the noise is usable, and the smallest usable noise (infinite when there is none).
+/// The same over cells of which the noise is usable, and the smallest usable noise (infinite when there is none).
 pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f32) -> f32) -> (f32, f32) {
     let (mut most, mut least) = ([0.0_f32; LANES], [f32::INFINITY; LANES]);
     let mut take = |lane: usize, value: f32, sigma: f32| {
@@ -267,20 +255,22 @@ pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f3
     (most.into_iter().fold(0.0, f32::max), least.into_iter().fold(f32::INFINITY, f32::min))
 }
 
-fn unpack_pixel(key: u64) -> usize {
+fn unpack_slot(key: u64) -> usize {
     (key & 0xffff_ffff) as usize
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cells::{GridGeometry, GridLattice};
 
     fn flooded(columns: usize, image: &[f32], ratio: f32) -> Vec<(f32, usize)> {
-        let mut shed = Watershed::new(columns, image.len() / columns);
+        let grid = GridGeometry::centred(columns, image.len() / columns, 1e-3);
+        let mut shed = Watershed::new(GridLattice::new(grid));
         shed.load(image, None, 1.0);
         shed.flood(0.01, MergeRule { saddle_ratio: ratio, min_prominence_sigma: 0.0 }, |_| 0.0);
         let peaks: Vec<_> = shed.peaks().collect();
-        peaks.into_iter().map(|(_, value, pixel)| (value, shed.image_index(pixel))).collect()
+        peaks.into_iter().map(|(_, value, slot)| (value, shed.lattice().cell(slot))).collect()
     }
 
     #[test]

@@ -227,7 +227,7 @@ proptest! {
         correlation_length_m in prop_oneof![Just(0.0), 0.0..0.03f64],
         min_separation_m in prop_oneof![Just(0.0), 0.0..0.01f64],
     ) {
-        let geometry = dermis_touch::ImageGeometry::centred(12, 9, 0.002);
+        let geometry = dermis_touch::GridGeometry::centred(12, 9, 0.002);
         let params = ContactParams {
             signs: ContactSigns::Both, correlation_length_m, min_separation_m, max_contacts: 5, ..Default::default()
         };

@@ -1,7 +1,11 @@
 //! A frame of every twin with two touches that move, so that each frame is solved anew, and the time to make each twin.
 
+#[path = "../tests/published/mod.rs"]
+mod published;
+
 use criterion::{BenchmarkGroup, Criterion, criterion_group, criterion_main, measurement::WallTime};
-use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin, TwinError};
+use dermis_twin::{Frontend, Twin, TwinError};
+use published::{healing_twin, ionic_disc, ionic_square, ionic_twin, piezo_disc, piezo_square, piezo_twin};
 use std::hint::black_box;
 
 /// One frame with touches that run round a circle of this radius, in every frame elsewhere.
@@ -27,27 +31,22 @@ fn frame<F: Frontend>(
 }
 
 fn twins(c: &mut Criterion) {
-    let healing = HealingSquareOptions::default();
-    let ionic = [("ionic-disc", IonicOptions::disc()), ("ionic-square", IonicOptions::square())];
-    let piezo = [
-        ("piezo-square", PiezoOptions::square()),
-        ("piezo-disc", PiezoOptions::disc()),
-        ("piezo-cylinder", PiezoOptions::cylinder()),
-    ];
+    let ionic = [("ionic-disc", ionic_disc()), ("ionic-square", ionic_square())];
+    let piezo = [("piezo-square", piezo_square()), ("piezo-disc", piezo_disc())];
     let mut group = c.benchmark_group("frame of two moving touches");
     group.sample_size(20);
-    frame(&mut group, "healing-square", Twin::healing_square(&healing), 0.03, 80e3);
-    ionic.iter().for_each(|(name, options)| frame(&mut group, name, Twin::ionic(options), 0.05, 1e3));
-    piezo.iter().for_each(|(name, options)| frame(&mut group, name, Twin::piezo(options), 0.035, 10e3));
+    frame(&mut group, "healing-square", healing_twin(), 0.03, 80e3);
+    ionic.iter().for_each(|(name, options)| frame(&mut group, name, ionic_twin(options.clone()), 0.05, 1e3));
+    piezo.iter().for_each(|(name, options)| frame(&mut group, name, piezo_twin(options.clone()), 0.035, 10e3));
     group.finish();
     let mut group = c.benchmark_group("start-up");
     group.sample_size(10);
-    group.bench_function("healing-square", |b| b.iter(|| Twin::healing_square(black_box(&healing)).is_ok()));
+    group.bench_function("healing-square", |b| b.iter(|| healing_twin().is_ok()));
     for (name, options) in &ionic {
-        group.bench_function(*name, |b| b.iter(|| Twin::ionic(black_box(options)).is_ok()));
+        group.bench_function(*name, |b| b.iter(|| ionic_twin(black_box(options).clone()).is_ok()));
     }
     for (name, options) in &piezo {
-        group.bench_function(*name, |b| b.iter(|| Twin::piezo(black_box(options)).is_ok()));
+        group.bench_function(*name, |b| b.iter(|| piezo_twin(black_box(options).clone()).is_ok()));
     }
     group.finish();
 }

@@ -1,16 +1,20 @@
 //! Prints what a frame of the healing square costs, and how large its signals are:
 //! `cargo run --release -p dermis-twin --example frame_rate`.
 
+#[path = "../tests/published/mod.rs"]
+mod published;
+
 use std::time::Instant;
 
-use dermis_twin::instrument::{InstrumentOptions, snr_db};
+use dermis_twin::instrument::snr_db;
 use dermis_twin::scene::Script;
-use dermis_twin::{HealingSquareOptions, Twin, TwinError};
+use dermis_twin::{Sandwich, Twin, TwinError, TwinOptions};
+use published::{healing_square, healing_twin, healing_twin_options};
 
 fn main() -> Result<(), TwinError> {
     let start = Instant::now();
-    let options = HealingSquareOptions { script: Some(Script::demo()), ..Default::default() };
-    let mut twin = Twin::healing_square(&options)?;
+    let around = TwinOptions { script: Some(Script::demo()), ..healing_twin_options() };
+    let mut twin = Twin::of(Sandwich::new(healing_square())?, &around)?;
     let elements = twin.frontend().body().mesh.element_count();
     println!("prepared {elements} elements in {:.0} ms", 1e3 * start.elapsed().as_secs_f64());
     let mut frame = Vec::new();
@@ -30,8 +34,7 @@ fn main() -> Result<(), TwinError> {
 }
 
 fn signals() -> Result<(), TwinError> {
-    let options = HealingSquareOptions { instrument: InstrumentOptions::ideal(), ..Default::default() };
-    let mut twin = Twin::healing_square(&options)?;
+    let mut twin = Twin::of(Sandwich::new(healing_square())?, &TwinOptions::default())?;
     let mut rest = Vec::new();
     twin.step(0.0, &mut rest)?;
     let size =
@@ -69,7 +72,7 @@ fn signals() -> Result<(), TwinError> {
 }
 
 fn noise() -> Result<(), TwinError> {
-    let mut twin = Twin::healing_square(&HealingSquareOptions::default())?;
+    let mut twin = healing_twin()?;
     let mut readings = vec![Vec::new(); 208];
     let mut frame = Vec::new();
     for step in 0..500 {

@@ -2,16 +2,20 @@
 //! the depth-averaged fields differ from those in three dimensions:
 //! `cargo run --release -p dermis-twin --example ionic`.
 
+#[path = "../tests/published/mod.rs"]
+mod published;
+
 use std::time::Instant;
 
 use dermis_twin::mechanics::{Indenter, Load, Shape};
-use dermis_twin::{Frontend, IonicFields, IonicOptions, IonicSkin, TwinError};
+use dermis_twin::{Frontend, LiquidOptions, LiquidSkin, LiquidSolver, TwinError};
+use published::{ionic_disc, ionic_disc_with_bolts, ionic_square};
 
 const GRAMS: f64 = 6.5;
 
 fn main() -> Result<(), TwinError> {
     for tension in [30.0, 45.0, 60.0, 80.0, 120.0] {
-        ramp(&IonicOptions { tension_n_per_m: tension, memory: None, ..IonicOptions::disc() })?;
+        ramp(LiquidOptions { tension_n_per_m: tension, memory: None, ..ionic_disc() })?;
     }
     cost()?;
     compare()?;
@@ -23,16 +27,14 @@ fn heights() -> Result<(), TwinError> {
     for radius_mm in [0.0, 30.0, 60.0, 75.0] {
         print!("electrodes of 3 mm, touch of 0.255 N at {radius_mm} mm, signal:");
         for share in [0.16, 0.5, 0.84] {
-            let options = IonicOptions {
+            let options = LiquidOptions {
                 memory: None,
-                electrode_side_m: 3e-3,
-                electrode_height_share: share,
-                fields: IonicFields::Solid { layers: 8 },
+                solver: LiquidSolver::Solid { layers: 8 },
                 element_size_m: 3.5e-3,
                 electrode_element_size_m: 0.8e-3,
-                ..IonicOptions::disc()
+                ..ionic_disc_with_bolts(3e-3, share)
             };
-            let mut skin = IonicSkin::new(&options)?;
+            let mut skin = LiquidSkin::new(options)?;
             let rest = read(&mut skin, &[])?;
             let frame = read(&mut skin, &[Indenter::weight([radius_mm * 1e-3, 0.0], 0.01, 26.0)])?;
             let change = rms(frame.iter().zip(&rest).map(|(v, v0)| v / v0 - 1.0));
@@ -43,7 +45,7 @@ fn heights() -> Result<(), TwinError> {
     Ok(())
 }
 
-fn read(skin: &mut IonicSkin, indenters: &[Indenter]) -> Result<Vec<f64>, TwinError> {
+fn read(skin: &mut LiquidSkin, indenters: &[Indenter]) -> Result<Vec<f64>, TwinError> {
     let mut frame = vec![0.0; skin.channel_count()];
     skin.voltages(indenters, 0.0, &mut frame)?;
     Ok(frame)
@@ -55,10 +57,11 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Deepest dent and relative change of the frame for 1 to 9 weights at three radii.
-fn ramp(options: &IonicOptions) -> Result<(), TwinError> {
-    let mut skin = IonicSkin::new(options)?;
+fn ramp(options: LiquidOptions) -> Result<(), TwinError> {
+    let tension_n_per_m = options.tension_n_per_m;
+    let mut skin = LiquidSkin::new(options)?;
     let rest = read(&mut skin, &[])?;
-    println!("tension {} N/m, {} elements", options.tension_n_per_m, skin.fields().element_count());
+    println!("tension {tension_n_per_m} N/m, {} elements", skin.fields().element_count());
     for radius_mm in [0.0, 30.0, 60.0] {
         print!("  at {radius_mm} mm:");
         let mut per_weight = Vec::new();
@@ -78,8 +81,8 @@ fn ramp(options: &IonicOptions) -> Result<(), TwinError> {
 }
 
 fn cost() -> Result<(), TwinError> {
-    for (name, options) in [("disc", IonicOptions::disc()), ("square", IonicOptions::square())] {
-        let mut skin = IonicSkin::new(&options)?;
+    for (name, options) in [("disc", ionic_disc()), ("square", ionic_square())] {
+        let mut skin = LiquidSkin::new(options)?;
         let frames = 300;
         let start = Instant::now();
         for frame in 0..frames {
@@ -94,11 +97,10 @@ fn cost() -> Result<(), TwinError> {
 
 /// Voltages at rest and touch signals, in the plane and in three dimensions.
 fn compare() -> Result<(), TwinError> {
-    let fine =
-        IonicOptions { memory: None, element_size_m: 2.5e-3, electrode_element_size_m: 1.0e-3, ..IonicOptions::disc() };
-    let mut flat = IonicSkin::new(&fine)?;
+    let fine = LiquidOptions { memory: None, element_size_m: 2.5e-3, electrode_element_size_m: 1.0e-3, ..ionic_disc() };
+    let mut flat = LiquidSkin::new(fine.clone())?;
     let start = Instant::now();
-    let mut solid = IonicSkin::new(&IonicOptions { fields: IonicFields::Solid { layers: 6 }, ..fine })?;
+    let mut solid = LiquidSkin::new(LiquidOptions { solver: LiquidSolver::Solid { layers: 6 }, ..fine })?;
     let (flat_rest, solid_rest) = (read(&mut flat, &[])?, read(&mut solid, &[])?);
     println!("solid: {} elements, first frame {:.1} s", solid.fields().element_count(), start.elapsed().as_secs_f64());
     distances("at rest", &flat, &flat_rest, &solid_rest);
@@ -128,7 +130,7 @@ fn compare() -> Result<(), TwinError> {
 }
 
 /// Ratio of solid to flat by regression, what it leaves, and the same by distance of the measuring from the driving pair.
-fn distances(what: &str, skin: &IonicSkin, flat: &[f64], solid: &[f64]) {
+fn distances(what: &str, skin: &LiquidSkin, flat: &[f64], solid: &[f64]) {
     let gain = |pairs: &[(f64, f64)]| {
         pairs.iter().map(|(a, b)| a * b).sum::<f64>() / pairs.iter().map(|(a, _)| a * a).sum::<f64>()
     };

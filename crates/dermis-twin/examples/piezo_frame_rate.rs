@@ -1,14 +1,18 @@
 //! Prints what a frame of the piezoresistive skins costs with two moving touches, and how large its signals are:
 //! `cargo run --release -p dermis-twin --example piezo_frame_rate`.
 
+#[path = "../tests/published/mod.rs"]
+mod published;
+
 use std::time::Instant;
 
-use dermis_twin::{PiezoOptions, Twin, TwinError};
+use dermis_twin::TwinError;
+use published::{piezo_disc, piezo_square, piezo_twin};
 
 fn main() -> Result<(), TwinError> {
-    for (name, options) in [("square", PiezoOptions::square()), ("disc", PiezoOptions::disc())] {
+    for (name, options) in [("square", piezo_square()), ("disc", piezo_disc())] {
         let start = Instant::now();
-        let mut twin = Twin::piezo(&options)?;
+        let mut twin = piezo_twin(options)?;
         let (elements, cells) = (twin.frontend().body().mesh.element_count(), twin.frontend().cells().len());
         let spent = 1e3 * start.elapsed().as_secs_f64();
         println!("{name}: {elements} elements, {cells} contact cells, prepared in {spent:.0} ms");

@@ -1,22 +1,28 @@
 //! Replays paper P's limit of detection and discernible distance on the twins of the square and the disc, after fitting one
 //! parameter on the square's limit of detection: `cargo run --release -p dermis-twin --example piezo_paper`.
 
+#[path = "../tests/published/mod.rs"]
+mod published;
+
 use dermis_twin::piezo::{PUBLISHED_DISTANCES_M, PUBLISHED_LIMITS_PA};
-use dermis_twin::{PaperP, PiezoOptions, TwinError};
+use dermis_twin::{PaperP, PatchedOptions, TwinError};
+use published::{piezo_disc, piezo_instrument, piezo_square};
 
 fn main() -> Result<(), TwinError> {
-    let mut options = PiezoOptions::square();
+    let (mut options, mut instrument) = (piezo_square(), piezo_instrument());
     let mut arguments = std::env::args().skip(1).filter_map(|argument| argument.parse::<f64>().ok());
     options.contact.threshold_pa = arguments.next().unwrap_or(options.contact.threshold_pa);
     options.contact.exponent = arguments.next().unwrap_or(options.contact.exponent);
     options.patches.pitch_m = arguments.next().map_or(options.patches.pitch_m, |pitch_mm| 1e-3 * pitch_mm);
     options.cover.smoothing_m = arguments.next().map_or(options.cover.smoothing_m, |mm| 1e-3 * mm);
-    options.instrument.noise.floor_v = arguments.next().map_or(options.instrument.noise.floor_v, |uv| 1e-6 * uv);
-    let mut paper = PaperP::new(&options)?;
+    instrument.noise.floor_v = arguments.next().map_or(instrument.noise.floor_v, |uv| 1e-6 * uv);
+    let (patches, cover, contact) = (options.patches, options.cover, options.contact);
+    let disc = PatchedOptions { patches, cover, ..piezo_disc() };
+    let mut paper = PaperP::new(options, disc, instrument, 1)?;
     let reference_pa = paper.fit()?;
     println!(
         "gap {} Pa, exponent {}: fitted reference pressure {reference_pa:.0} Pa",
-        options.contact.threshold_pa, options.contact.exponent
+        contact.threshold_pa, contact.exponent
     );
     for (k, (name, facts)) in ["square", "disc"].into_iter().zip(paper.facts()?).enumerate() {
         let (detection, correlation) = (facts.detection, facts.correlation);

@@ -1,14 +1,12 @@
-//! The first membrane of paper E, which it sets aside because a touch does not deform it locally: a thin foil of copper on sponge
-//! over the coils. Eddy currents are those of a thin sheet ([`dermis_tomo::mit::sheet`]) that is dented: with w its way down,
+//! A thin foil of metal on sponge over coils, which a touch does not deform as locally as it moves separate elements. Eddy currents are those of a thin sheet ([`dermis_mit::sheet`]) that is dented: with w its way down,
 //! `T lap w - k w = -p` of a foil under tension T on sponge of stiffness k, the rims free, and the sponge closing as springs do.
 //! Each new dent is a sheet of its own to be solved: half a second, so this is for experiments rather than for live twins.
 
+use dermis_mit::edge::Source;
+use dermis_mit::sheet::{Sheet, SheetMaterial, SheetMesh};
+use dermis_mit::{CoilArray, Complex};
 use dermis_tomo::mesh::Outline;
-use dermis_tomo::mit::edge::Source;
-use dermis_tomo::mit::sheet::{Sheet, SheetMaterial, SheetMesh};
-use dermis_tomo::mit::{Coil, Complex};
 
-use crate::em::EmArray;
 use crate::error::{TwinError, check, check_positive};
 use crate::mechanics::{Cover, Indenter};
 use crate::twin::Frontend;
@@ -22,11 +20,11 @@ const SETTLED_M: f64 = 1e-10;
 /// Most sweeps.
 const MOST_SWEEPS: usize = 20_000;
 
-/// Parameters; all but the coils are assumed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What a foil over coils is. SI units.
+#[derive(Clone, Debug, PartialEq)]
 pub struct FoilOptions {
     /// The coils.
-    pub array: EmArray,
+    pub coils: CoilArray,
     /// Side of the square foil, metres.
     pub side_m: f64,
     /// Cells along a side, two triangles each.
@@ -48,23 +46,6 @@ pub struct FoilOptions {
 }
 
 impl FoilOptions {
-    /// 35 um of copper over the eight coils, on the sponge of [`crate::EmOptions::em_8`] (400 N/m for 20 x 20 mm), under a tension that
-    /// spreads a dent over 17 mm.
-    pub fn em_8() -> Self {
-        Self {
-            array: EmArray::Em8,
-            side_m: 0.14,
-            cells: 24,
-            material: SheetMaterial { thickness_m: 35e-6, conductivity_s_per_m: 5.8e7 },
-            rest_m: 0.018,
-            tension_n_per_m: 300.0,
-            stiffness_pa_per_m: 1e6,
-            limit_m: 0.011,
-            current_a: 0.1,
-            frequency_hz: 55e3,
-        }
-    }
-
     fn check(&self) -> Result<(), TwinError> {
         check_positive("side_m", self.side_m)?;
         check("cells", self.cells as f64, 4.0, 64.0, "4 to 64")?;
@@ -80,7 +61,6 @@ impl FoilOptions {
 #[derive(Clone, Debug)]
 pub struct FoilSkin {
     options: FoilOptions,
-    coils: Vec<Coil>,
     mutuals_h: Vec<f64>,
     flat: SheetMesh,
     /// Vertices of the dent's grid, row by row.
@@ -99,15 +79,13 @@ impl FoilSkin {
     /// Parameters that make no sense.
     pub fn new(options: FoilOptions) -> Result<Self, TwinError> {
         options.check()?;
-        let array = options.array.coils()?;
         let nodes = options.cells + 1;
         let step = options.side_m / options.cells as f64;
         let at = |k: usize| k as f64 * step - 0.5 * options.side_m;
         let places_m: Vec<[f64; 2]> = (0..nodes * nodes).map(|k| [at(k % nodes), at(k / nodes)]).collect();
         Ok(Self {
             flat: SheetMesh::rectangle([options.side_m; 2], [options.cells; 2])?,
-            mutuals_h: array.mutuals_h(),
-            coils: array.coils().to_vec(),
+            mutuals_h: options.coils.mutuals_h(),
             pressure_pa: vec![0.0; places_m.len()],
             way_m: vec![0.0; places_m.len()],
             solved_m: Vec::new(),
@@ -161,7 +139,7 @@ impl FoilSkin {
     fn solve(&mut self) -> Result<(), TwinError> {
         let mesh = self.flat.clone().with_heights(|place| self.options.rest_m - self.way_m(place))?;
         let sheet = Sheet::new(&mesh, &self.options.material, self.options.frequency_hz)?;
-        let sources: Vec<&dyn Source> = self.coils.iter().map(|coil| coil as &dyn Source).collect();
+        let sources: Vec<&dyn Source> = self.options.coils.coils().iter().map(|coil| coil as &dyn Source).collect();
         let (count, all) = (sources.len(), sheet.changes_h(&sources));
         self.changes_h.clear();
         self.changes_h.extend((0..count).flat_map(|m| (m + 1..count).map(move |n| m * count + n)).map(|at| all[at]));
@@ -198,14 +176,30 @@ impl Frontend for FoilSkin {
 
 #[cfg(test)]
 mod tests {
+    use dermis_mit::Coil;
+
     use super::*;
     use crate::mechanics::{Load, Shape};
 
     #[test]
     fn a_dent_carries_the_force_and_spreads_over_the_root_of_tension_over_stiffness() {
-        let options = FoilOptions { limit_m: 1e3, rest_m: 1e4, ..FoilOptions::em_8() };
         // A limit out of reach leaves the linear equation; the height has to be above it.
-        let mut foil = FoilSkin::new(FoilOptions { rest_m: 1.0, limit_m: 0.9, ..options }).unwrap();
+        let options = FoilOptions {
+            coils: CoilArray::of_coils(
+                [0.0, 0.5].map(|x| Coil::solenoid([x, 0.0, 0.0], 0.034, 0.0005, 6, 6).unwrap()).to_vec(),
+            )
+            .unwrap(),
+            side_m: 0.14,
+            cells: 24,
+            material: SheetMaterial { thickness_m: 35e-6, conductivity_s_per_m: 5.8e7 },
+            rest_m: 1.0,
+            tension_n_per_m: 300.0,
+            stiffness_pa_per_m: 1e6,
+            limit_m: 0.9,
+            current_a: 0.1,
+            frequency_hz: 55e3,
+        };
+        let mut foil = FoilSkin::new(options.clone()).unwrap();
         let press = Indenter { centre_m: [0.0; 2], shape: Shape::Disc { radius_m: 0.01 }, load: Load::ForceN(0.2) };
         press.add_pressure(COVER, &foil.places_m, &mut foil.pressure_pa);
         foil.dent();

@@ -1,43 +1,81 @@
 //! Digital twins of tactile skins: what presses on them ([`scene`]), how that deforms or closes their layers
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
-//! electronics make of it ([`instrument`]). [`Twin`] joins the four; [`HealingSquare`], [`IonicSkin`], [`PiezoSkin`]
-//! and [`EmSkin`] are its skins.
+//! electronics make of it ([`instrument`]). [`Twin`] joins the four.
 //!
-//! SI units throughout; frame of a flat skin: x right, y up, origin at the centroid. Pure apart from seeded random
-//! numbers: no clocks, files or devices.
+//! What a skin is made of decides its physics: a bare conductor ([`SheetSkin`]), a sheet under a continuous shortcut layer
+//! ([`Sandwich`]) or under separate patches ([`PatchedSkin`]), a liquid ([`LiquidSkin`]), or conducting elements over coils
+//! ([`ElementSkin`], and a foil over coils, [`FoilSkin`]). Each is made from options that carry everything that it is.
+//!
+//! SI units throughout; frame of a flat skin: x right, y up. Pure apart from seeded random numbers: no clocks, files or
+//! devices.
 //!
 //! ```
-//! use dermis_twin::{HealingSquareOptions, Twin};
+//! use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
+//! use dermis_tomo::mesh::{Direction, Outline};
+//! use dermis_twin::mechanics::Cover;
+//! use dermis_twin::{SheetOptions, SheetSkin, Twin, TwinOptions};
 //!
-//! let options = HealingSquareOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..Default::default() };
-//! let mut twin = Twin::healing_square(&options)?;
-//! twin.scene_mut().press(1, 0.01, -0.02, 0.01, 80e3)?;
+//! // A strip of conductive gel with 12 electrodes of 8 mm round its rim.
+//! let outline = Outline::Rectangle { width_m: 0.12, height_m: 0.06 };
+//! let protocol = Protocol::generate(&ProtocolSpec {
+//!     electrode_count: 12,
+//!     drive: Drive::Adjacent,
+//!     measure: Measure::Adjacent,
+//!     order: Order::Absolute,
+//!     driven: Driven::Drop,
+//!     amplitude_a: 1e-3,
+//! })?;
+//! let skin = SheetSkin::new(SheetOptions {
+//!     electrodes: outline.rim_segments(12, 8e-3, 0.015, Direction::CounterClockwise),
+//!     outline,
+//!     contact_impedances_ohm_m2: vec![1e-3],
+//!     protocol,
+//!     sheet_s: 1e-3,
+//!     conductance: Default::default(),
+//!     pressure_coefficient_per_pa: 0.0,
+//!     gauge_factor: 1.0,
+//!     modulus_pa: 100e3,
+//!     cover: Cover { smoothing_m: 2e-3 },
+//!     memory: None,
+//!     element_size_m: 6e-3,
+//!     electrode_element_size_m: 3e-3,
+//! })?;
+//! let mut twin = Twin::of(skin, &TwinOptions::default())?;
+//! twin.scene_mut().press(1, 0.01, -0.02, 0.01, 20e3)?;
 //! let mut frame = Vec::new();
 //! for step in 0..10 {
 //!     let truth = twin.step(0.04 * f64::from(step), &mut frame)?;
-//!     assert_eq!((truth.sequence, frame.len()), (u64::from(step as u32), 208));
+//!     assert_eq!((truth.sequence, frame.len()), (u64::from(step as u32), 108));
 //! }
 //! # Ok::<(), dermis_twin::TwinError>(())
 //! ```
 
-mod em;
+mod elements;
 mod error;
 mod foil;
+pub mod from_skin;
+mod gap;
 mod healing;
-mod healing_square;
 pub mod instrument;
-mod ionic;
+mod liquid;
 pub mod mechanics;
+mod patched;
 pub mod physics;
 pub mod piezo;
+mod sandwich;
 pub mod scene;
+mod sheet;
 mod twin;
+mod wiring;
 
-pub use em::{EmArray, EmElement, EmOptions, EmSkin, NearbyMetal};
+pub use elements::{Conductor, ElementOptions, ElementSkin, NearbyMetal};
 pub use error::TwinError;
 pub use foil::{FoilOptions, FoilSkin};
-pub use healing::{Heating, TimedTreatment, Treatment, Wear, Wound};
-pub use healing_square::{HealingSquare, HealingSquareOptions};
-pub use ionic::{IonicFields, IonicOptions, IonicShape, IonicSkin};
-pub use piezo::{PaperP, PiezoOptions, PiezoShape, PiezoSkin, square_to_disc};
-pub use twin::{Frontend, TouchTruth, Truth, Twin};
+pub use from_skin::{AnyTwin, AsBuilt, PressRange, TwinKit};
+pub use healing::{HealingLaw, Heating, TimedTreatment, Treatment, Wear, Wound};
+pub use liquid::{LiquidOptions, LiquidSkin, LiquidSolver};
+pub use patched::{PatchedOptions, PatchedSkin};
+pub use piezo::PaperP;
+pub use sandwich::{Sandwich, SandwichOptions};
+pub use sheet::{SheetOptions, SheetSkin};
+pub use twin::{Frontend, TouchTruth, Truth, Twin, TwinOptions};

@@ -1,368 +1,290 @@
-//! The piezoresistive skins of paper P (Sánchez-Delgado et al., Intelligent Service Robotics 17, 2024): a carbon-sprayed
-//! sheet over 64 small electrodes on a circuit board, under loose fabric patches on a neoprene backing. Pressing brings
-//! patches into contact with the sheet and raises its local conductivity. Square, disc, and the square bent on a cylinder.
-//!
-//! The electrodes' places are in figures that were not at hand: they are taken as the regular 8 x 8 grid on the square,
-//! and as its image under the equal-area concentric map (Shirley and Chiu 1997) on the disc, numbered row by row to and
-//! fro from the bottom left, so that 1 and 2, 2 and 3, ... are neighbours and only the last pair, as in the paper, is not.
+//! The two published experiments on the piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics 17, 2024),
+//! on any pair of patched skins: the limit of detection (P1: a 22 mm indenter in the middle under growing
+//! weights, change of the frame's V_rms against 3.3 standard deviations of V_rms at rest) and the discernible distance
+//! (P2: Pearson correlation of difference frames under 10 g, one shifted). One parameter is fitted, on P1 of the square.
 
-mod experiments;
+use serde::Serialize;
 
-use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec, Reference};
-use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
-use serde::{Deserialize, Serialize};
-
-use crate::error::{TwinError, check, check_positive};
+use crate::error::TwinError;
 use crate::instrument::{Instrument, InstrumentOptions};
-use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, PressureState};
-use crate::physics::{ContactCell, PatchLayout, PatchedSheet, Surface};
-use crate::scene::{Scene, SceneOptions, Script};
-use crate::twin::{Frontend, Twin};
+use crate::mechanics::{ContactLaw, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
+use crate::patched::{PatchedOptions, PatchedSkin};
+use crate::twin::Frontend;
 
-pub use experiments::{
-    CorrelationCurve, DetectionCurve, ForcePoint, PUBLISHED_DISTANCES_M, PUBLISHED_LIMITS_PA, PaperP, PiezoFacts,
-    ShiftPoint,
-};
+/// Limit of detection of the square and of the disc, as published, pascals.
+pub const PUBLISHED_LIMITS_PA: [f64; 2] = [83.0, 119.0];
+/// Distances at correlations of 0.9 and 0.5 on the square and on the disc, as published, metres.
+pub const PUBLISHED_DISTANCES_M: [[f64; 2]; 2] = [[2.51e-3, 16.92e-3], [3.42e-3, 15.53e-3]];
 
-/// Electrodes along a side of the grid.
-const PER_SIDE: usize = 8;
+/// Radius of the paper's indenter, 380.13 mm^2.
+const INDENTER_RADIUS_M: f64 = 11e-3;
+/// Its weights.
+const MASSES_G: [f64; 9] = [1.8, 2.8, 3.8, 6.8, 8.8, 11.8, 16.8, 21.8, 31.8];
+/// The weight that is shifted.
+const SHIFTED_G: f64 = 10.0;
+/// Frames at rest.
+const REST_FRAMES: u64 = 30;
+/// Standard deviations that count as detected.
+const DETECTED: f64 = 3.3;
 
-/// Outline of a piezoresistive skin, laid flat.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum PiezoShape {
-    /// A square.
-    Square {
-        /// Its side, metres.
-        side_m: f64,
-    },
-    /// A disc.
-    Disc {
-        /// Its diameter, metres.
-        diameter_m: f64,
-    },
+/// One weight of P1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ForcePoint {
+    /// The weight.
+    pub mass_g: f64,
+    /// Its force.
+    pub force_n: f64,
+    /// Mean pressure under the indenter.
+    pub pressure_pa: f64,
+    /// How far V_rms of one noisy frame lies from its mean at rest, volts, in each repeat.
+    pub change_v: [f64; 5],
 }
 
-/// Parameters of the twin. Those that paper P gives: shapes, 64 electrodes, current steps, thickness of the backing.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PiezoOptions {
-    /// Outline.
-    pub shape: PiezoShape,
-    /// What it lies on.
-    pub surface: Surface,
-    /// Radius of an electrode, metres (assumed; the paper says small).
-    pub electrode_radius_m: f64,
-    /// Edge length of the twin's triangles, metres.
-    pub element_size_m: f64,
-    /// Edge length at the electrodes, metres.
-    pub electrode_element_size_m: f64,
-    /// Resistance of a square of the sprayed layer, ohm. Assumed: much above the 400 ohm of the multiplexer, as stated.
-    pub sheet_resistance_ohm: f64,
-    /// Specific contact impedance of the electrodes, ohm.m^2 (assumed).
-    pub contact_impedance_ohm_m2: f64,
-    /// Current, amperes: 15 of the source's steps of 2.6 uA.
-    pub current_a: f64,
-    /// Frames a second for those who pace the twin. The paper's converter takes 860 samples a second and so 4.8 s for
-    /// 4,096; the default is what makes a touch visible as it moves.
-    pub frame_rate_hz: f64,
-    /// The fabric patches.
-    pub patches: PatchLayout,
-    /// How pressure spreads through the backing: evenly over its thickness of 5.5 mm to either side has the standard
-    /// deviation 5.5 mm / sqrt 3.
-    pub cover: Cover,
-    /// Contact of sheet and patches; see [`PiezoOptions::square`].
-    pub contact: ContactLaw,
-    /// Viscoelastic memory of the backing, where wanted.
-    pub memory: Option<Memory>,
-    /// Noise, drift, converter.
-    pub instrument: InstrumentOptions,
-    /// Fading, and how script and people share the skin.
-    pub scene: SceneOptions,
-    /// What touches it by itself.
-    pub script: Option<Script>,
-    /// Seed of the instrument's noise.
-    pub seed: u64,
+/// P1 on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DetectionCurve {
+    /// Mean V_rms at rest, volts.
+    pub rest_v: f64,
+    /// Standard deviation of V_rms over 30 frames at rest, volts.
+    pub noise_v: f64,
+    /// The weights.
+    pub points: Vec<ForcePoint>,
+    /// Pressure at which V_rms without noise has changed by 3.3 `noise_v`, pascals; infinite where it never does.
+    pub limit_pa: f64,
 }
 
-impl Default for PiezoOptions {
-    fn default() -> Self {
-        Self::square()
-    }
+/// One shift of P2.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ShiftPoint {
+    /// Along x, from the middle of the skin.
+    pub shift_m: f64,
+    /// Pearson correlation of the difference frames, mean of five repeats.
+    pub correlation: f64,
 }
 
-impl PiezoOptions {
-    /// The square of 150 mm.
-    ///
-    /// Of the contact, the paper gives one number for the square, its limit of detection of 83 Pa. It fixes one parameter,
-    /// the reference pressure ([`PaperP::fit`], the value here); the others are assumed. The gap must close below that
-    /// limit, and not far below, as 258 Pa (10 g) already gave significant voltages; growth is that of elastic rough
-    /// surfaces while the gap still closes; at saturation current turns into the fabric within
-    /// `sqrt(0.5 mS / 200 S/m^2)` = 1.6 mm.
-    pub fn square() -> Self {
-        Self {
-            shape: PiezoShape::Square { side_m: 0.15 },
-            surface: Surface::Flat,
-            electrode_radius_m: 1.5e-3,
-            element_size_m: 3.2e-3,
-            electrode_element_size_m: 1.2e-3,
-            sheet_resistance_ohm: 2e3,
-            contact_impedance_ohm_m2: 1e-3,
-            current_a: 15.0 * 2.6e-6,
-            frame_rate_hz: 30.0,
-            patches: PatchLayout::default(),
-            cover: Cover { smoothing_m: 5.5e-3 / 3_f64.sqrt() },
-            contact: ContactLaw { threshold_pa: 50.0, reference_pa: 888.0, exponent: 1.5, saturation_s_per_m2: 200.0 },
-            memory: None,
-            instrument: InstrumentOptions::piezo(),
-            scene: SceneOptions::default(),
-            script: None,
-            seed: 1,
-        }
-    }
-
-    /// The disc of 120 mm; all else as on the square.
-    pub fn disc() -> Self {
-        Self { shape: PiezoShape::Disc { diameter_m: 0.12 }, ..Self::square() }
-    }
-
-    /// The square bent on a cylinder of 190 mm diameter. Positions are those of the unrolled sheet.
-    pub fn cylinder() -> Self {
-        Self { surface: Surface::Cylinder { radius_m: 0.095 }, ..Self::square() }
-    }
-
-    /// Sheet conductance of the sprayed layer, siemens.
-    pub fn sheet_s(&self) -> f64 {
-        1.0 / self.sheet_resistance_ohm
-    }
-
-    /// Outline of the unrolled sheet.
-    pub fn outline(&self) -> Outline {
-        match self.shape {
-            PiezoShape::Square { side_m } => Outline::Rectangle { width_m: side_m, height_m: side_m },
-            PiezoShape::Disc { diameter_m } => Outline::Disc { radius_m: 0.5 * diameter_m },
-        }
-    }
-
-    /// Middles of the 64 electrodes on the unrolled sheet, metres, in order; see the module.
-    pub fn electrode_positions_m(&self) -> Vec<[f64; 2]> {
-        let unit = |k: usize| (2.0 * k as f64 + 1.0) / PER_SIDE as f64 - 1.0;
-        let place = |k: usize| {
-            let (row, step) = (k / PER_SIDE, k % PER_SIDE);
-            let column = if row.is_multiple_of(2) { step } else { PER_SIDE - 1 - step };
-            let (x, y) = (unit(column), unit(row));
-            match self.shape {
-                PiezoShape::Square { side_m } => [0.5 * side_m * x, 0.5 * side_m * y],
-                PiezoShape::Disc { diameter_m } => square_to_disc([x, y]).map(|value| 0.5 * diameter_m * value),
-            }
-        };
-        (0..PER_SIDE * PER_SIDE).map(place).collect()
-    }
-
-    /// The protocol of paper P's backend: neighbours (k, k+1) drive, the last with the first; for each, all 64
-    /// electrodes are read against the one that sinks: 4,096 channels, of which 64 (the sinks themselves) are zero.
-    ///
-    /// # Errors
-    /// A current that is not positive and finite.
-    pub fn protocol(&self) -> Result<Protocol, TwinError> {
-        Ok(Protocol::generate(&ProtocolSpec {
-            electrode_count: PER_SIDE * PER_SIDE,
-            drive: Drive::Adjacent,
-            measure: Measure::SingleEnded(Reference::Sink),
-            order: Order::Absolute,
-            driven: Driven::Keep,
-            amplitude_a: self.current_a,
-        })?)
-    }
-
-    fn check(&self) -> Result<(), TwinError> {
-        match self.shape {
-            PiezoShape::Square { side_m } => check_positive("side_m", side_m)?,
-            PiezoShape::Disc { diameter_m } => check_positive("diameter_m", diameter_m)?,
-        }
-        if let Surface::Cylinder { radius_m } = self.surface {
-            check_positive("surface radius_m", radius_m)?;
-        }
-        check_positive("electrode_radius_m", self.electrode_radius_m)?;
-        check_positive("sheet_resistance_ohm", self.sheet_resistance_ohm)?;
-        check_positive("contact_impedance_ohm_m2", self.contact_impedance_ohm_m2)?;
-        check_positive("frame_rate_hz", self.frame_rate_hz)?;
-        check_positive("cover smoothing_m", self.cover.smoothing_m)?;
-        self.patches.check()?;
-        // Cells couple pairwise: their number is bounded by memory.
-        let (low, high) = self.outline().bounds_m();
-        let cells = (high[0] - low[0]) * (high[1] - low[1]) / self.patches.cell_m().powi(2);
-        check("contact cells on the sheet", cells, 1.0, 8000.0, "at most 8000: larger cells or patches")?;
-        self.contact.check()?;
-        self.memory.as_ref().map_or(Ok(()), Memory::check)
-    }
+/// P2 on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CorrelationCurve {
+    /// The shifts, in steps of 0.5 mm to 40 mm.
+    pub points: Vec<ShiftPoint>,
+    /// Smallest shift at which the correlation is down to 0.9, metres; infinite where it never is.
+    pub distance_09_m: f64,
+    /// The same for 0.5.
+    pub distance_05_m: f64,
 }
 
-/// The equal-area concentric map of Shirley and Chiu (1997): the square [-1, 1]^2 to the unit disc, squares about the centre
-/// to circles.
-pub fn square_to_disc([x, y]: [f64; 2]) -> [f64; 2] {
-    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
-    let (radius, angle) = if x.abs() > y.abs() {
-        (x, FRAC_PI_4 * y / x)
-    } else if y != 0.0 {
-        (y, FRAC_PI_2 - FRAC_PI_4 * x / y)
-    } else {
-        (0.0, 0.0)
-    };
-    [radius * angle.cos(), radius * angle.sin()]
+/// Both experiments on one skin.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PiezoFacts {
+    /// P1.
+    pub detection: DetectionCurve,
+    /// P2.
+    pub correlation: CorrelationCurve,
 }
 
-/// The skin itself; see the module.
+/// The experiments on two skins, called the square and the disc after the published ones.
 #[derive(Clone, Debug)]
-pub struct PiezoSkin {
-    outline: Outline,
-    body: ElectrodedMesh,
-    surface: Surface,
-    protocol: Protocol,
-    sheet: PatchedSheet,
-    places_m: Vec<[f64; 2]>,
-    cover: Cover,
+pub struct PaperP {
+    skins: [PatchedSkin; 2],
     contact: ContactLaw,
-    state: PressureState,
-    pressure_pa: Vec<f64>,
-    contact_s_per_m2: Vec<f64>,
-    /// The contact that `voltages_v` belongs to.
-    solved_s_per_m2: Vec<f64>,
-    solved: bool,
-    voltages_v: Vec<f64>,
+    instrument: InstrumentOptions,
+    seed: u64,
 }
 
-impl PiezoSkin {
-    /// Meshes the skin, bends it, and solves the sheet without contact. A second in release.
+impl PaperP {
+    /// The square and the disc with one instrument; both have the square's contact law, and the noise this seed.
     ///
     /// # Errors
-    /// Parameters that make no sense, a mesh that cannot be made.
-    pub fn new(options: &PiezoOptions) -> Result<Self, TwinError> {
-        options.check()?;
-        let protocol = options.protocol()?;
-        let pad = |centre_m| ElectrodeShape::PadCircle { centre_m, radius_m: options.electrode_radius_m };
-        let pads = options.electrode_positions_m().into_iter().map(pad).collect();
-        let mut spec = SheetSpec::new(options.outline(), pads, options.element_size_m);
-        spec.electrode_element_size_m = options.electrode_element_size_m;
-        let (flat, _) = spec.build(&[options.contact_impedance_ohm_m2])?;
-        let body = options.surface.bend(&flat)?;
-        let sheet = PatchedSheet::new(&options.surface.unroll(&body)?, options.sheet_s(), options.patches)?;
-        let places_m: Vec<[f64; 2]> = sheet.cells().iter().map(|cell| cell.centre_m).collect();
-        let cells = places_m.len();
-        Ok(Self {
-            voltages_v: vec![0.0; protocol.channel_count()],
-            outline: options.outline(),
-            surface: options.surface,
-            cover: options.cover,
-            contact: options.contact,
-            state: PressureState::new(options.memory, cells),
-            pressure_pa: vec![0.0; cells],
-            contact_s_per_m2: vec![0.0; cells],
-            solved_s_per_m2: vec![0.0; cells],
-            solved: false,
-            places_m,
-            body,
-            protocol,
-            sheet,
-        })
+    /// As [`PatchedSkin::new`].
+    pub fn new(
+        square: PatchedOptions,
+        disc: PatchedOptions,
+        instrument: InstrumentOptions,
+        seed: u64,
+    ) -> Result<Self, TwinError> {
+        let contact = square.contact;
+        let skins = [PatchedSkin::new(square)?, PatchedSkin::new(PatchedOptions { contact, ..disc })?];
+        Ok(Self { skins, contact, instrument, seed })
     }
 
-    /// Its mesh with electrodes, in space: bent where the skin is.
-    pub fn body(&self) -> &ElectrodedMesh {
-        &self.body
+    /// The contact law in use.
+    pub fn contact(&self) -> &ContactLaw {
+        &self.contact
     }
 
-    /// How the sheet lies in space, for drawing: [`Surface::point_m`] and back.
-    pub fn surface(&self) -> Surface {
-        self.surface
-    }
-
-    /// Stimulation and measurement.
-    pub fn stimulation(&self) -> &Protocol {
-        &self.protocol
-    }
-
-    /// The sheet under its patches.
-    pub fn sheet(&self) -> &PatchedSheet {
-        &self.sheet
-    }
-
-    /// Cells of contact, in the order of [`PiezoSkin::contact_s_per_m2`].
-    pub fn cells(&self) -> &[ContactCell] {
-        self.sheet.cells()
-    }
-
-    /// Contact conductance of each cell after the last frame, S/m^2.
-    pub fn contact_s_per_m2(&self) -> &[f64] {
-        &self.contact_s_per_m2
-    }
-
-    /// Replaces the contact law, as when fitting it.
+    /// Fits the contact's reference pressure so that the square's limit of detection is the published one, and gives it
+    /// (pascals). Nothing else is fitted: one number fixes one parameter. All else about both skins is then predicted.
     ///
     /// # Errors
-    /// As [`ContactLaw::check`].
-    pub fn set_contact(&mut self, contact: ContactLaw) -> Result<(), TwinError> {
-        contact.check()?;
-        (self.contact, self.solved) = (contact, false);
-        Ok(())
+    /// A skin that cannot be solved; no reference pressure between 1 Pa and 1 GPa, as where the gap closes above the limit.
+    pub fn fit(&mut self) -> Result<f64, TwinError> {
+        let (mut low, mut high) = (0.0_f64, 9.0_f64);
+        // The contact weakens, and the limit grows, with the reference pressure.
+        for _ in 0..30 {
+            let middle = 0.5 * (low + high);
+            self.set_reference(10_f64.powf(middle))?;
+            if self.detection(0)?.limit_pa < PUBLISHED_LIMITS_PA[0] { low = middle } else { high = middle }
+        }
+        let reference_pa = 10_f64.powf(0.5 * (low + high));
+        self.set_reference(reference_pa)?;
+        let limit_pa = self.detection(0)?.limit_pa;
+        crate::error::check("fitted limit_pa", limit_pa, 82.0, 84.0, "83 Pa for some reference pressure")?;
+        Ok(reference_pa)
     }
 
-    /// Voltages by superposition of the electrodes' unit currents.
-    fn solve(&mut self) -> Result<(), TwinError> {
-        let impedance = self.sheet.impedance(&self.contact_s_per_m2)?;
-        for (voltage, channel) in self.voltages_v.iter_mut().zip(self.protocol.measurements()) {
-            let stimulation = &self.protocol.stimulations()[channel.stimulation as usize];
-            let pattern = &self.protocol.patterns()[channel.pattern as usize];
-            *voltage = 0.0;
-            for &(electrode, weight) in pattern.entries() {
-                for &(driven, current) in stimulation.entries() {
-                    *voltage += weight * current * impedance[(electrode as usize, driven as usize)];
-                }
+    /// Both experiments on both skins, square first.
+    ///
+    /// # Errors
+    /// Fields that cannot be solved.
+    pub fn facts(&mut self) -> Result<[PiezoFacts; 2], TwinError> {
+        let mut of = |skin| -> Result<PiezoFacts, TwinError> {
+            Ok(PiezoFacts { detection: self.detection(skin)?, correlation: self.correlation(skin)? })
+        };
+        Ok([of(0)?, of(1)?])
+    }
+
+    fn set_reference(&mut self, reference_pa: f64) -> Result<(), TwinError> {
+        self.contact.reference_pa = reference_pa;
+        self.skins.iter_mut().try_for_each(|skin| skin.set_contact(self.contact))
+    }
+
+    /// P1 on the square (0) or the disc (1).
+    fn detection(&mut self, skin: usize) -> Result<DetectionCurve, TwinError> {
+        let at_rest = self.voltages(skin, &[])?;
+        let mut instrument = self.instrument(skin, 0)?;
+        let levels: Vec<f64> = (0..REST_FRAMES).map(|_| rms(&read(&mut instrument, &at_rest))).collect();
+        let rest_v = levels.iter().sum::<f64>() / levels.len() as f64;
+        let spread = levels.iter().map(|level| (level - rest_v).powi(2)).sum::<f64>();
+        let noise_v = (spread / (levels.len() - 1) as f64).sqrt();
+        let mut points = Vec::new();
+        for mass_g in MASSES_G {
+            let force_n = mass_g * 1e-3 * STANDARD_GRAVITY_M_PER_S2;
+            let indenter = weight(force_n, 0.0);
+            let pressed = self.voltages(skin, std::slice::from_ref(&indenter))?;
+            let mut change_v = [0.0; 5];
+            for (repeat, change) in change_v.iter_mut().enumerate() {
+                let mut instrument = self.instrument(skin, 1 + repeat as u64)?;
+                *change = (rms(&read(&mut instrument, &pressed)) - rest_v).abs();
             }
+            points.push(ForcePoint { mass_g, force_n, pressure_pa: indenter.pressure_pa(), change_v });
         }
-        self.solved_s_per_m2.copy_from_slice(&self.contact_s_per_m2);
-        self.solved = true;
-        Ok(())
+        let limit_pa = self.limit(skin, rms(&at_rest), DETECTED * noise_v)?;
+        Ok(DetectionCurve { rest_v, noise_v, points, limit_pa })
+    }
+
+    /// Pressure that changes V_rms without noise by `threshold_v`, by bisection over its logarithm.
+    fn limit(&mut self, skin: usize, rest_v: f64, threshold_v: f64) -> Result<f64, TwinError> {
+        let area = Shape::Disc { radius_m: INDENTER_RADIUS_M }.area_m2();
+        let (mut low, mut high) = (0.0_f64, 5.0_f64);
+        for _ in 0..24 {
+            let middle = 0.5 * (low + high);
+            let pressed = self.voltages(skin, &[weight(area * 10_f64.powf(middle), 0.0)])?;
+            if (rms(&pressed) - rest_v).abs() < threshold_v { low = middle } else { high = middle }
+        }
+        Ok(if high < 5.0 { 10_f64.powf(high) } else { f64::INFINITY })
+    }
+
+    /// P2 on the square (0) or the disc (1).
+    fn correlation(&mut self, skin: usize) -> Result<CorrelationCurve, TwinError> {
+        let force_n = SHIFTED_G * 1e-3 * STANDARD_GRAVITY_M_PER_S2;
+        let rest = self.voltages(skin, &[])?;
+        let middle = self.voltages(skin, &[weight(force_n, 0.0)])?;
+        let mut points = Vec::new();
+        for step in 0..=80 {
+            let shift_m = 0.5e-3 * f64::from(step);
+            let shifted = self.voltages(skin, &[weight(force_n, shift_m)])?;
+            let mut sum = 0.0;
+            for repeat in 0..5 {
+                let mut instrument = self.instrument(skin, 100 + repeat)?;
+                let mut baseline = vec![0.0; rest.len()];
+                for _ in 0..REST_FRAMES {
+                    let frame = read(&mut instrument, &rest);
+                    baseline.iter_mut().zip(frame).for_each(|(mean, v)| *mean += v / REST_FRAMES as f64);
+                }
+                let first = read(&mut instrument, &middle);
+                let second = read(&mut instrument, &shifted);
+                sum += pearson(&difference(&first, &baseline), &difference(&second, &baseline));
+            }
+            points.push(ShiftPoint { shift_m, correlation: sum / 5.0 });
+        }
+        let (distance_09_m, distance_05_m) = (crossing(&points, 0.9), crossing(&points, 0.5));
+        Ok(CorrelationCurve { points, distance_09_m, distance_05_m })
+    }
+
+    fn voltages(&mut self, skin: usize, indenters: &[Indenter]) -> Result<Vec<f64>, TwinError> {
+        let mut frame = vec![0.0; self.skins[skin].channel_count()];
+        self.skins[skin].voltages(indenters, 0.0, &mut frame)?;
+        Ok(frame)
+    }
+
+    fn instrument(&self, skin: usize, repeat: u64) -> Result<Instrument, TwinError> {
+        Instrument::new(self.instrument, self.skins[skin].channel_count(), self.seed.wrapping_add(repeat))
     }
 }
 
-impl Frontend for PiezoSkin {
-    fn channel_count(&self) -> usize {
-        self.protocol.channel_count()
-    }
-
-    fn extent(&self) -> Outline {
-        self.outline.clone()
-    }
-
-    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
-        self.pressure_pa.fill(0.0);
-        for indenter in indenters {
-            indenter.add_pressure(self.cover, &self.places_m, &mut self.pressure_pa);
-        }
-        self.state.apply(dt_s, &mut self.pressure_pa);
-        for (g, pressure) in self.contact_s_per_m2.iter_mut().zip(&self.pressure_pa) {
-            *g = self.contact.conductance_s_per_m2(*pressure);
-        }
-        // A skin that is left alone, or held still, costs nothing.
-        if !self.solved || self.contact_s_per_m2 != self.solved_s_per_m2 {
-            self.solve()?;
-        }
-        voltages_v.copy_from_slice(&self.voltages_v);
-        Ok(())
+/// The paper's indenter under a force, shifted along x from the middle.
+fn weight(force_n: f64, shift_m: f64) -> Indenter {
+    Indenter {
+        centre_m: [shift_m, 0.0],
+        shape: Shape::Disc { radius_m: INDENTER_RADIUS_M },
+        load: Load::ForceN(force_n),
     }
 }
 
-impl Twin<PiezoSkin> {
-    /// The twin of one of paper P's skins.
-    ///
-    /// # Errors
-    /// Parameters that make no sense, a mesh that cannot be made.
-    pub fn piezo(options: &PiezoOptions) -> Result<Self, TwinError> {
-        let frontend = PiezoSkin::new(options)?;
-        let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
-        let instrument = instrument.with_protocol(frontend.stimulation())?;
-        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
-        Ok(Self::new(frontend, instrument, scene))
+fn read(instrument: &mut Instrument, voltages_v: &[f64]) -> Vec<f64> {
+    let mut frame = voltages_v.to_vec();
+    instrument.read(0.0, &mut frame);
+    frame
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+fn difference(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn pearson(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let (mean_a, mean_b) = (mean(a), mean(b));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in a.iter().zip(b) {
+        let (a, b) = (a - mean_a, b - mean_b);
+        (ab, aa, bb) = (ab + a * b, aa + a * a, bb + b * b);
+    }
+    ab / (aa * bb).sqrt()
+}
+
+/// First shift at which the curve comes down to a level, linear between its points.
+fn crossing(points: &[ShiftPoint], level: f64) -> f64 {
+    if points.first().is_some_and(|point| point.correlation <= level) {
+        return 0.0;
+    }
+    let pair = points.windows(2).find(|pair| pair[1].correlation <= level);
+    pair.map_or(f64::INFINITY, |pair| {
+        let share = (pair[0].correlation - level) / (pair[0].correlation - pair[1].correlation);
+        pair[0].shift_m + share * (pair[1].shift_m - pair[0].shift_m)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn correlation_is_pearsons() {
+        let a = [1.0, 2.0, 4.0, 3.0];
+        assert!((pearson(&a, &a.map(|v| 5.0 - 2.0 * v)) + 1.0).abs() < 1e-15);
+        // By hand: means 2.5 and 2, sums of products 2, 5 and 2.
+        assert!((pearson(&a, &[1.0, 2.0, 2.0, 3.0]) - 2.0 / 10_f64.sqrt()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn crossings_are_interpolated() {
+        let points = [1.0, 0.8, 0.4].map(|c| ShiftPoint { shift_m: 10.0 * (1.0 - c), correlation: c });
+        assert!((crossing(&points, 0.9) - 1.0).abs() < 1e-12);
+        assert!((crossing(&points, 0.5) - 5.0).abs() < 1e-12);
+        assert_eq!(crossing(&points, 0.1), f64::INFINITY);
     }
 }

@@ -5,9 +5,9 @@ use serde::Serialize;
 
 use crate::error::{TwinError, check};
 use crate::healing::{TimedTreatment, Treatment, Wound};
-use crate::instrument::{FaultSchedule, FrameFate, Instrument, TimedFault};
+use crate::instrument::{FaultSchedule, FrameFate, Instrument, InstrumentOptions, TimedFault};
 use crate::mechanics::{Indenter, check_on_skin};
-use crate::scene::{Pointer, Scene};
+use crate::scene::{Pointer, Scene, SceneOptions, Script};
 
 /// The physical part of a skin: from what presses on it to true voltages.
 pub trait Frontend: std::fmt::Debug + Send {
@@ -43,6 +43,14 @@ pub trait Frontend: std::fmt::Debug + Send {
         Vec::new()
     }
 
+    /// Tells an instrument which electrodes or coils its channels use, which some of its faults need to know.
+    ///
+    /// # Errors
+    /// An instrument with another number of channels.
+    fn wired(&self, instrument: Instrument) -> Result<Instrument, TwinError> {
+        Ok(instrument)
+    }
+
     /// True voltages (volts, [`Frontend::channel_count`] of them) under these indenters, `dt_s` seconds after the last
     /// call.
     ///
@@ -60,6 +68,10 @@ impl<F: Frontend + ?Sized> Frontend for Box<F> {
         (**self).extent()
     }
 
+    fn check_indenter(&self, indenter: &Indenter) -> Result<(), TwinError> {
+        (**self).check_indenter(indenter)
+    }
+
     fn outside_validity(&self) -> Option<String> {
         (**self).outside_validity()
     }
@@ -72,8 +84,33 @@ impl<F: Frontend + ?Sized> Frontend for Box<F> {
         (**self).wounds()
     }
 
+    fn wired(&self, instrument: Instrument) -> Result<Instrument, TwinError> {
+        (**self).wired(instrument)
+    }
+
     fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
         (**self).voltages(indenters, dt_s, voltages_v)
+    }
+}
+
+/// What stands around a skin in its twin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TwinOptions {
+    /// Noise, drift, converter.
+    pub instrument: InstrumentOptions,
+    /// Fading, and how script and people share the skin.
+    pub scene: SceneOptions,
+    /// What touches it by itself.
+    pub script: Option<Script>,
+    /// Seed of the instrument's noise.
+    pub seed: u64,
+}
+
+impl Default for TwinOptions {
+    /// An ideal instrument and no script.
+    fn default() -> Self {
+        let (instrument, scene) = (InstrumentOptions::ideal(), SceneOptions::default());
+        Self { instrument, scene, script: None, seed: 1 }
     }
 }
 
@@ -125,6 +162,17 @@ pub struct Twin<F> {
 }
 
 impl<F: Frontend> Twin<F> {
+    /// The twin of a skin: its instrument knows the skin's electrodes or coils, its scene the skin's outline.
+    ///
+    /// # Errors
+    /// Options that make no sense, a script that presses off the skin.
+    pub fn of(frontend: F, options: &TwinOptions) -> Result<Self, TwinError> {
+        let instrument = Instrument::new(options.instrument, frontend.channel_count(), options.seed)?;
+        let instrument = frontend.wired(instrument)?;
+        let scene = Scene::new(options.scene, options.script.clone())?.on(frontend.extent())?;
+        Ok(Self::new(frontend, instrument, scene))
+    }
+
     /// From its parts. The instrument must read as many channels as the frontend has.
     pub fn new(frontend: F, instrument: Instrument, scene: Scene) -> Self {
         Self {

@@ -1,36 +1,39 @@
-//! The EM-skins as a whole: what a press does to which pairs of coils, symmetry, heights recovered by a coarser model, and
+//! Elements over coils as a whole, on the published EM-skins: what a press does to which pairs of coils, symmetry, heights recovered by a coarser model, and
 //! what is refused.
 
-use dermis_tomo::mit::{Bodies, CoilTables, Coupling, Heights, HeightsFit, HeightsOptions};
+mod published;
+
+use dermis_mit::{CoilTables, Coupling, LiftOff, LiftOffFit, LiftOffOptions, MultipoleArray};
 use dermis_twin::instrument::Instrument;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
-use dermis_twin::{EmOptions, EmSkin, Frontend, Twin, TwinError};
+use dermis_twin::{ElementOptions, ElementSkin, Frontend, TwinError};
+use published::{em_8, em_twin};
 
-fn even(options: EmOptions) -> EmSkin {
-    EmSkin::new(&EmOptions { tolerance_m: 0.0, memory: None, ..options }).unwrap()
+fn even(options: ElementOptions) -> ElementSkin {
+    ElementSkin::new(ElementOptions { tolerance_m: 0.0, memory: None, ..options }).unwrap()
 }
 
 fn press(centre_m: [f64; 2], force_n: f64) -> Indenter {
     Indenter { centre_m, shape: Shape::Disc { radius_m: 0.005 }, load: Load::ForceN(force_n) }
 }
 
-fn frame(skin: &mut EmSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn frame(skin: &mut ElementSkin, indenters: &[Indenter]) -> Vec<f64> {
     let mut frame = vec![0.0; skin.channel_count()];
     skin.voltages(indenters, 0.1, &mut frame).unwrap();
     frame
 }
 
 /// Relative change of every pair.
-fn change(skin: &mut EmSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn change(skin: &mut ElementSkin, indenters: &[Indenter]) -> Vec<f64> {
     let rest = frame(skin, &[]);
     frame(skin, indenters).iter().zip(&rest).map(|(now, rest)| now / rest - 1.0).collect()
 }
 
 #[test]
 fn readings_change_ever_less_as_the_sponge_stiffens_and_element_by_element() {
-    let mut skin = even(EmOptions::em_8());
+    let mut skin = even(em_8());
     let place = skin.places_m()[6];
-    let size = |force_n: f64, skin: &mut EmSkin| {
+    let size = |force_n: f64, skin: &mut ElementSkin| {
         change(skin, &[press(place, force_n)]).iter().map(|c| c * c).sum::<f64>().sqrt()
     };
     let curve: Vec<f64> = (0..14).map(|k| size(f64::from(k), &mut skin)).collect();
@@ -44,7 +47,7 @@ fn readings_change_ever_less_as_the_sponge_stiffens_and_element_by_element() {
 
 #[test]
 fn a_press_changes_most_the_pair_of_coils_around_it_and_mirrors() {
-    let mut skin = even(EmOptions::em_8());
+    let mut skin = even(em_8());
     let places = skin.places_m().to_vec();
     let strongest = |change: &[f64]| (0..28).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs())).unwrap();
     // Element 22 of 25 (from 0) lies at (0, 40 mm), over coil 7 of 8 at (0, 45 mm): most in pairs of that coil (6 from 0).
@@ -66,10 +69,10 @@ fn a_press_changes_most_the_pair_of_coils_around_it_and_mirrors() {
 
 #[test]
 fn hysteresis_is_thin_and_readings_are_noisy_as_published() {
-    let options = EmOptions::em_8();
-    let mut skin = EmSkin::new(&options).unwrap();
+    let options = em_8();
+    let mut skin = ElementSkin::new(options.clone()).unwrap();
     let at = skin.places_m()[12];
-    let loop_of = |skin: &mut EmSkin, forces: &[f64]| -> Vec<f64> {
+    let loop_of = |skin: &mut ElementSkin, forces: &[f64]| -> Vec<f64> {
         forces
             .iter()
             .map(|f| {
@@ -84,7 +87,7 @@ fn hysteresis_is_thin_and_readings_are_noisy_as_published() {
         assert!(fall > rise && fall - rise < 0.06 * up[4], "{up:?} {down:?}");
     }
     let mut rest = vec![0.0; 28];
-    let (mut skin, mut instrument, _) = Twin::em(&options).unwrap().into_parts();
+    let (mut skin, mut instrument, _) = em_twin(options.clone(), 83.0).unwrap().into_parts();
     let mut scatter = Vec::new();
     for _ in 0..400 {
         skin.voltages(&[], 0.1, &mut rest).unwrap();
@@ -98,17 +101,17 @@ fn hysteresis_is_thin_and_readings_are_noisy_as_published() {
 }
 
 /// A coarser model than the twin's: degree 2, neighbours as dipoles in one sweep, even heights.
-fn model(options: &EmOptions) -> Heights {
-    let skin = even(EmOptions { per_side: options.per_side, ..options.clone() });
-    let coils = options.array.coils().unwrap();
+fn model(options: &ElementOptions) -> LiftOff {
+    let skin = even(options.clone());
+    let coils = options.coils.clone();
     let body = options.body().unwrap().truncated(2);
     let limit = options.springs.limit_m;
     let tables =
         CoilTables::new(&coils, skin.places_m(), [options.rest_m - limit, options.rest_m], body.radius_m).unwrap();
     let count = skin.places_m().len();
-    let coupling = Some(Coupling { degree: 1, reach_m: 1.5 * options.pitch_m, sweeps: 1 });
-    let bodies = Bodies::new(vec![body; count], tables, coupling).unwrap();
-    Heights::new(bodies, coils.mutuals_h(), vec![options.rest_m; count], limit).unwrap()
+    let coupling = Some(Coupling { degree: 1, reach_m: 1.5 * options.cell_m[0], sweeps: 1 });
+    let bodies = MultipoleArray::new(vec![body; count], tables, coupling).unwrap();
+    LiftOff::new(bodies, coils.mutuals_h(), vec![options.rest_m; count], limit).unwrap()
 }
 
 /// Frames averaged: a second of them.
@@ -116,12 +119,12 @@ const FRAMES: usize = 10;
 
 /// Travels found from a second of noisy readings, and the true ones.
 fn recover(
-    skin: &mut EmSkin,
+    skin: &mut ElementSkin,
     instrument: &mut Instrument,
-    heights: &mut Heights,
+    heights: &mut LiftOff,
     pressed: &[(usize, f64)],
-) -> (HeightsFit, Vec<f64>) {
-    let read = |skin: &mut EmSkin, instrument: &mut Instrument, indenters: &[Indenter]| {
+) -> (LiftOffFit, Vec<f64>) {
+    let read = |skin: &mut ElementSkin, instrument: &mut Instrument, indenters: &[Indenter]| {
         let mut values = frame(skin, indenters);
         instrument.read(0.1, &mut values);
         values
@@ -141,14 +144,14 @@ fn recover(
     let differences: Vec<f64> =
         now.iter().zip(&rest).zip(heights.rest_h()).map(|((now, rest), model)| (now / rest - 1.0) * model).collect();
     let deviations: Vec<f64> = heights.rest_h().iter().map(|model| share * model).collect();
-    let fit = heights.solve(&differences, &deviations, &HeightsOptions::default()).unwrap();
+    let fit = heights.solve(&differences, &deviations, &LiftOffOptions::default()).unwrap();
     (fit, skin.travel_m().to_vec())
 }
 
 #[test]
 fn heights_of_one_to_four_elements_by_a_coarser_model() {
-    let options = EmOptions::em_8();
-    let (mut skin, mut instrument, _) = Twin::em(&options).unwrap().into_parts();
+    let options = em_8();
+    let (mut skin, mut instrument, _) = em_twin(options.clone(), 83.0).unwrap().into_parts();
     let mut heights = model(&options);
     let cases: [&[(usize, f64)]; 6] = [
         &[(12, 2.0)],
@@ -176,15 +179,18 @@ fn heights_of_one_to_four_elements_by_a_coarser_model() {
 
 #[test]
 fn what_cannot_be_is_refused_and_off_the_skin_nothing_happens() {
-    let mut skin = even(EmOptions::em_8());
+    let mut skin = even(em_8());
     let rest = frame(&mut skin, &[]);
     assert_eq!(frame(&mut skin, &[press([0.09, 0.0], 5.0)]), rest);
     let mut values = vec![0.0; 28];
     assert!(skin.read_at(&[0.0; 24], &mut values).is_err());
     assert!(skin.read_at(&[0.02; 25], &mut values).is_err());
-    let refused = |options: EmOptions| EmSkin::new(&options).unwrap_err();
-    assert!(matches!(refused(EmOptions { current_a: 0.0, ..EmOptions::em_8() }), TwinError::Value { .. }));
-    assert!(matches!(refused(EmOptions { rest_m: 0.016, ..EmOptions::em_8() }), TwinError::Magnetic(_)));
-    assert!(matches!(refused(EmOptions { pitch_m: 0.01, ..EmOptions::em_8() }), TwinError::Magnetic(_)));
-    assert!(matches!(refused(EmOptions { frequency_hz: 5e6, ..EmOptions::em_8() }), TwinError::Magnetic(_)));
+    let refused = |options: ElementOptions| ElementSkin::new(options).unwrap_err();
+    assert!(matches!(refused(ElementOptions { current_a: 0.0, ..em_8() }), TwinError::Value { .. }));
+    assert!(matches!(refused(ElementOptions { rest_m: 0.016, ..em_8() }), TwinError::Magnetic(_)));
+    assert!(matches!(
+        refused(ElementOptions { places_m: published::grid(5, 0.01), cell_m: [0.01; 2], ..em_8() }),
+        TwinError::Magnetic(_)
+    ));
+    assert!(matches!(refused(ElementOptions { frequency_hz: 5e6, ..em_8() }), TwinError::Magnetic(_)));
 }

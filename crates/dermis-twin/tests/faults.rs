@@ -1,22 +1,26 @@
 //! Faults of the instrument, through the twins of all skins: which channels they change, and how frames are numbered.
 
+mod published;
+
 use dermis_tomo::eit::Protocol;
 use dermis_twin::instrument::{Fault, FrameFate, InstrumentOptions, Reading, TimedFault};
-use dermis_twin::{EmOptions, Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin};
+use dermis_twin::{
+    ElementSkin, Frontend, LiquidOptions, LiquidSkin, PatchedOptions, PatchedSkin, Sandwich, SandwichOptions, Twin,
+    TwinOptions,
+};
+use published::{em_8, healing_square, healing_twin_options, ionic_disc, piezo_square};
 
 type Any = Twin<Box<dyn Frontend>>;
 
 /// The three kinds of skin with an ideal instrument, on meshes that are quick, with their protocols.
 fn skins() -> Vec<(&'static str, Any, Protocol)> {
-    let instrument = InstrumentOptions::ideal();
-    let square = HealingSquareOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..Default::default() };
-    let square = Twin::healing_square(&HealingSquareOptions { instrument, ..square }).unwrap();
-    let ionic = Twin::ionic(&IonicOptions { instrument, element_size_m: 9e-3, ..IonicOptions::disc() }).unwrap();
-    let piezo =
-        PiezoOptions { instrument, element_size_m: 6e-3, electrode_element_size_m: 2.5e-3, ..Default::default() };
-    let mut piezo = PiezoOptions { seed: 2, ..piezo };
-    piezo.patches.pitch_m = 10e-3;
-    let piezo = Twin::piezo(&piezo).unwrap();
+    let ideal = TwinOptions::default();
+    let square = SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() };
+    let square = Twin::of(Sandwich::new(square).unwrap(), &ideal).unwrap();
+    let ionic = LiquidOptions { element_size_m: 9e-3, ..ionic_disc() };
+    let ionic = Twin::of(LiquidSkin::new(ionic).unwrap(), &ideal).unwrap();
+    let piezo = PatchedOptions { element_size_m: 6e-3, electrode_element_size_m: 2.5e-3, ..piezo_square() };
+    let piezo = Twin::of(PatchedSkin::new(piezo).unwrap(), &TwinOptions { seed: 2, ..ideal }).unwrap();
     let protocols = [
         square.frontend().stimulation().clone(),
         ionic.frontend().fields().protocol().clone(),
@@ -83,9 +87,8 @@ fn a_stuck_channel_and_a_short_come_through_every_twin() {
 
 #[test]
 fn dropped_frames_leave_gaps_and_copies_repeat_numbers() {
-    let instrument = InstrumentOptions::healing();
-    let options = HealingSquareOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..Default::default() };
-    let mut twin = Twin::healing_square(&HealingSquareOptions { instrument, ..options }).unwrap();
+    let options = SandwichOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..healing_square() };
+    let mut twin = Twin::of(Sandwich::new(options).unwrap(), &healing_twin_options()).unwrap();
     let faults = [Fault::DroppedFrames { probability: 0.1 }, Fault::DuplicatedFrames { probability: 0.1 }];
     twin.set_faults(faults.map(TimedFault::from).to_vec()).unwrap();
     let (mut frame, mut last, mut next) = (Vec::new(), None::<(u64, Vec<f64>)>, 0);
@@ -114,7 +117,8 @@ fn dropped_frames_leave_gaps_and_copies_repeat_numbers() {
 #[test]
 fn a_dead_coil_silences_exactly_its_channels() {
     let instrument = InstrumentOptions { reading: Reading::Magnitude, ..InstrumentOptions::ideal() };
-    let twin = Twin::em(&EmOptions { instrument, ..EmOptions::em_8() }).unwrap();
+    let around = TwinOptions { instrument, ..TwinOptions::default() };
+    let twin = Twin::of(ElementSkin::new(em_8()).unwrap(), &around).unwrap();
     let pairs = twin.frontend().pairs().to_vec();
     let mut twin = twin.boxed();
     let sound = step(&mut twin, 0.0);

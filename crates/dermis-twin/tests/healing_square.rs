@@ -1,19 +1,21 @@
-//! The healing square as a whole: what the fields do when pressed and cut, checked against a single sheet, against all
-//! unknowns at once, against finer meshes, and against the signal-to-noise ratio of paper H.
+//! The sandwich as a whole, on the published self-healing square: what the fields do when pressed and cut, checked against a single sheet, against all
+//! unknowns at once, against finer meshes, and against the published signal-to-noise ratio.
+
+mod published;
 
 use dermis_tomo::eit::ForwardModel;
 use dermis_twin::instrument::{Drift, InstrumentOptions, snr_db};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::physics::{Cut, Shortcut, TwoSheets, direct_impedance};
-use dermis_twin::{Frontend, HealingSquare, HealingSquareOptions, Twin};
+use dermis_twin::{Frontend, Sandwich, SandwichOptions, Twin, TwinOptions};
+use published::{healing_instrument, healing_square, healing_twin};
 
 /// A mesh of about 1,600 triangles: enough for behaviour, quick to test.
-fn coarse() -> HealingSquareOptions {
-    let instrument = InstrumentOptions::ideal();
-    HealingSquareOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, instrument, ..Default::default() }
+fn coarse() -> SandwichOptions {
+    SandwichOptions { element_size_m: 4e-3, electrode_element_size_m: 2e-3, ..healing_square() }
 }
 
-fn voltages(skin: &mut HealingSquare, indenters: &[Indenter]) -> Vec<f64> {
+fn voltages(skin: &mut Sandwich, indenters: &[Indenter]) -> Vec<f64> {
     let mut frame = vec![0.0; skin.channel_count()];
     skin.voltages(indenters, 0.0, &mut frame).unwrap();
     frame
@@ -29,12 +31,12 @@ fn relative_difference(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Power that the drives spend, i.e. sum of I' Z I over the stimulations: falls when any conductance rises (Rayleigh).
-fn spent_power(skin: &mut HealingSquare, indenters: &[Indenter]) -> Vec<f64> {
+fn spent_power(skin: &mut Sandwich, indenters: &[Indenter]) -> Vec<f64> {
     voltages(skin, indenters);
     let contact = skin.contact_s_per_m2().to_vec();
     let options = coarse();
-    let shortcut = Shortcut::Sheet { conductance_s: options.copper_sheet_s };
-    let mut sheets = TwoSheets::new(skin.body(), options.sheet_s(), shortcut).unwrap();
+    let shortcut = Shortcut::Sheet { conductance_s: options.shortcut_s };
+    let mut sheets = TwoSheets::new(skin.body(), options.sheet_s, shortcut).unwrap();
     let impedance = sheets.impedance(&contact).unwrap();
     let power = |stimulation: &dermis_tomo::eit::Pattern| -> f64 {
         let entries = stimulation.entries();
@@ -47,9 +49,9 @@ fn spent_power(skin: &mut HealingSquare, indenters: &[Indenter]) -> Vec<f64> {
 #[test]
 fn unpressed_skin_is_a_single_sheet() {
     let options = coarse();
-    let mut skin = HealingSquare::new(&options).unwrap();
+    let mut skin = Sandwich::new(options.clone()).unwrap();
     let model = ForwardModel::new(skin.body().clone(), skin.stimulation().clone()).unwrap();
-    let sheet = vec![options.sheet_s(); skin.body().mesh.element_count()];
+    let sheet = vec![options.sheet_s; skin.body().mesh.element_count()];
     let expected = model.solve(&sheet).unwrap().voltages();
     let got = voltages(&mut skin, &[]);
     assert_eq!(got.len(), 208);
@@ -59,8 +61,8 @@ fn unpressed_skin_is_a_single_sheet() {
 
 #[test]
 fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
-    let mut skin = HealingSquare::new(&coarse()).unwrap();
-    let sheet = coarse().sheet_s();
+    let mut skin = Sandwich::new(coarse()).unwrap();
+    let sheet = coarse().sheet_s;
     voltages(&mut skin, &[press(-20.0, 5.0), press(22.0, -10.0)]);
     let contact = skin.contact_s_per_m2().to_vec();
     let errors = |ratio: f64| {
@@ -87,7 +89,7 @@ fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
         "{coarse_sheet:e} {fine_sheet:e}"
     );
     // Foil: what is left (9e-9 here) is the rounding of the direct solution, whose pivots span s_c/s_s = 4e5.
-    let (foil_equal, foil_sheet) = errors(coarse().copper_sheet_s / sheet);
+    let (foil_equal, foil_sheet) = errors(coarse().shortcut_s / sheet);
     assert!(foil_equal < 1e-5 && foil_sheet < 1e-7, "{foil_equal:e} {foil_sheet:e}");
     println!(
         "equipotential {coarse_equal:e} {fine_equal:e} {foil_equal:e}; sheet {coarse_sheet:e} {fine_sheet:e} {foil_sheet:e}"
@@ -98,8 +100,7 @@ fn expansion_in_the_copper_is_second_order_and_exact_for_foil() {
 fn a_turned_press_gives_the_turned_frame() {
     // Numbering begins at a corner, so that a quarter turn of the square shifts electrodes by four. The mesh is not
     // symmetric: the difference is its discretisation, 0.2 % of the change at this size would be coarse already.
-    let mut skin =
-        HealingSquare::new(&HealingSquareOptions { instrument: InstrumentOptions::ideal(), ..coarse() }).unwrap();
+    let mut skin = Sandwich::new(coarse()).unwrap();
     let rest = voltages(&mut skin, &[]);
     let first = voltages(&mut skin, &[press(20.0, 8.0)]);
     let turned = voltages(&mut skin, &[press(-8.0, 20.0)]);
@@ -127,7 +128,7 @@ fn a_turned_press_gives_the_turned_frame() {
 
 #[test]
 fn pressing_raises_and_cutting_lowers_conductance() {
-    let mut skin = HealingSquare::new(&coarse()).unwrap();
+    let mut skin = Sandwich::new(coarse()).unwrap();
     let rest = spent_power(&mut skin, &[]);
     let pressed = spent_power(&mut skin, &[press(10.0, 10.0)]);
     assert!(pressed.iter().zip(&rest).all(|(p, r)| p < r), "pressing lowers every drive's power");
@@ -146,7 +147,7 @@ fn pressing_raises_and_cutting_lowers_conductance() {
 
 #[test]
 fn voltages_fall_around_a_press() {
-    let mut skin = HealingSquare::new(&coarse()).unwrap();
+    let mut skin = Sandwich::new(coarse()).unwrap();
     let rest = voltages(&mut skin, &[]);
     let pressed = voltages(&mut skin, &[press(0.0, 0.0)]);
     let sum = |frame: &[f64]| frame.iter().map(|v| v.abs()).sum::<f64>();
@@ -161,7 +162,7 @@ fn voltages_fall_around_a_press() {
 
 #[test]
 fn two_touches_interact_through_the_copper() {
-    let mut skin = HealingSquare::new(&coarse()).unwrap();
+    let mut skin = Sandwich::new(coarse()).unwrap();
     let (left, right) = (press(-25.0, 0.0), press(25.0, 0.0));
     let rest = voltages(&mut skin, &[]);
     let changes = [vec![left], vec![right], vec![left, right]]
@@ -175,14 +176,14 @@ fn two_touches_interact_through_the_copper() {
 #[test]
 fn finer_meshes_change_little() {
     let at = |element_size_m: f64, electrode_element_size_m: f64| {
-        let options = HealingSquareOptions { element_size_m, electrode_element_size_m, ..coarse() };
-        let mut skin = HealingSquare::new(&options).unwrap();
+        let options = SandwichOptions { element_size_m, electrode_element_size_m, ..coarse() };
+        let mut skin = Sandwich::new(options).unwrap();
         let rest = voltages(&mut skin, &[]);
         let change: Vec<f64> =
             voltages(&mut skin, &[press(12.0, -7.0)]).iter().zip(&rest).map(|(v, v0)| v - v0).collect();
         (rest, change)
     };
-    let default = HealingSquareOptions::default();
+    let default = healing_square();
     let (rest, change) = at(default.element_size_m, default.electrode_element_size_m);
     let (fine_rest, fine_change) = at(default.element_size_m / 1.6, default.electrode_element_size_m / 1.6);
     // The default mesh is within 0.5 % at rest and 2.5 % of a press's change of one with 2.6 times the triangles.
@@ -193,7 +194,7 @@ fn finer_meshes_change_little() {
 
 #[test]
 fn signal_to_noise_is_that_of_the_paper() {
-    let mut twin = Twin::healing_square(&HealingSquareOptions::default()).unwrap();
+    let mut twin = healing_twin().unwrap();
     let mut readings = vec![Vec::new(); 208];
     let mut frame = Vec::new();
     for step in 0..500 {
@@ -213,8 +214,9 @@ fn signal_to_noise_is_that_of_the_paper() {
 fn seeds_repeat_and_differ() {
     let run = |seed: u64| {
         let drift = Some(Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 1e-4 });
-        let instrument = InstrumentOptions { drift, ..Default::default() };
-        let mut twin = Twin::healing_square(&HealingSquareOptions { seed, instrument, ..coarse() }).unwrap();
+        let instrument = InstrumentOptions { drift, ..healing_instrument() };
+        let around = TwinOptions { seed, instrument, ..TwinOptions::default() };
+        let mut twin = Twin::of(Sandwich::new(coarse()).unwrap(), &around).unwrap();
         twin.scene_mut().press(1, 0.01, 0.02, 0.01, 80e3).unwrap();
         let mut frames = Vec::new();
         for step in 0..5 {
@@ -232,12 +234,19 @@ fn seeds_repeat_and_differ() {
 
 #[test]
 fn bad_parameters_and_times_are_refused() {
-    let thin = HealingSquareOptions { thickness_m: 0.0, ..coarse() };
-    let error = HealingSquare::new(&thin).unwrap_err().to_string();
-    assert_eq!(error, "thickness_m: 0 refused; expected positive and finite");
-    let poor = HealingSquareOptions { copper_sheet_s: 0.01, ..coarse() };
-    assert!(HealingSquare::new(&poor).unwrap_err().to_string().starts_with("copper_sheet_s: 0.01"));
-    let mut twin = Twin::healing_square(&coarse()).unwrap();
+    let refused = |options: SandwichOptions| Sandwich::new(options).unwrap_err().to_string();
+    let error = refused(SandwichOptions { sheet_s: 0.0, ..coarse() });
+    assert_eq!(error, "sheet_s: 0 refused; expected positive and finite");
+    assert!(refused(SandwichOptions { shortcut_s: 0.01, ..coarse() }).starts_with("shortcut_s: 0.01"));
+    let mut few = coarse();
+    few.electrodes.pop();
+    assert_eq!(refused(few), "electrodes: 15 refused; expected 16, as the protocol has");
+    let error = refused(SandwichOptions { contact_impedances_ohm_m2: vec![1e-4; 3], ..coarse() });
+    assert_eq!(error, "contact_impedances_ohm_m2: 3 refused; expected 1 for all electrodes, or 16: one for each");
+    let mut law = published::healing_law();
+    law.pad_rim_m = f64::NAN;
+    assert!(refused(SandwichOptions { healing: Some(law), ..coarse() }).starts_with("healing pad_rim_m: NaN"));
+    let mut twin = Twin::of(Sandwich::new(coarse()).unwrap(), &TwinOptions::default()).unwrap();
     assert!(twin.step(f64::NAN, &mut Vec::new()).is_err());
     assert!(twin.scene_mut().press(1, f64::INFINITY, 0.0, 0.01, 1e3).is_err());
 }

@@ -1,8 +1,10 @@
-//! The liquid skins of paper I: dents, voltages and their changes against what physics and the paper ask of them.
+//! Liquid skins, on the published ionic ones: dents, voltages and their changes against what physics and the paper ask of them.
 
-use dermis_twin::instrument::InstrumentOptions;
+mod published;
+
 use dermis_twin::mechanics::{Indenter, Load, Memory, Shape};
-use dermis_twin::{Frontend, IonicFields, IonicOptions, IonicShape, IonicSkin, Twin};
+use dermis_twin::{Frontend, LiquidOptions, LiquidSkin, LiquidSolver, Twin, TwinOptions};
+use published::{ionic_disc, ionic_disc_with_bolts, ionic_instrument, ionic_instrument_as_printed, ionic_square};
 
 const WEIGHT_G: f64 = 6.5;
 
@@ -10,17 +12,17 @@ fn weights(x_mm: f64, y_mm: f64, count: u32) -> Indenter {
     Indenter::weight([1e-3 * x_mm, 1e-3 * y_mm], 0.01, WEIGHT_G * f64::from(count))
 }
 
-fn prompt() -> IonicOptions {
-    IonicOptions { memory: None, ..IonicOptions::disc() }
+fn prompt() -> LiquidOptions {
+    LiquidOptions { memory: None, ..ionic_disc() }
 }
 
-fn read(skin: &mut IonicSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn read(skin: &mut LiquidSkin, indenters: &[Indenter]) -> Vec<f64> {
     let mut frame = vec![0.0; skin.channel_count()];
     skin.voltages(indenters, 0.0, &mut frame).unwrap();
     frame
 }
 
-fn change(skin: &mut IonicSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn change(skin: &mut LiquidSkin, indenters: &[Indenter]) -> Vec<f64> {
     let rest = read(skin, &[]);
     read(skin, indenters).iter().zip(&rest).map(|(v, v0)| v - v0).collect()
 }
@@ -42,7 +44,7 @@ fn signal(frame: &[f64], rest: &[f64]) -> f64 {
 
 #[test]
 fn the_papers_heaviest_stack_stays_off_the_bottom_and_reads_nearly_in_proportion() {
-    let mut skin = IonicSkin::new(&prompt()).unwrap();
+    let mut skin = LiquidSkin::new(prompt()).unwrap();
     let rest = read(&mut skin, &[]);
     assert_eq!(rest.len(), 208);
     for radius_mm in [0.0, 30.0, 60.0] {
@@ -58,7 +60,7 @@ fn the_papers_heaviest_stack_stays_off_the_bottom_and_reads_nearly_in_proportion
 
 #[test]
 fn sensitivity_at_mid_radius_is_near_that_at_the_edge_and_above_the_middles() {
-    let mut skin = IonicSkin::new(&prompt()).unwrap();
+    let mut skin = LiquidSkin::new(prompt()).unwrap();
     let rest = read(&mut skin, &[]);
     let [middle, mid, edge] = [0.0, 30.0, 60.0].map(|x| signal(&read(&mut skin, &[weights(x, 0.0, 1)]), &rest));
     println!("one weight: {middle:.5} {mid:.5} {edge:.5}");
@@ -68,7 +70,7 @@ fn sensitivity_at_mid_radius_is_near_that_at_the_edge_and_above_the_middles() {
 
 #[test]
 fn a_turned_press_gives_the_turned_frame() {
-    let mut skin = IonicSkin::new(&prompt()).unwrap();
+    let mut skin = LiquidSkin::new(prompt()).unwrap();
     let first = change(&mut skin, &[weights(50.0, 0.0, 4)]);
     let angle = -std::f64::consts::TAU / 4.0;
     let turned = change(&mut skin, &[weights(50.0 * angle.cos(), 50.0 * angle.sin(), 4)]);
@@ -91,8 +93,8 @@ fn a_turned_press_gives_the_turned_frame() {
 #[test]
 fn finer_meshes_change_little() {
     let at = |element_size_m: f64, electrode_element_size_m: f64| {
-        let options = IonicOptions { element_size_m, electrode_element_size_m, ..prompt() };
-        let mut skin = IonicSkin::new(&options).unwrap();
+        let options = LiquidOptions { element_size_m, electrode_element_size_m, ..prompt() };
+        let mut skin = LiquidSkin::new(options).unwrap();
         let touch = change(&mut skin, &[weights(30.0, -12.0, 4)]);
         (read(&mut skin, &[]), touch)
     };
@@ -106,9 +108,9 @@ fn finer_meshes_change_little() {
 
 #[test]
 fn fields_in_three_dimensions_agree_where_the_paper_presses() {
-    let coarse = IonicOptions { element_size_m: 6e-3, electrode_element_size_m: 1.5e-3, ..prompt() };
-    let mut flat = IonicSkin::new(&coarse).unwrap();
-    let mut solid = IonicSkin::new(&IonicOptions { fields: IonicFields::Solid { layers: 4 }, ..coarse }).unwrap();
+    let coarse = LiquidOptions { element_size_m: 6e-3, electrode_element_size_m: 1.5e-3, ..prompt() };
+    let mut flat = LiquidSkin::new(coarse.clone()).unwrap();
+    let mut solid = LiquidSkin::new(LiquidOptions { solver: LiquidSolver::Solid { layers: 4 }, ..coarse }).unwrap();
     assert!(solid.fields().element_count() > 10 * flat.fields().element_count());
     let at_rest = relative_difference(&read(&mut flat, &[]), &read(&mut solid, &[]));
     let press = [weights(0.0, 0.0, 9), weights(60.0, 10.0, 4)];
@@ -122,15 +124,14 @@ fn fields_in_three_dimensions_agree_where_the_paper_presses() {
 #[test]
 fn small_electrodes_near_the_surface_see_a_touch_better() {
     let signal_at = |electrode_height_share: f64| {
-        let options = IonicOptions {
-            electrode_side_m: 3e-3,
-            electrode_height_share,
-            fields: IonicFields::Solid { layers: 6 },
+        let options = LiquidOptions {
+            solver: LiquidSolver::Solid { layers: 6 },
             element_size_m: 6e-3,
             electrode_element_size_m: 1.5e-3,
-            ..prompt()
+            memory: None,
+            ..ionic_disc_with_bolts(3e-3, electrode_height_share)
         };
-        let mut skin = IonicSkin::new(&options).unwrap();
+        let mut skin = LiquidSkin::new(options).unwrap();
         let rest = read(&mut skin, &[]);
         signal(&read(&mut skin, &[weights(75.0, 0.0, 4)]), &rest)
     };
@@ -142,7 +143,7 @@ fn small_electrodes_near_the_surface_see_a_touch_better() {
 
 #[test]
 fn pressing_lowers_conductance() {
-    let mut skin = IonicSkin::new(&prompt()).unwrap();
+    let mut skin = LiquidSkin::new(prompt()).unwrap();
     let rest = read(&mut skin, &[]);
     let pressed = read(&mut skin, &[weights(0.0, 78.0, 4)]);
     // Beside electrode 1, at the top: the channel that changes most has it or a neighbour, and its reading rises.
@@ -155,7 +156,7 @@ fn pressing_lowers_conductance() {
 
 #[test]
 fn too_heavy_a_load_touches_the_bottom_and_says_so() {
-    let mut skin = IonicSkin::new(&prompt()).unwrap();
+    let mut skin = LiquidSkin::new(prompt()).unwrap();
     let heavy = Indenter { load: Load::ForceN(6.0), ..weights(10.0, 0.0, 1) };
     let frame = read(&mut skin, &[heavy]);
     assert!(skin.bottomed_nodes() > 10 && skin.bottomed_frames() == 1);
@@ -166,7 +167,7 @@ fn too_heavy_a_load_touches_the_bottom_and_says_so() {
 
 #[test]
 fn the_loop_of_nine_weights_up_and_down_is_thin() {
-    let mut skin = IonicSkin::new(&IonicOptions::disc()).unwrap();
+    let mut skin = LiquidSkin::new(ionic_disc()).unwrap();
     let mut frame = vec![0.0; 208];
     skin.voltages(&[], 0.0, &mut frame).unwrap();
     let rest = frame.clone();
@@ -187,7 +188,7 @@ fn the_loop_of_nine_weights_up_and_down_is_thin() {
 fn memory_is_of_the_load_whatever_the_steps() {
     let memory = Some(Memory { share: 0.3, time_constant_s: 2.0 });
     let after = |steps: u32| {
-        let mut skin = IonicSkin::new(&IonicOptions { memory, ..IonicOptions::disc() }).unwrap();
+        let mut skin = LiquidSkin::new(LiquidOptions { memory, ..ionic_disc() }).unwrap();
         let mut frame = vec![0.0; 208];
         (0..steps).for_each(|_| skin.voltages(&[weights(20.0, 0.0, 4)], 3.0 / f64::from(steps), &mut frame).unwrap());
         frame
@@ -199,8 +200,8 @@ fn memory_is_of_the_load_whatever_the_steps() {
 #[test]
 fn a_mirrored_skin_standing_is_mirrored() {
     let standing = |g: [f64; 3]| {
-        let options = IonicOptions { gravity_m_per_s2: g, ..prompt() };
-        IonicSkin::new(&options).unwrap().membrane().deflection_m().iter().copied().fold(0.0, f64::max)
+        let options = LiquidOptions { gravity_m_per_s2: g, ..prompt() };
+        LiquidSkin::new(options).unwrap().membrane().deflection_m().iter().copied().fold(0.0, f64::max)
     };
     let (down, up) = (standing([0.0, -9.81, 0.0]), standing([0.0, 9.81, 0.0]));
     // Dents by 5 mm above and bulges by as much below; the mesh is not symmetric.
@@ -209,10 +210,11 @@ fn a_mirrored_skin_standing_is_mirrored() {
 
 #[test]
 fn noise_has_the_papers_figure_in_either_reading() {
-    assert_eq!(IonicOptions::disc().instrument, InstrumentOptions::ionic());
-    let readings = [(InstrumentOptions::ionic(), 20.0), (InstrumentOptions::ionic_as_printed(), 10.0)];
+    let readings = [(ionic_instrument(), 20.0), (ionic_instrument_as_printed(), 10.0)];
     for (instrument, decibels_per_decade) in readings {
-        let mut twin = Twin::ionic(&IonicOptions { instrument, ..IonicOptions::disc() }).unwrap();
+        let around = TwinOptions { instrument, ..TwinOptions::default() };
+        let mut twin = Twin::of(LiquidSkin::new(ionic_disc()).unwrap(), &around).unwrap();
+        assert!((twin.instrument().frame_period_s() - 1.0 / 16.0).abs() < 1e-12);
         let (mut frame, mut readings) = (Vec::new(), vec![Vec::new(); 208]);
         for step in 0..100 {
             twin.step(f64::from(step) / 16.0, &mut frame).unwrap();
@@ -230,9 +232,10 @@ fn noise_has_the_papers_figure_in_either_reading() {
 }
 
 #[test]
-fn seeds_repeat_and_options_come_from_toml() {
+fn seeds_repeat_and_differ() {
     let run = |seed: u64| {
-        let mut twin = Twin::ionic(&IonicOptions { seed, ..IonicOptions::square() }).unwrap();
+        let around = TwinOptions { seed, instrument: ionic_instrument(), ..TwinOptions::default() };
+        let mut twin = Twin::of(LiquidSkin::new(ionic_square()).unwrap(), &around).unwrap();
         twin.scene_mut().press_with(1, weights(40.0, -30.0, 3)).unwrap();
         let mut frame = Vec::new();
         for step in 0..4 {
@@ -242,24 +245,19 @@ fn seeds_repeat_and_options_come_from_toml() {
     };
     assert_eq!(run(3), run(3));
     assert_ne!(run(3), run(4));
-    let text = "depth_m = 0.008\nshape = { square = { side_m = 0.1 } }\nfields = { solid = { layers = 3 } }\n";
-    let options: IonicOptions = toml::from_str(text).unwrap();
-    assert_eq!((options.depth_m, options.shape), (0.008, IonicShape::Square { side_m: 0.1 }));
-    assert_eq!(options.fields, IonicFields::Solid { layers: 3 });
-    assert!(toml::from_str::<IonicOptions>("depth_mm = 8.0").is_err());
 }
 
 #[test]
 fn nonsense_is_refused_by_name() {
-    let refused = |options: IonicOptions| IonicSkin::new(&options).unwrap_err().to_string();
-    let error = refused(IonicOptions { depth_m: -1.0, ..prompt() });
+    let refused = |options: LiquidOptions| LiquidSkin::new(options).unwrap_err().to_string();
+    let error = refused(LiquidOptions { depth_m: -1.0, ..prompt() });
     assert_eq!(error, "depth_m: -1 refused; expected positive and finite");
-    let tall = refused(IonicOptions { electrode_side_m: 0.012, ..prompt() });
-    assert_eq!(tall, "electrode height_m: 0.012 refused; expected above 0 and no more than the liquid's depth");
-    let high = refused(IonicOptions { electrode_height_share: 0.8, ..prompt() });
-    assert!(high.starts_with("electrode middle_m: 0.0082"), "{high}");
-    assert!(refused(IonicOptions { tension_n_per_m: 0.0, ..prompt() }).starts_with("tension_n_per_m: 0"));
-    let skin = IonicSkin::new(&prompt()).unwrap();
+    let tall = refused(ionic_disc_with_bolts(0.012, 0.5));
+    assert_eq!(tall, "electrode_height_m: 0.012 refused; expected above 0 and no more than the liquid's depth");
+    let high = refused(ionic_disc_with_bolts(6.2e-3, 0.8));
+    assert!(high.starts_with("electrode_middle_m: 0.0082"), "{high}");
+    assert!(refused(LiquidOptions { tension_n_per_m: -1.0, ..prompt() }).starts_with("tension_n_per_m: -1"));
+    let skin = LiquidSkin::new(prompt()).unwrap();
     assert!(skin.check_indenter(&weights(60.0, 60.0, 1)).is_ok());
     let off = skin.check_indenter(&weights(70.0, 60.0, 1)).unwrap_err().to_string();
     assert!(off.starts_with("distance of the indenter from the middle, m: 0.092"), "{off}");

@@ -1,9 +1,14 @@
 //! Loads in time on every twin (ramp, tap, sine, script, random), and loads that no skin can bear.
 
-use dermis_twin::instrument::InstrumentOptions;
+mod published;
+
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::{Place, RandomTouches, SceneOptions, Script};
-use dermis_twin::{Frontend, HealingSquareOptions, IonicOptions, PiezoOptions, Twin, TwinError};
+use dermis_twin::{
+    Frontend, LiquidOptions, LiquidSkin, PatchedOptions, PatchedSkin, Sandwich, SandwichOptions, Twin, TwinError,
+    TwinOptions,
+};
+use published::{healing_square, ionic_disc, piezo_disc};
 
 type Any = Twin<Box<dyn Frontend>>;
 
@@ -11,22 +16,19 @@ type Any = Twin<Box<dyn Frontend>>;
 type Make = fn(Option<Script>) -> Result<Any, TwinError>;
 
 fn healing(script: Option<Script>) -> Result<Any, TwinError> {
-    let (instrument, scene) = (InstrumentOptions::ideal(), SceneOptions { script_waits_s: 0.0, ..Default::default() });
-    let options = HealingSquareOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..Default::default() };
-    Ok(Twin::healing_square(&HealingSquareOptions { instrument, scene, script, ..options })?.boxed())
+    let scene = SceneOptions { script_waits_s: 0.0, ..Default::default() };
+    let options = SandwichOptions { element_size_m: 6e-3, electrode_element_size_m: 3e-3, ..healing_square() };
+    Ok(Twin::of(Sandwich::new(options)?, &TwinOptions { scene, script, ..TwinOptions::default() })?.boxed())
 }
 
 fn ionic(script: Option<Script>) -> Result<Any, TwinError> {
-    let instrument = InstrumentOptions::ideal();
-    let options = IonicOptions { element_size_m: 9e-3, memory: None, ..IonicOptions::disc() };
-    Ok(Twin::ionic(&IonicOptions { instrument, script, ..options })?.boxed())
+    let options = LiquidOptions { element_size_m: 9e-3, memory: None, ..ionic_disc() };
+    Ok(Twin::of(LiquidSkin::new(options)?, &TwinOptions { script, ..TwinOptions::default() })?.boxed())
 }
 
 fn piezo(script: Option<Script>) -> Result<Any, TwinError> {
-    let instrument = InstrumentOptions::ideal();
-    let mut options = PiezoOptions { element_size_m: 7e-3, electrode_element_size_m: 3e-3, ..PiezoOptions::disc() };
-    options.patches.pitch_m = 10e-3;
-    Ok(Twin::piezo(&PiezoOptions { instrument, script, ..options })?.boxed())
+    let options = PatchedOptions { element_size_m: 7e-3, electrode_element_size_m: 3e-3, ..piezo_disc() };
+    Ok(Twin::of(PatchedSkin::new(options)?, &TwinOptions { script, ..TwinOptions::default() })?.boxed())
 }
 
 const SKINS: [(&str, Make, f64); 3] =

@@ -1,28 +1,26 @@
-//! The piezoresistive skins as a whole: the low-rank update against a factor of all unknowns, reciprocity, what patches do
-//! and do not do to each other, and that bending changes nothing.
+//! Patched skins as a whole, on the published piezoresistive ones: the low-rank update against a factor of all unknowns, reciprocity, what patches do
+//! and do not do to each other, and that bending changes next to nothing even by chords.
+
+mod published;
 
 use dermis_tomo::eit::ForwardModel;
-use dermis_twin::instrument::InstrumentOptions;
+use dermis_tomo::mesh::Surface;
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::physics::{PatchedSheet, direct_patched_impedance};
 use dermis_twin::piezo::PUBLISHED_LIMITS_PA;
-use dermis_twin::{Frontend, PaperP, PiezoOptions, PiezoSkin};
+use dermis_twin::{Frontend, PaperP, PatchedOptions, PatchedSkin};
 use faer::Mat;
+use published::{piezo_disc, piezo_instrument, piezo_square};
 
 /// A coarser mesh and 500 cells: enough for behaviour, quick to test.
-fn coarse(options: PiezoOptions) -> PiezoOptions {
-    let mut options = PiezoOptions {
-        element_size_m: 6e-3,
-        electrode_element_size_m: 2e-3,
-        instrument: InstrumentOptions::ideal(),
-        ..options
-    };
+fn coarse(options: PatchedOptions) -> PatchedOptions {
+    let mut options = PatchedOptions { element_size_m: 6e-3, electrode_element_size_m: 2e-3, ..options };
     options.patches.pitch_m = 15e-3;
     options.patches.cells_per_side = 2;
     options
 }
 
-fn voltages(skin: &mut PiezoSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn voltages(skin: &mut PatchedSkin, indenters: &[Indenter]) -> Vec<f64> {
     let mut frame = vec![0.0; skin.channel_count()];
     skin.voltages(indenters, 0.0, &mut frame).unwrap();
     frame
@@ -40,15 +38,15 @@ fn relative_difference(a: &[f64], b: &[f64]) -> f64 {
     norm(a.iter().zip(b).map(|(x, y)| x - y)) / norm(b.iter().copied())
 }
 
-fn change(skin: &mut PiezoSkin, indenters: &[Indenter]) -> Vec<f64> {
+fn change(skin: &mut PatchedSkin, indenters: &[Indenter]) -> Vec<f64> {
     let rest = voltages(skin, &[]);
     voltages(skin, indenters).iter().zip(&rest).map(|(v, v0)| v - v0).collect()
 }
 
 #[test]
 fn frames_have_4096_channels_and_only_the_sinks_read_nothing() {
-    for options in [PiezoOptions::square(), PiezoOptions::disc()] {
-        let mut skin = PiezoSkin::new(&coarse(options)).unwrap();
+    for options in [piezo_square(), piezo_disc()] {
+        let mut skin = PatchedSkin::new(coarse(options)).unwrap();
         let frame = voltages(&mut skin, &[]);
         assert_eq!(frame.len(), 4096);
         assert_eq!(frame.iter().filter(|v| **v == 0.0).count(), 64);
@@ -59,10 +57,10 @@ fn frames_have_4096_channels_and_only_the_sinks_read_nothing() {
 
 #[test]
 fn unpressed_skin_is_a_single_sheet() {
-    let options = coarse(PiezoOptions::disc());
-    let mut skin = PiezoSkin::new(&options).unwrap();
+    let options = coarse(piezo_disc());
+    let mut skin = PatchedSkin::new(options.clone()).unwrap();
     let model = ForwardModel::new(skin.body().clone(), skin.stimulation().clone()).unwrap();
-    let sheet = vec![options.sheet_s(); skin.body().mesh.element_count()];
+    let sheet = vec![options.sheet_s; skin.body().mesh.element_count()];
     let expected = model.solve(&sheet).unwrap().voltages();
     // The same equations by other code: rounding only.
     assert!(relative_difference(&voltages(&mut skin, &[]), &expected) < 1e-9);
@@ -70,15 +68,15 @@ fn unpressed_skin_is_a_single_sheet() {
 
 #[test]
 fn the_update_is_the_factor_of_all_unknowns() {
-    let options = coarse(PiezoOptions::square());
-    let mut skin = PiezoSkin::new(&options).unwrap();
+    let options = coarse(piezo_square());
+    let mut skin = PatchedSkin::new(options.clone()).unwrap();
     let presses = [press(-30.0, 5.0, 20e3), press(35.0, -42.0, 800.0), press(-12.0, 5.0, 3e3)];
     voltages(&mut skin, &presses);
     let contact = skin.contact_s_per_m2().to_vec();
     assert!(contact.iter().filter(|g| **g > 0.0).count() > 30);
-    let flat = skin.surface().unroll(skin.body()).unwrap();
-    let exact = direct_patched_impedance(&flat, options.sheet_s(), options.patches, &contact).unwrap();
-    let mut sheet = PatchedSheet::new(&flat, options.sheet_s(), options.patches).unwrap();
+    let flat = skin.body();
+    let exact = direct_patched_impedance(flat, options.sheet_s, options.patches, &contact).unwrap();
+    let mut sheet = PatchedSheet::new(flat, options.sheet_s, options.patches, &Default::default()).unwrap();
     let update = sheet.impedance(&contact).unwrap();
     let difference: Mat<f64> = &exact - update;
     assert!(difference.norm_l2() < 1e-9 * exact.norm_l2(), "{:e}", difference.norm_l2() / exact.norm_l2());
@@ -89,8 +87,8 @@ fn the_update_is_the_factor_of_all_unknowns() {
 
 #[test]
 fn the_matrix_of_impedances_is_reciprocal() {
-    let options = coarse(PiezoOptions::disc());
-    let mut skin = PiezoSkin::new(&options).unwrap();
+    let options = coarse(piezo_disc());
+    let mut skin = PatchedSkin::new(options.clone()).unwrap();
     let frame = voltages(&mut skin, &[press(10.0, 5.0, 5e3), press(-30.0, 10.0, 2e3)]);
     // Drive k sinks at k and sources at k+1; its reading of electrode j is (e_j - e_k)' Z (e_{k+1} - e_k).
     let reading = |drive: usize, electrode: usize| frame[64 * drive + electrode];
@@ -107,7 +105,7 @@ fn the_matrix_of_impedances_is_reciprocal() {
 #[test]
 fn pressing_harder_always_lowers_what_the_drives_spend() {
     // Rayleigh: closing contacts can only lower the power of given currents, here the voltage of each source.
-    let mut skin = PiezoSkin::new(&coarse(PiezoOptions::square())).unwrap();
+    let mut skin = PatchedSkin::new(coarse(piezo_square())).unwrap();
     let sources = |frame: &[f64]| -> Vec<f64> { (0..64).map(|k| frame[64 * k + (k + 1) % 64]).collect() };
     let mut before = sources(&voltages(&mut skin, &[]));
     for pressure in [100.0, 300.0, 1e3, 5e3, 50e3] {
@@ -120,15 +118,15 @@ fn pressing_harder_always_lowers_what_the_drives_spend() {
 
 #[test]
 fn below_the_gap_nothing_happens() {
-    let mut skin = PiezoSkin::new(&coarse(PiezoOptions::square())).unwrap();
-    let gap = PiezoOptions::square().contact.threshold_pa;
+    let mut skin = PatchedSkin::new(coarse(piezo_square())).unwrap();
+    let gap = piezo_square().contact.threshold_pa;
     assert!(norm(change(&mut skin, &[press(0.0, 0.0, 0.9 * gap)]).into_iter()) == 0.0);
     assert!(norm(change(&mut skin, &[press(0.0, 0.0, 5.0 * gap)]).into_iter()) > 0.0);
 }
 
 #[test]
 fn far_touches_on_different_patches_add() {
-    let mut skin = PiezoSkin::new(&coarse(PiezoOptions::square())).unwrap();
+    let mut skin = PatchedSkin::new(coarse(piezo_square())).unwrap();
     let (one, other) = (press(-52.5, -52.5, 3e3), press(52.5, 52.5, 3e3));
     let first = change(&mut skin, &[one]);
     let second = change(&mut skin, &[other]);
@@ -148,8 +146,8 @@ fn far_touches_on_different_patches_add() {
 
 #[test]
 fn one_contact_of_a_floating_patch_carries_nothing() {
-    let options = coarse(PiezoOptions::square());
-    let skin = PiezoSkin::new(&options).unwrap();
+    let options = coarse(piezo_square());
+    let skin = PatchedSkin::new(options.clone()).unwrap();
     let mut sheet = skin.sheet().clone();
     let patch = sheet.cells()[210].patch;
     let mut contact = vec![0.0; sheet.cells().len()];
@@ -166,42 +164,50 @@ fn one_contact_of_a_floating_patch_carries_nothing() {
 
 #[test]
 fn bending_changes_nothing() {
-    let presses = [press(40.0, 10.0, 5e3), press(-20.0, -33.0, 2e3)];
-    let mut flat = PiezoSkin::new(&coarse(PiezoOptions::square())).unwrap();
-    let mut bent = PiezoSkin::new(&coarse(PiezoOptions::cylinder())).unwrap();
-    let expected = voltages(&mut flat, &presses);
-    // Lengths along the surface are the sheet's: rounding only.
-    assert!(relative_difference(&voltages(&mut bent, &presses), &expected) < 1e-10);
-    let (low, high) = bent.body().mesh.bounds();
+    let surface = Surface::Cylinder { radius_m: 0.095 };
+    let options = coarse(piezo_square());
+    let mut flat = PatchedSkin::new(options.clone()).unwrap();
+    let bent = surface.bend(flat.body()).unwrap();
+    let (low, high) = bent.mesh.bounds();
     assert!(high[0] - low[0] < 0.14 && high[2] - low[2] > 0.02, "it is bent: {low:?} {high:?}");
+    // Laid flat again, lengths along the surface are the sheet's: rounding only.
+    voltages(&mut flat, &[press(40.0, 10.0, 5e3), press(-20.0, -33.0, 2e3)]);
+    let contact = flat.contact_s_per_m2().to_vec();
+    let mut unrolled =
+        PatchedSheet::new(&surface.unroll(&bent).unwrap(), options.sheet_s, options.patches, &Default::default())
+            .unwrap();
+    let mut sheet = flat.sheet().clone();
+    let expected = sheet.impedance(&contact).unwrap().to_owned();
+    let difference = (&expected - unrolled.impedance(&contact).unwrap()).norm_l2() / expected.norm_l2();
+    assert!(difference < 1e-12, "{difference:e}");
     // The same mesh solved by the chords between its nodes: elements of 6 mm are narrower by (6/95)^2 / 24 = 1.7e-4.
-    let options = coarse(PiezoOptions::cylinder());
-    let model = ForwardModel::new(bent.body().clone(), bent.stimulation().clone()).unwrap();
-    let sheet = vec![options.sheet_s(); bent.body().mesh.element_count()];
-    let chords = model.solve(&sheet).unwrap().voltages();
-    let difference = relative_difference(&chords, &voltages(&mut bent, &[]));
+    let conductance = vec![options.sheet_s; bent.mesh.element_count()];
+    let model = ForwardModel::new(bent, flat.stimulation().clone()).unwrap();
+    let chords = model.solve(&conductance).unwrap().voltages();
+    let difference = relative_difference(&chords, &voltages(&mut flat, &[]));
     assert!((1e-7..2e-4).contains(&difference), "{difference:e}");
 }
 
 #[test]
 fn nonsense_is_refused() {
-    let refused = |options: PiezoOptions| PiezoSkin::new(&options).unwrap_err().to_string();
-    let mut options = PiezoOptions::square();
+    let refused = |options: PatchedOptions| PatchedSkin::new(options).unwrap_err().to_string();
+    let mut options = piezo_square();
     options.patches.pitch_m = 2e-3;
-    assert!(refused(options).starts_with("contact cells on the sheet"));
-    let error = refused(PiezoOptions { sheet_resistance_ohm: -1.0, ..PiezoOptions::disc() });
-    assert_eq!(error, "sheet_resistance_ohm: -1 refused; expected positive and finite");
-    // The sheet would reach round this cylinder entirely.
-    let tight = dermis_twin::physics::Surface::Cylinder { radius_m: 0.02 };
-    assert!(refused(PiezoOptions { surface: tight, ..PiezoOptions::square() }).contains("radius"));
+    let error = refused(options);
+    assert!(error.starts_with("contact cells on the sheet: 5") && error.contains("larger patches pitch_m"), "{error}");
+    let error = refused(PatchedOptions { sheet_s: -1.0, ..piezo_disc() });
+    assert_eq!(error, "sheet_s: -1 refused; expected positive and finite");
 }
 
 #[test]
 fn one_limit_of_detection_fixes_one_parameter() {
-    let instrument = PiezoOptions::square().instrument;
-    let mut options = PiezoOptions { instrument, ..coarse(PiezoOptions::square()) };
+    let mut options = coarse(piezo_square());
     options.patches.pitch_m = 10e-3;
-    let mut paper = PaperP::new(&options).unwrap();
+    let of = |square: &PatchedOptions| {
+        let disc = PatchedOptions { patches: square.patches, ..coarse(piezo_disc()) };
+        PaperP::new(square.clone(), disc, piezo_instrument(), 1).unwrap()
+    };
+    let mut paper = of(&options);
     let reference_pa = paper.fit().unwrap();
     assert!((100.0..1e5).contains(&reference_pa), "{reference_pa}");
     let [square, disc] = paper.facts().unwrap();
@@ -216,5 +222,12 @@ fn one_limit_of_detection_fixes_one_parameter() {
     }
     // A gap that closes only above the limit cannot be fitted, and says so.
     options.contact.threshold_pa = 200.0;
-    assert!(PaperP::new(&options).unwrap().fit().unwrap_err().to_string().contains("fitted limit_pa"));
+    assert!(of(&options).fit().unwrap_err().to_string().contains("fitted limit_pa"));
+}
+
+#[test]
+fn the_published_instrument_keeps_its_time_and_steps() {
+    let instrument = dermis_twin::instrument::Instrument::new(piezo_instrument(), 4096, 1).unwrap();
+    assert!((instrument.frame_period_s() - 4096.0 * (1e-5 + 1.0 / 860.0)).abs() < 1e-9);
+    assert!((piezo_instrument().drive.unwrap().actual_a() - 39e-6).abs() < 1e-18);
 }

@@ -2,10 +2,10 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use dermis::Error;
-use dermis::pipeline::{Pipeline, TARE_FRAMES};
-use dermis::prepare::Prepared;
+use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
+use dermis::live::prepare::Prepared;
 use dermis::skin::{Skin, Solve};
-use dermis::twins::TwinKit;
+use dermis::twin::TwinKit;
 use dermis_device::{Frame, HostStamp, Layout};
 
 /// Time between frames, nanoseconds.
@@ -51,8 +51,8 @@ fn pipelines(c: &mut Criterion) {
         ("ionic-disc, 208 channels", "ionic-disc", Solve::Pixels),
         ("piezo-disc, 4096 channels", "piezo-disc", Solve::Pixels),
         ("em-16-square, 120 channels, pixels", "em-16-square", Solve::Pixels),
-        ("em-8, 28 channels, heights", "em-8", Solve::Heights),
-        ("em-16-square, 120 channels, heights", "em-16-square", Solve::Heights),
+        ("em-8, 28 channels, heights", "em-8", Solve::LiftOff),
+        ("em-16-square, 120 channels, heights", "em-16-square", Solve::LiftOff),
     ] {
         let (mut pipeline, frames) = match pressed(name, solve) {
             Ok(made) => made,

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use dermis::bodies::SWEEP_HZ;
+use dermis::mit::catalogue::SWEEP_HZ;
 use dermis::skin::Skin;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -13,7 +13,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let element = Skin::open(name)?.element().ok_or("a skin without elements")?;
         for (k, frequency_hz) in SWEEP_HZ.into_iter().enumerate() {
             let start = Instant::now();
-            let record = element.compute(frequency_hz)?;
+            let record = dermis::mit::catalogue::compute(&element, frequency_hz)?;
             let comma = if k == last { end } else { "," };
             println!("{}{comma}", serde_json::to_string(&record)?);
             eprintln!("{name} {frequency_hz} Hz: {:.2} s", start.elapsed().as_secs_f64());

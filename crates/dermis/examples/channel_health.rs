@@ -3,20 +3,36 @@
 //!
 //! `cargo run --release -p dermis --example channel_health -- [places|bounds|onsets|alarms] [twins] [frames]`
 
+use dermis::live::stages::health::wiring;
+use dermis::live::stages::touch_refinement::spot_model;
 use std::time::Instant;
 
-use dermis::experiments::Rig;
-use dermis::imager::Imager;
-use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
+use dermis::lab::twin_bench::Rig;
+use dermis::live::imager::Imager;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
+use dermis::live::reconstructor::Reconstructor;
+use dermis::live::stages::refinement::Refinement;
 use dermis::skin::{DrivePattern, MeasurePattern, Skin, builtin_text};
-use dermis::touches::TouchStage;
-use dermis::twins::{AnyTwin, TWIN_NAMES, TwinKit};
+use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_tomo::inverse::{Spot, SpotModel};
 use dermis_touch::health::Health;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
+
+/// The skins whose false alarms are counted.
+const SKINS: [&str; 9] = [
+    "healing-square",
+    "piezo-square",
+    "piezo-disc",
+    "piezo-cylinder",
+    "ionic-disc",
+    "ionic-square",
+    "em-8",
+    "em-16-circular",
+    "em-16-square",
+];
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
@@ -58,7 +74,7 @@ impl Line {
 
 fn with_faults(name: &str, faults: &str) -> Outcome<Skin> {
     let text = builtin_text(name).ok_or("no such skin")?;
-    Ok(Skin::parse(&format!("{text}\n[twin]\nseed = 5\nfaults = [{faults}]\n"), "an example")?)
+    Ok(Skin::parse(&text.replacen("[twin]\n", &format!("[twin]\nseed = 5\nfaults = [{faults}]\n"), 1), "an example")?)
 }
 
 /// Touches of one to three indenters, held and let go, over the skin's own range of pressure.
@@ -150,8 +166,7 @@ fn onsets(name: &str, pairs: &[[u32; 2]]) -> Outcome<()> {
 /// Difference frames of presses, where they are, and the spots that fit them there with all channels.
 struct Presses {
     rig: Rig,
-    imager: Imager,
-    stage: TouchStage,
+    reconstructor: Reconstructor,
     model: SpotModel,
     frames: Vec<([f64; 2], Vec<f64>)>,
     spots: Vec<Spot>,
@@ -172,16 +187,16 @@ fn presses(skin: Skin, radius_m: f64, forces_n: &[f64]) -> Outcome<Presses> {
         }
         rig.frames(&[], 30)?;
     }
-    let model = rig.prepared().spot_model(&rig.reference().noise)?;
-    let imager = rig.prepared().imager(rig.reference(), &[])?;
-    let mut stage = TouchStage::new(rig.prepared(), imager.noise_image())?;
-    stage.refine_by(rig.prepared(), &rig.reference().noise)?;
+    let model = spot_model(rig.prepared(), &rig.reference().noise)?;
+    let imager = Imager::new(rig.prepared(), rig.reference(), &[])?;
+    let refinement = Refinement::new(rig.prepared(), &rig.reference().noise)?;
+    let reconstructor = Reconstructor::new(rig.prepared(), imager, None, refinement)?;
     let (mut spots, mut scratch) = (Vec::new(), model.scratch());
     for (place, difference) in &frames {
         model.fit(difference, &[*place], &mut scratch)?;
         spots.push(Spot { position_m: *place, ..scratch.spots()[0] });
     }
-    Ok(Presses { rig, imager, stage, model, frames, spots, time_ns: 0 })
+    Ok(Presses { rig, reconstructor, model, frames, spots, time_ns: 0 })
 }
 
 /// How well presses are placed.
@@ -198,13 +213,11 @@ struct Placed {
 
 /// Places without the channels of these electrodes.
 fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
-    let Presses { rig, imager, stage, model, frames, spots, time_ns } = presses;
+    let Presses { rig, reconstructor, model, frames, spots, time_ns } = presses;
     let prepared = rig.prepared();
     let left_out = channels_of(prepared, lost)?;
     let noise = &rig.reference().noise;
-    imager.leave_out(&left_out, noise)?;
-    stage.set_noise(imager.noise_image());
-    stage.leave_out(prepared, Some(&*model), &left_out, noise)?;
+    reconstructor.leave_out(prepared, &left_out, noise)?;
     let model = model.without(&left_out, noise)?;
     let mut bounds = 0.0;
     for Spot { position_m, amplitude, radius_m, .. } in spots.iter() {
@@ -217,11 +230,11 @@ fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
     for (place, difference) in frames.iter() {
         let mut difference = difference.clone();
         left_out.iter().for_each(|&c| difference[c as usize] = f64::NAN);
-        imager.image(&difference, &mut image)?;
+        reconstructor.image(&difference, &mut image)?;
         *time_ns += 1_000_000_000;
-        stage.forget(*time_ns);
-        stage.process(*time_ns, &image, imager.filled(), None)?;
-        if let Some(contact) = stage.contacts().first() {
+        reconstructor.forget(*time_ns);
+        reconstructor.follow_touches(*time_ns, &image, None)?;
+        if let Some(contact) = reconstructor.touches.contacts().first() {
             let off_mm = 1e3 * (contact.centroid_m[0] - place[0]).hypot(contact.centroid_m[1] - place[1]);
             each.push((place.map(|x| 1e3 * x), off_mm, contact.radius_m.is_some()));
         }
@@ -231,7 +244,7 @@ fn places(presses: &mut Presses, lost: &[u32]) -> Outcome<Placed> {
 }
 
 fn channels_of(prepared: &Prepared, electrodes: &[u32]) -> Outcome<Vec<u32>> {
-    let wiring = prepared.wiring()?;
+    let wiring = wiring(prepared)?;
     let mut channels: Vec<u32> = electrodes.iter().flat_map(|&e| wiring.channels_of(e).to_vec()).collect();
     channels.sort_unstable();
     channels.dedup();
@@ -249,7 +262,7 @@ fn computed_s() -> f64 {
 
 /// Times of going on without two electrodes: operator and image noise, and the refinement of touches.
 fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
-    let Presses { rig, imager, model, .. } = presses;
+    let Presses { rig, reconstructor, model, .. } = presses;
     let noise = &rig.reference().noise;
     let left_out = channels_of(rig.prepared(), &[2, 7])?;
     let (mut operator, mut refinement) = (Vec::new(), Vec::new());
@@ -260,7 +273,7 @@ fn update_times(name: &str, presses: &mut Presses) -> Outcome<()> {
         Ok(())
     };
     for _ in 0..20 {
-        timed(&mut operator, &mut || imager.leave_out(&left_out, noise).map_err(Into::into))?;
+        timed(&mut operator, &mut || reconstructor.imager.leave_out(&left_out, noise).map_err(Into::into))?;
         timed(&mut refinement, &mut || model.without(&left_out, noise).map(drop).map_err(Into::into))?;
     }
     println!("{name}: without {} channels, ms (shortest, longest; computing of all threads):", left_out.len());
@@ -328,7 +341,7 @@ fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let asked = |part: &str| arguments.is_empty() || arguments.iter().any(|argument| argument == part);
     let frames = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(10_000);
-    let named: Vec<&str> = TWIN_NAMES.into_iter().filter(|name| arguments.iter().any(|a| a == name)).collect();
+    let named: Vec<&str> = SKINS.into_iter().filter(|name| arguments.iter().any(|a| a == name)).collect();
     if asked("places") {
         for (name, forces_n) in [("ionic-disc", [0.255, 0.57]), ("healing-square", [8.0, 25.0])] {
             if named.is_empty() || named.contains(&name) {
@@ -347,7 +360,7 @@ fn main() -> Outcome<()> {
         onsets("healing-square", &[[1, 8], [5, 12]])?;
     }
     if asked("alarms") {
-        for name in if named.is_empty() { TWIN_NAMES.to_vec() } else { named } {
+        for name in if named.is_empty() { SKINS.to_vec() } else { named } {
             let (alarms, pressed) = false_alarms(name, frames)?;
             println!("{name}: {alarms} of {frames} frames with a false alarm, {pressed} of all pressed");
         }

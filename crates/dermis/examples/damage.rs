@@ -6,11 +6,11 @@
 use std::fmt::Write as _;
 
 use dermis::Error;
-use dermis::damage::told;
-use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
+use dermis::live::stages::damage::describe;
 use dermis::skin::Skin;
-use dermis::twins::{AnyTwin, TwinKit};
+use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Heating, Treatment};
@@ -53,7 +53,7 @@ impl Line {
             self.ticks += 1;
             let output = self.pipeline.process(&frame, time_ns)?;
             for event in output.damage.events {
-                println!("{:6.1} s  {}", self.time_s, told(event));
+                println!("{:6.1} s  {}", self.time_s, describe(event));
             }
         }
         Ok(())
@@ -158,7 +158,9 @@ fn main() -> Result<(), Error> {
     line.twin.scene_mut().release(1);
     line.run(5.0)?;
     line.draw("released");
-    line.treat(Treatment::Heat(Heating::published([0.023, 0.024], 0.025)))?;
+    // As published: 90 C for two hours.
+    let (centre_m, radius_m) = ([0.023, 0.024], 0.025);
+    line.treat(Treatment::Heat(Heating { centre_m, radius_m, temperature_c: 90.0, duration_s: 7200.0 }))?;
     // Two hours in a minute and a half. Every frame is another sheet to the twin: fewer do.
     line.period_s = 0.4;
     line.treat(Treatment::TimeLapse(80.0))?;

@@ -1,46 +1,26 @@
-//! Tomographic tactile skins: skin files, forward models and operators prepared from them, the live pipeline from frames
-//! to touches, calibration, recordings.
+//! Tomographic tactile skins, from their file to touches: the crates of dermis under one name.
 //!
 //! ```
-//! let skin = dermis::skin::Skin::open("healing-square")?;
+//! let skin = dermis::Skin::open("healing-square")?;
 //! let body = skin.body()?;
 //! assert_eq!(body.mesh.electrodes.len(), 16);
 //! # Ok::<(), dermis::Error>(())
 //! ```
 
-pub mod acquire;
-pub mod bodies;
-pub mod calibrate;
-pub mod case;
-pub mod channels;
-pub mod classes;
-mod clock;
-pub mod damage;
-pub mod design;
-pub mod doctor;
-mod error;
-pub mod experiments;
-pub mod forces;
-mod health;
-pub mod imager;
-pub mod latency;
-pub mod learning;
-pub mod measured_list;
-mod patches;
-pub mod pipeline;
-pub mod prepare;
-pub mod reconstruct;
-pub mod record;
-pub mod reference;
-pub mod serve;
-pub mod sink;
-pub mod skin;
-pub mod solve;
-mod spots;
-pub mod touches;
-pub mod twin_source;
-pub mod twins;
+pub use dermis_device as device;
+pub use dermis_lab as lab;
+pub use dermis_learn as learn;
+pub use dermis_live as live;
+pub use dermis_mit as mit;
+pub use dermis_record as record;
+pub use dermis_skin as skin;
+pub use dermis_tomo as tomo;
+pub use dermis_touch as touch;
+pub use dermis_twin as twin;
 
-pub use clock::Marks;
-pub use error::Error;
-pub use health::{HealthChange, HealthWatch};
+pub use dermis_lab::Error;
+pub use dermis_live::pipeline::Pipeline;
+pub use dermis_record::Recording;
+pub use dermis_skin::Skin;
+pub use dermis_touch::Touch;
+pub use dermis_twin::AnyTwin as Twin;

@@ -1,8 +1,8 @@
 //! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with a hole off its
 //! centre. Lengths of the problem sheet in millimetres, origin at the plate's corner.
 
-use dermis_tomo::mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
-use dermis_tomo::mit::{MitError, Segment};
+use dermis_mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
+use dermis_mit::{MitError, Segment};
 
 /// Places along the measured lines, mm.
 pub const X_MM: [f64; 17] =

@@ -1,14 +1,17 @@
 //! `dermis bench`: what the numerical work costs on this machine, one core. Criterion's benches in the repository measure
 //! the same with statistics, and against peers.
 
+use dermis::live::imager::Imager;
+use dermis::live::reference::Reference;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use dermis::prepare::Prepared;
+use dermis::live::prepare::Prepared;
+use dermis::live::reconstructor::Reconstructor;
+use dermis::live::stages::refinement::Refinement;
 use dermis::skin::Skin;
-use dermis::touches::TouchStage;
 use dermis_tomo::eit::{Drive, Driven, ForwardModel, Jacobian, Measure, Order, Protocol, ProtocolSpec};
-use dermis_tomo::inverse::{ImageBasis, LinearProblem, LiveOperator, Prior, Weighting};
+use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior, QuantisedOperator, Weighting};
 use dermis_tomo::mesh::{Direction, Outline, PixelGrid, PixelMap, SheetSpec};
 
 use crate::exit::Outcome;
@@ -70,7 +73,7 @@ impl Arguments {
             Ok(())
         })?;
         line(out, &format!("operator of 208 channels to {} pixels of 64 x 64", map.inside_count()), took)?;
-        let mut live = LiveOperator::new(&operator()?, 1.0);
+        let mut live = QuantisedOperator::new(&operator()?, 1.0);
         let (frame, mut image) = (vec![1e-3_f32; live.channels()], vec![0.0_f32; live.unknowns()]);
         let took = time(&mut || {
             live.apply(std::hint::black_box(&frame), &mut image);
@@ -81,26 +84,26 @@ impl Arguments {
 
     fn frames(&self, out: &mut dyn Write, time: &Timer<'_>) -> anyhow::Result<()> {
         let prepared = Prepared::new(Skin::open("healing-square")?)?;
-        let reference = prepared.reference_from(&prepared.voltages, None)?;
-        let mut imager = prepared.imager(&reference, &[])?;
+        let reference = Reference::from_baseline(&prepared, &prepared.voltages, None)?;
+        let imager = Imager::new(&prepared, &reference, &[])?;
         let touched = prepared.signatures(&[[0.02, 0.01], [-0.02, -0.02]]);
         let difference: Vec<f64> = (0..prepared.channels())
             .map(|channel| 0.2 * (touched[channel] + touched[prepared.channels() + channel]))
             .collect();
-        let mut stage = TouchStage::new(&prepared, imager.noise_image())?;
+        let mut reconstructor = Reconstructor::new(&prepared, imager, None, Refinement::none())?;
         let mut image = vec![f32::NAN; prepared.map.grid().len()];
         let mut clock = 0;
         let took = time(&mut || {
             clock += 1_000_000;
-            imager.image(&difference, &mut image)?;
-            Ok(stage.process(clock, &image, imager.filled(), None)?)
+            reconstructor.image(&difference, &mut image)?;
+            Ok(reconstructor.follow_touches(clock, &image, None)?)
         })?;
         line(out, "frame of 208 channels to image to touches (64 x 64, two)", took)?;
-        stage.refine_by(&prepared, &reference.noise)?;
+        reconstructor.refinement = Refinement::new(&prepared, &reference.noise)?;
         let took = time(&mut || {
             clock += 1_000_000;
-            imager.image(&difference, &mut image)?;
-            Ok(stage.process(clock, &image, imager.filled(), None)?)
+            reconstructor.image(&difference, &mut image)?;
+            Ok(reconstructor.follow_touches(clock, &image, None)?)
         })?;
         line(out, "the same, both refined by the forward model", took)
     }

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
-use dermis::calibrate::{Calibration, read_pokes};
-use dermis::channels::ChannelReader;
-use dermis::forces::{PressPlan, fit_forces, press_twin, save_forces};
-use dermis::prepare::Prepared;
+use dermis::lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
+use dermis::live::calibration::{Calibration, read_pokes};
+use dermis::live::channels::ChannelReader;
+use dermis::live::forces::save_forces;
+use dermis::live::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis_device::{FileSpec, Format, FrameTable};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample};
@@ -105,12 +106,12 @@ impl Arguments {
             let diameter_mm = self.indenter_mm.ok_or_else(|| {
                 UsageError("--forces from files: --indenter-mm is needed, signals depend on the indenter".into())
             })?;
-            let samples = prepared.force_samples(&baselines, &frames, &pokes)?;
+            let samples = force_samples(&prepared, &baselines, &frames, &pokes)?;
             self.write_forces(&prepared.skin.name, &samples, frames.len(), 1e-3 * diameter_mm, path, out)?;
         }
         let Some(path) = &self.out else { return Ok(Outcome::Done) };
         let spinner = spinner("fitting the calibration");
-        let calibration = prepared.calibrate(&baselines, &frames, &pokes);
+        let calibration = Calibration::fit(&prepared, &baselines, &frames, &pokes);
         spinner.finish_and_clear();
         let calibration = calibration?;
         calibration.save(path)?;

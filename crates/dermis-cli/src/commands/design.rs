@@ -4,12 +4,14 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::design::{ForceMap, Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
-use dermis::prepare::Prepared;
+use dermis::lab::design::{ForceMap, Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
+use dermis::lab::tolerances::{Extent, Tolerances, run};
+use dermis::live::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
 
+use super::tolerance_page;
 use crate::draw::{self, Heatmap, Panel};
 use crate::exit::{Outcome, UsageError};
 
@@ -23,7 +25,8 @@ Examples:
 
 Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth of the
 area. Noise is what the skin file assumes, the same for every channel; --snr-db makes it proportional to the reading. A
-search gives every candidate the same time for a frame: the more readings, the noisier each.";
+search gives every candidate the same time for a frame: the more readings, the noisier each. --tolerances builds the skin
+again and again with a workshop's errors, and says what each costs.";
 
 /// Arguments of `dermis design`.
 #[derive(clap::Args)]
@@ -53,6 +56,22 @@ pub struct Arguments {
     /// Where the better skin file goes.
     #[arg(long, value_name = "FILE.toml", requires = "improve")]
     winner: Option<PathBuf>,
+    /// Try the skin with what a workshop gets wrong; a TOML file says how much.
+    #[arg(long, value_name = "FILE.toml", num_args = 0..=1, conflicts_with_all = ["improve", "snr_db", "force"])]
+    tolerances: Option<Option<PathBuf>>,
+    /// Samples of every row.
+    #[arg(long, default_value_t = 200, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    samples: u32,
+    /// Presses of every sample.
+    #[arg(long, default_value_t = 12, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=64))]
+    presses: u32,
+    /// Numbers of pokes that samples are calibrated with; 0 for none.
+    #[arg(long, value_delimiter = ',', default_values_t = [20, 50, 200], requires = "tolerances",
+        value_parser = clap::value_parser!(u32).range(0..=1000))]
+    pokes: Vec<u32>,
+    /// Seed of the errors, the places and the noise.
+    #[arg(long, default_value_t = 1, requires = "tolerances")]
+    seed: u64,
 }
 
 /// What a search may change.
@@ -82,6 +101,9 @@ impl Arguments {
         if let Some(winner) = &self.winner {
             return self.improve_skin(winner, out);
         }
+        if let Some(file) = &self.tolerances {
+            return self.try_tolerances(file.as_deref(), out);
+        }
         let noise = self.snr_db.map_or(Noise::Assumed, Noise::Decibels);
         let mut sheets = Vec::with_capacity(self.skins.len());
         for name in &self.skins {
@@ -107,6 +129,32 @@ impl Arguments {
             force = Some(super::with_progress("places pressed", press)?);
         }
         Ok(Sheet { prepared, maps, spread_m, force })
+    }
+
+    fn try_tolerances(&self, file: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let tolerances = file.map_or_else(|| Ok(Tolerances::default()), Tolerances::read)?;
+        let extent = Extent {
+            samples: self.samples as usize,
+            presses: self.presses as usize,
+            pokes: self.pokes.iter().filter(|count| **count > 0).map(|count| *count as usize).collect(),
+            seed: self.seed,
+        };
+        for name in &self.skins {
+            let skin = Skin::open(name)?;
+            let bar = super::progress_bar("samples");
+            let report = run(&skin, &tolerances, &extent, &|done, all| {
+                bar.set_length(all as u64);
+                bar.set_position(done as u64);
+            });
+            bar.finish_and_clear();
+            let report = report?;
+            tolerance_page::write_table(out, &report)?;
+            if let Some(folder) = &self.out {
+                tolerance_page::write_files(folder, &report, &tolerances)?;
+                writeln!(out, "{}", folder.display())?;
+            }
+        }
+        Ok(Outcome::Done)
     }
 
     fn improve_skin(&self, winner: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use dermis::measured_list::measured_list;
-use dermis::serve::Background;
+use dermis::lab::measured_list::measured_list;
+use dermis::lab::serve::Background;
 use dermis::skin::Skin;
 use dermis_device::instruments::wire::{Description, Order, WireControl};
 use dermis_device::stream::{StreamOptions, StreamSource};

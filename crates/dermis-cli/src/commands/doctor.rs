@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::time::Duration;
 
-use dermis::doctor::{Answer, Check, FEWEST_FRAMES, examine};
+use dermis::lab::doctor::{Answer, Check, FEWEST_FRAMES, examine};
+use dermis::lab::twin_source::TwinSource;
 use dermis::skin::Skin;
-use dermis::twin_source::TwinSource;
 use dermis_device::instruments::wire::Order;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{

@@ -1,5 +1,6 @@
 //! One file per command. To add one: a file with `Arguments` and their `run`, and a variant below.
 
+mod acquired;
 mod bench;
 mod calibrate;
 mod design;
@@ -19,6 +20,7 @@ mod segment;
 mod skins;
 mod snr;
 mod solve;
+mod tolerance_page;
 mod train;
 mod train_set;
 mod twin;

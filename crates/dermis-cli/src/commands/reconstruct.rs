@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use dermis::reconstruct::{Report, Request, reconstruct};
+use dermis::lab::reconstruct::{Report, Request, reconstruct};
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
 

@@ -2,16 +2,20 @@
 //! baselines stand beside them in the recording.
 
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use dermis::acquire::{Acquisition, Next};
-use dermis::pipeline::Pipeline;
+use dermis::device::acquire::Acquisition;
+use dermis::live::driver::{Driver, Observer};
+use dermis::live::output::Output;
+use dermis::live::pipeline::Pipeline;
 use dermis::record::{LiveRecording, SkinView};
-use dermis_device::{Frame, HostStamp};
+use dermis_device::Frame;
 
+use super::acquired::AcquiredFrames;
 use super::run::source;
 use crate::exit::{Outcome, UsageError};
 
@@ -82,34 +86,49 @@ impl Arguments {
         ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
         let until = self.seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         let begun = Instant::now();
-        let mut done = 0;
-        while !interrupted.load(Ordering::Relaxed)
-            && self.frames.is_none_or(|most| done < most)
-            && until.is_none_or(|until| begun.elapsed() < until)
-            && recording.new_failure().is_none()
-        {
-            match acquisition.next(Duration::from_millis(50)).map_err(dermis::Error::from)? {
-                Next::Idle => {}
-                Next::End => break,
-                Next::Frame(frame) => {
-                    process(&frame, pipeline, recording)?;
-                    acquisition.recycle(frame);
-                    done += 1;
-                }
-            }
-        }
+        let mut frames = AcquiredFrames::new(acquisition, Duration::from_millis(50));
+        let mut observer = Recorded { recording, interrupted, begun, until, left: self.frames, wall_ns: 0 };
+        Driver::new(pipeline).run(&mut frames, &mut observer)?;
         Ok(())
     }
 }
 
-/// Records a frame before anything is made of it, then what was made of it.
-fn process(frame: &Frame, pipeline: &mut Pipeline, recording: &mut LiveRecording) -> anyhow::Result<()> {
-    recording.frame(frame);
-    let before = pipeline.baseline_records().len();
-    let output = pipeline.process(frame, HostStamp::now().monotonic_ns)?;
-    recording.results(&output);
-    if pipeline.baseline_records().len() > before {
-        recording.baseline(pipeline, frame.host_wall_ns);
+/// Records frames before anything is made of them, then what was made of them, until there are enough.
+struct Recorded<'a> {
+    recording: &'a mut LiveRecording,
+    interrupted: Arc<AtomicBool>,
+    begun: Instant,
+    until: Option<Duration>,
+    /// Frames still to be recorded.
+    left: Option<u64>,
+    /// Time of the frame at hand.
+    wall_ns: u64,
+}
+
+impl Observer<AcquiredFrames<'_>> for Recorded<'_> {
+    fn between(&mut self, _pipeline: &mut Pipeline) -> anyhow::Result<bool> {
+        Ok(!self.interrupted.load(Ordering::Relaxed)
+            && self.left != Some(0)
+            && self.until.is_none_or(|until| self.begun.elapsed() < until)
+            && self.recording.new_failure().is_none())
     }
-    Ok(())
+
+    fn before(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        self.wall_ns = frame.host_wall_ns;
+        self.left = self.left.map(|left| left.saturating_sub(1));
+        self.recording.frame(frame);
+        Ok(())
+    }
+
+    fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
+        self.recording.results(output);
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn after(&mut self, _feed: &AcquiredFrames<'_>, pipeline: &Pipeline, renewed: bool) -> anyhow::Result<()> {
+        if renewed {
+            self.recording.baseline(pipeline, self.wall_ns);
+        }
+        Ok(())
+    }
 }

@@ -7,9 +7,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis::HealthWatch;
+use dermis::live::output::Output;
+use dermis::live::stages::health::HealthWatch;
+use dermis::record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchTable};
 use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
-use dermis::sink::{ImageStack, JsonLines, LinesFor, Output, Sink, TouchTable};
 use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
 
 use crate::exit::{Outcome, UsageError};
@@ -64,7 +65,7 @@ impl Arguments {
         let head = recording.head().clone();
         let mut skin = match &self.skin {
             Some(name) => Skin::open(name)?,
-            None => Skin::parse(&head.skin_toml, &self.file.display().to_string())?,
+            None => Skin::parse_any_version(&head.skin_toml, &self.file.display().to_string())?,
         };
         if let Some(prior) = &self.prior {
             skin.imaging.prior = prior.clone();

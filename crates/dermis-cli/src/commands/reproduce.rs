@@ -5,7 +5,7 @@ mod report;
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::experiments::{Experiment, PAPERS, Report};
+use dermis::lab::experiments::{Experiment, PAPERS, Report};
 
 use crate::exit::{Outcome, UsageError};
 

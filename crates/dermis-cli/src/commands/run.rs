@@ -6,25 +6,31 @@ pub(super) mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
-use dermis::acquire::{Acquisition, Next};
-use dermis::classes::ClassPace;
-use dermis::learning::built_in;
-use dermis::pipeline::Pipeline;
+use dermis::device::acquire::Acquisition;
+use dermis::lab::twin_source::TwinCommand;
+use dermis::live::clock::FrameAnomalies;
+use dermis::live::driver::{Driver, Observer};
+use dermis::live::network::built_in;
+use dermis::live::output::Output;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::stages::classes::ClassPace;
+use dermis::live::stages::health::{HealthChange, HealthWatch};
+use dermis::record::sink::{JsonLines, LinesFor, Sink};
 use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
-use dermis::sink::{JsonLines, LinesFor, Sink};
 use dermis::skin::Skin;
-use dermis::twin_source::TwinCommand;
-use dermis::{HealthChange, HealthWatch};
+use dermis::twin::from_skin::treatment_of;
 use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
-use dermis_device::{Frame, HostStamp};
+use dermis_device::Frame;
 use dermis_learn::Model;
 
+use super::acquired::AcquiredFrames;
 use crate::exit::{Outcome, UsageError};
 use page_feed::PageFeed;
 
@@ -82,7 +88,6 @@ pub struct Arguments {
 
 /// The run in progress.
 struct Run {
-    pipeline: Pipeline,
     twin: Option<source::TwinControl>,
     recorder: Option<LiveRecording>,
     not_recorded: u64,
@@ -115,7 +120,6 @@ impl Arguments {
         let feed = PageFeed::new(&pipeline);
         let health = HealthWatch::new(&pipeline.prepared().skin);
         let mut run = Run {
-            pipeline,
             twin: opened.twin,
             recorder: None,
             not_recorded: 0,
@@ -126,11 +130,11 @@ impl Arguments {
             feed,
         };
         if let Some(path) = &self.record {
-            run.start_recording(path)?;
+            run.start_recording(path, &pipeline)?;
         }
         // Last of all, so that no frame waits for anything above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
-        let outcome = self.follow(&mut acquisition, &mut run, &requests, out);
+        let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, &requests, out);
         run.stop_recording();
         let counters = acquisition.counters();
         drop(acquisition);
@@ -145,12 +149,12 @@ impl Arguments {
     fn classify_by_network(&self, pipeline: &mut Pipeline) -> anyhow::Result<()> {
         if let Some(path) = &self.model {
             let model = Model::load(path).map_err(dermis::Error::from)?;
-            return Ok(pipeline.set_classifier(Some(&model), ClassPace::Beside)?);
+            return Ok(pipeline.set_classifier(Some(&model), ClassPace::Background)?);
         }
         let name = pipeline.prepared().skin.name.clone();
         let built_in = if self.no_model { None } else { built_in(&name).map_err(dermis::Error::from)? };
         if let Some(model) = built_in
-            && let Err(error) = pipeline.set_classifier(Some(&model), ClassPace::Beside)
+            && let Err(error) = pipeline.set_classifier(Some(&model), ClassPace::Background)
         {
             tracing::warn!("no classes of pixels: {error}");
         }
@@ -169,78 +173,119 @@ impl Arguments {
     fn follow(
         &self,
         acquisition: &mut Acquisition,
+        pipeline: &mut Pipeline,
         run: &mut Run,
         requests: &Receiver<Request>,
         out: &mut dyn Write,
     ) -> anyhow::Result<()> {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
-        let mut lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
-        let mut done = 0;
         let interrupted = Arc::new(AtomicBool::new(false));
         let raised = interrupted.clone();
         // Interrupted, the run ends as it would with its source, so that a recording is finished.
         ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
-        let mut bar = (!self.headless).then(|| super::spinner("waiting for the baseline"));
-        while !interrupted.load(Ordering::Relaxed) {
-            for request in requests.try_iter() {
-                run.answer(request);
-            }
-            match acquisition.next(Duration::from_millis(100)).map_err(dermis::Error::from)? {
-                Next::Idle => {
-                    if run.feed.wait(acquisition.problem()) {
-                        run.hub.publish(run.feed.update())?;
-                    }
-                    continue;
-                }
-                Next::End => break,
-                Next::Frame(frame) => {
-                    run.process(&frame, acquisition, lines.as_mut())?;
-                    acquisition.recycle(frame);
-                }
-            }
-            if let Some(lines) = &mut lines {
-                out.write_all(lines.get_mut())?;
-                out.flush()?;
-                lines.get_mut().clear();
-            }
-            done += 1;
-            if let Some(bar) = &mut bar
-                && done % 25 == 0
-            {
-                bar.set_message(run.feed.status());
-            }
-            if self.frames.is_some_and(|most| done >= most) {
-                break;
-            }
-        }
+        let bar = (!self.headless).then(|| super::spinner("waiting for the baseline"));
+        let lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
+        let console = Console { lines, out, bar, done: 0, most: self.frames };
+        let mut frames = AcquiredFrames::new(acquisition, Duration::from_millis(100));
+        Driver::new(pipeline).run(&mut frames, &mut Followed { run, console, requests, interrupted, wall_ns: 0 })?;
         run.feed.end();
         run.hub.publish(run.feed.update())?;
         Ok(())
     }
 }
 
-impl Run {
-    fn process(
-        &mut self,
-        frame: &Frame,
-        acquisition: &Acquisition,
-        lines: Option<&mut JsonLines<Vec<u8>>>,
-    ) -> anyhow::Result<()> {
-        // Raw is on its way to the disk before anything is made of it.
-        if let Some(recorder) = &mut self.recorder {
+/// What is written to the terminal.
+struct Console<'a> {
+    lines: Option<JsonLines<Vec<u8>>>,
+    out: &'a mut dyn Write,
+    bar: Option<indicatif::ProgressBar>,
+    done: u64,
+    /// Frames to stop after.
+    most: Option<u64>,
+}
+
+impl Console<'_> {
+    /// Writes the lines of the frame just done.
+    fn flush(&mut self, status: impl FnOnce() -> String) -> anyhow::Result<()> {
+        if let Some(lines) = &mut self.lines {
+            self.out.write_all(lines.get_mut())?;
+            self.out.flush()?;
+            lines.get_mut().clear();
+        }
+        self.done += 1;
+        if let Some(bar) = &mut self.bar
+            && self.done.is_multiple_of(25)
+        {
+            bar.set_message(status());
+        }
+        Ok(())
+    }
+}
+
+/// The run as it sees its frames.
+struct Followed<'a> {
+    run: &'a mut Run,
+    console: Console<'a>,
+    requests: &'a Receiver<Request>,
+    interrupted: Arc<AtomicBool>,
+    /// Time of the frame at hand.
+    wall_ns: u64,
+}
+
+impl Observer<AcquiredFrames<'_>> for Followed<'_> {
+    fn between(&mut self, pipeline: &mut Pipeline) -> anyhow::Result<bool> {
+        if self.interrupted.load(Ordering::Relaxed) || self.console.most.is_some_and(|most| self.console.done >= most) {
+            return Ok(false);
+        }
+        for request in self.requests.try_iter() {
+            self.run.answer(request, pipeline);
+        }
+        Ok(true)
+    }
+
+    fn idle(&mut self, feed: &AcquiredFrames<'_>) -> anyhow::Result<()> {
+        if self.run.feed.wait(feed.acquisition().problem()) {
+            self.run.hub.publish(self.run.feed.update())?;
+        }
+        Ok(())
+    }
+
+    /// Raw is on its way to the disk before anything is made of it.
+    fn before(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        self.wall_ns = frame.host_wall_ns;
+        if let Some(recorder) = &mut self.run.recorder {
             recorder.frame(frame);
         }
-        let before = self.pipeline.baseline_records().len();
-        let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
+        Ok(())
+    }
+
+    fn result(&mut self, output: &Output<'_>) -> anyhow::Result<ControlFlow<()>> {
+        if let Some(lines) = &mut self.console.lines {
+            lines.accept(output)?;
+        }
+        self.run.show(output);
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn after(&mut self, feed: &AcquiredFrames<'_>, pipeline: &Pipeline, renewed: bool) -> anyhow::Result<()> {
+        self.run.publish(feed.acquisition(), pipeline)?;
+        if renewed {
+            self.run.new_baseline(pipeline, self.wall_ns);
+        }
+        self.run.notice_failure();
+        self.console.flush(|| self.run.feed.status())
+    }
+}
+
+impl Run {
+    /// Hands the results of a frame to the recording and the page, and says what has happened.
+    fn show(&mut self, output: &Output<'_>) {
         if let Some(recorder) = &mut self.recorder {
-            recorder.results(&output);
+            recorder.results(output);
         }
-        if let Some(lines) = lines {
-            lines.accept(&output)?;
-        }
-        self.feed.take(&output);
+        self.feed.show(output);
         for event in output.damage.events {
-            let text = dermis::damage::told(event);
+            let text = dermis::live::stages::damage::describe(event);
             tracing::warn!(frame = output.sequence, "{text}");
             self.hub.announce(Level::Warning, text);
         }
@@ -248,16 +293,21 @@ impl Run {
             tracing::warn!(frame = output.sequence, "{detail}");
             self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
         }
-        if output.marks.clock_jump_ns != 0 || output.marks.renumbered {
-            let jump_s = output.marks.clock_jump_ns as f64 * 1e-9;
-            let reset = if output.marks.renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
+        let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
+        if clock_jump_ns != 0 || renumbered {
+            let jump_s = clock_jump_ns as f64 * 1e-9;
+            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
             let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
             tracing::warn!(frame = output.sequence, "{text}");
             self.hub.announce(Level::Warning, text);
         }
+    }
+
+    /// Brings the page up to date.
+    fn publish(&mut self, acquisition: &Acquisition, pipeline: &Pipeline) -> anyhow::Result<()> {
         self.feed
             .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
-        self.feed.describe(&self.pipeline);
+        self.feed.describe(pipeline);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
             if let Some(recorder) = &self.recorder {
@@ -265,10 +315,6 @@ impl Run {
             }
             self.hub.announce(Level::Warning, text);
         }
-        if self.pipeline.baseline_records().len() > before {
-            self.new_baseline(frame.host_wall_ns);
-        }
-        self.notice_failure();
         Ok(())
     }
 
@@ -280,13 +326,13 @@ impl Run {
         }
     }
 
-    fn new_baseline(&mut self, wall_ns: u64) {
-        let (_, noise) = self.pipeline.baseline();
+    fn new_baseline(&mut self, pipeline: &Pipeline, wall_ns: u64) {
+        let (_, noise) = pipeline.baseline();
         self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
         if let Some(recorder) = &self.recorder {
-            recorder.baseline(&self.pipeline, wall_ns);
+            recorder.baseline(pipeline, wall_ns);
         }
-        if let Some(reference) = self.pipeline.reference() {
+        if let Some(reference) = pipeline.reference() {
             let correlation = reference.order.correlation;
             tracing::info!(correlation, "baseline taken");
             if let Some(better) = &reference.order.better {
@@ -300,13 +346,13 @@ impl Run {
         }
     }
 
-    fn answer(&mut self, request: Request) {
+    fn answer(&mut self, request: Request, pipeline: &mut Pipeline) {
         let reply = request.reply;
         match request.command {
-            Command::Tare { force } => self.tare(force, reply),
+            Command::Tare { force } => self.tare(force, reply, pipeline),
             Command::RecordStart => {
                 let path = PathBuf::from(format!("{}.mcap", timestamp()));
-                match self.start_recording(&path) {
+                match self.start_recording(&path, pipeline) {
                     Ok(()) => reply.accept(format!("recording to {}", path.display())),
                     Err(error) => reply.refuse(format!("not recording: {error}")),
                 }
@@ -320,7 +366,7 @@ impl Run {
                 }
                 None => reply.refuse("nothing is being recorded"),
             },
-            Command::Hyperparameter(value) => match self.pipeline.set_hyperparameter(value) {
+            Command::Hyperparameter(value) => match pipeline.set_hyperparameter(value) {
                 Ok(()) => {
                     if let Some(recorder) = &self.recorder {
                         recorder.hyperparameter(value);
@@ -335,7 +381,7 @@ impl Run {
                 radius_m: press.radius_mm * 1e-3,
                 pressure_pa: press.pressure_kpa * 1e3,
             }),
-            Command::Treat(action) => self.command_twin(TwinCommand::Treat(action.treatment())),
+            Command::Treat(action) => self.command_twin(TwinCommand::Treat(treatment_of(action))),
             Command::Release { pointer_id } => self.command_twin(TwinCommand::Release { pointer: pointer_id }),
             // Every channel is published; the page chooses among them.
             Command::ChooseChannels(_) => {}
@@ -343,9 +389,9 @@ impl Run {
         }
     }
 
-    fn tare(&mut self, force: bool, reply: Reply) {
+    fn tare(&mut self, force: bool, reply: Reply, pipeline: &mut Pipeline) {
         const REASON: &str = "asked for in the page";
-        let asked = self.pipeline.tare(force, REASON);
+        let asked = pipeline.tare(force, REASON);
         match (asked, &self.recorder) {
             (Ok(frames), recorder) => {
                 if let Some(recorder) = recorder {
@@ -370,11 +416,11 @@ impl Run {
         }
     }
 
-    fn start_recording(&mut self, path: &Path) -> anyhow::Result<()> {
+    fn start_recording(&mut self, path: &Path, pipeline: &Pipeline) -> anyhow::Result<()> {
         if let Some(recorder) = &self.recorder {
             return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
         }
-        self.recorder = Some(LiveRecording::start(path, &self.head, &self.pipeline, SkinView::IMAGES_PER_S)?);
+        self.recorder = Some(LiveRecording::start(path, &self.head, pipeline, SkinView::IMAGES_PER_S)?);
         Ok(())
     }
 

@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use dermis::learning::CLASSES;
-use dermis::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
+use dermis::lab::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
+use dermis::live::network::CLASSES;
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
 

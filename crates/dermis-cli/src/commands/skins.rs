@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis::skin::{BUILTIN_NAMES, Skin};
+use dermis::skin::{BUILTIN_NAMES, Skin, upgrade};
 use dermis_device::write_atomic;
 
 use crate::draw::{self, Picture, SkinDrawing};
@@ -20,6 +20,12 @@ Example:
   dermis skins show hydrogel-disc
 
 The output is a whole skin file, defaults included: a start for a skin of your own.";
+
+const UPGRADE_EXAMPLE: &str = "\
+Example:
+  dermis skins upgrade my-skin.toml --out my-skin-new.toml
+
+What has moved is listed. Nothing is written where the result would not be a valid skin.";
 
 const DRAW_EXAMPLE: &str = "\
 Examples:
@@ -46,6 +52,19 @@ enum Action {
         #[arg(value_name = "NAME|FILE")]
         skin: String,
     },
+    /// The format of skin files as a JSON Schema, for editors.
+    #[command(after_help = "Example:\n  dermis skins schema")]
+    Schema,
+    /// A skin file of an earlier version, rewritten to the present format with its comments.
+    #[command(after_help = UPGRADE_EXAMPLE)]
+    Upgrade {
+        /// The skin file.
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+        /// Where to; left out: the file itself, whose earlier text is kept beside it as FILE.old.
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
     /// A skin drawn to scale: mesh, outline, electrodes with their numbers.
     #[command(after_help = DRAW_EXAMPLE)]
     Draw {
@@ -70,6 +89,11 @@ impl Arguments {
         match &self.action {
             Action::List => list(out),
             Action::Show { skin } => show(skin, out),
+            Action::Schema => {
+                writeln!(out, "{}", serde_json::to_string_pretty(&dermis::skin::json_schema())?)?;
+                Ok(Outcome::Done)
+            }
+            Action::Upgrade { file, out: to } => upgrade_file(file, to.as_deref(), out),
             Action::Draw { skin, out: path, width_px, no_mesh } => draw_skin(skin, path, *width_px, !*no_mesh, out),
         }
     }
@@ -90,9 +114,9 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let (width_mm, height_mm) = (1e3 * (high[0] - low[0]), 1e3 * (high[1] - low[1]));
     let (count, drives, channels) =
         (protocol.electrode_count(), protocol.stimulations().len(), protocol.channel_count());
-    let what = match skin.frontend.elements {
+    let what = match &skin.frontend.elements {
         Some(elements) => {
-            let elements = elements.per_side * elements.per_side;
+            let elements = elements.count();
             format!("{count} coils, {elements} elements, {channels} channels")
         }
         None => {
@@ -104,6 +128,41 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     };
     writeln!(out, "# {width_mm:.1} x {height_mm:.1} mm, {what}")?;
     write!(out, "{}", skin.to_toml())?;
+    Ok(Outcome::Done)
+}
+
+/// Nothing is written unless the result is a valid skin.
+fn upgrade_file(file: &Path, to: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    let bytes = dermis_device::instruments::read_bytes(file)?;
+    let name = file.display().to_string();
+    let text =
+        String::from_utf8(bytes).map_err(|_| UsageError(format!("{name}: expected a skin file (TOML, UTF-8)")))?;
+    let Some(upgraded) = upgrade(&text) else {
+        Skin::open(&name)?;
+        writeln!(out, "{name}: of the present format already")?;
+        return Ok(Outcome::Done);
+    };
+    Skin::parse_beside(&upgraded.text, file)?;
+    let to = match to {
+        Some(to) => to.to_path_buf(),
+        None => {
+            let old = PathBuf::from(format!("{name}.old"));
+            if old.exists() {
+                return Err(UsageError(format!(
+                    "{}: is there already; expected no such file, or --out",
+                    old.display()
+                ))
+                .into());
+            }
+            write_atomic(&old, |kept| kept.write_all(text.as_bytes()))?;
+            file.to_path_buf()
+        }
+    };
+    write_atomic(&to, |new| new.write_all(upgraded.text.as_bytes()))?;
+    for moved in &upgraded.moved {
+        writeln!(out, "{moved}")?;
+    }
+    writeln!(out, "written to {}", to.display())?;
     Ok(Outcome::Done)
 }
 

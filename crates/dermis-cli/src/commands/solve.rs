@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use dermis::case::{Case, ConductivityChoice};
-use dermis::solve::{DifferencePrior, DifferenceSpec, difference_image};
+use dermis::lab::case::{Case, ConductivityChoice};
+use dermis::lab::solve::{DifferencePrior, DifferenceSpec, difference_image};
 use dermis_device::instruments::npy;
 use dermis_tomo::eit::ForwardModel;
 

@@ -4,8 +4,8 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use dermis::learning::InputImage;
-use dermis::learning::train_set::{TrainSetRequest, simulate};
+use dermis::lab::learning::train_set::{TrainSetRequest, simulate};
+use dermis::live::network::InputImage;
 use dermis::skin::Skin;
 use dermis_learn::scene::SceneKind;
 

@@ -1,14 +1,17 @@
-//! `dermis twin serve`: a skin's digital twin behind the wire that real instruments speak, for whoever connects.
+//! `dermis twin`: a skin's digital twin behind the wire that real instruments speak, for whoever connects, or pressed as a
+//! table says.
 
 use std::io::{BufRead, Write};
 use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use dermis::serve::{Door, WORDS, command_of, device_info, serve};
+use dermis::lab::serve::{Door, WORDS, command_of, device_info, serve};
+use dermis::lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
+use dermis::lab::twin_source::{TwinCommand, TwinSource};
 use dermis::skin::Skin;
-use dermis::twin_source::{TwinCommand, TwinSource};
-use dermis::twins::PressRange;
+use dermis::twin::PressRange;
 
 use crate::exit::{Outcome, UsageError};
 
@@ -36,6 +39,81 @@ pub struct Arguments {
 enum Action {
     /// Let programs connect to a twin as to an instrument.
     Serve(Serve),
+    /// Press a twin as a table says and write its frames: labelled data of a skin that need not exist.
+    Sample(Sample),
+}
+
+const SAMPLE_EXAMPLE: &str = "\
+Examples:
+  dermis twin sample ionic-disc --presses random:5 --baseline rest.npy --frames presses.npy --truth truth.csv
+  dermis twin sample piezo-disc --presses random:2 --baseline rest.csv --frames frames.csv --repeats 5
+
+A table of presses has columns x_mm, y_mm, one of force_n and pressure_kpa, and, where wanted, radius_mm and group: rows of
+the same group press together. Each press is held for a second; frames carry the instrument's noise. `dermis reconstruct` and
+`dermis calibrate` read what is written, and the truth as positions.";
+
+#[derive(clap::Args)]
+#[command(after_help = SAMPLE_EXAMPLE)]
+struct Sample {
+    /// Built-in skin or skin file.
+    #[arg(value_name = "SKIN")]
+    skin: String,
+    /// A CSV table of presses, or `random:N` single presses of the skin's usual size within 85 % of its outline.
+    #[arg(long, value_name = "FILE.csv|random:N")]
+    presses: String,
+    /// Where to write 32 frames of the untouched skin.
+    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    baseline: PathBuf,
+    /// Where to write the frames of the presses, in order.
+    #[arg(long, value_name = "FILE.csv|FILE.npy")]
+    frames: PathBuf,
+    /// Where to write what was true in each frame.
+    #[arg(long, value_name = "FILE.csv")]
+    truth: Option<PathBuf>,
+    /// Seed of the noise and of random presses.
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Frames of each press.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    repeats: u32,
+}
+
+impl Sample {
+    fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let skin = Skin::open(&self.skin)?;
+        let usual = dermis::twin::from_skin::press_range(&skin);
+        let presses = match self.presses.strip_prefix("random:") {
+            Some(count) => {
+                let count: usize =
+                    count.parse().ok().filter(|count| (1..=1_000_000).contains(count)).ok_or_else(|| {
+                        UsageError(format!("--presses {}: expected random:N with N from 1 to 1000000", self.presses))
+                    })?;
+                random_presses(&skin.outline(), &usual, count, self.seed.unwrap_or(1))
+            }
+            None => read_presses(Path::new(&self.presses), &usual)?,
+        };
+        let (baseline, frames, truth) = (self.baseline, self.frames, self.truth);
+        let repeats = self.repeats as usize;
+        let request = SampleRequest { skin, presses, baseline, frames, truth, seed: self.seed, repeats };
+        let bar = super::progress_bar("presses");
+        let made = sample(&request, |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        })?;
+        bar.finish_and_clear();
+        writeln!(
+            out,
+            "{} frames of {} presses, {} channels, to {}",
+            made.frames,
+            made.presses,
+            made.channels,
+            request.frames.display()
+        )?;
+        if made.outside_validity > 0 {
+            writeln!(out, "{} presses leave the model's validity: see the skin's chapter", made.outside_validity)?;
+        }
+        Ok(Outcome::Done)
+    }
 }
 
 #[derive(clap::Args)]
@@ -62,10 +140,12 @@ struct Serve {
 }
 
 impl Arguments {
-    /// Serves until told to stop.
+    /// Does what was asked for; serves until told to stop.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let Action::Serve(arguments) = self.action;
-        arguments.run(out)
+        match self.action {
+            Action::Serve(arguments) => arguments.run(out),
+            Action::Sample(arguments) => arguments.run(out),
+        }
     }
 }
 

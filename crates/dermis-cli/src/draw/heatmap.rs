@@ -23,7 +23,7 @@ pub struct Panel {
     pub columns: usize,
     /// Row-major, row 0 at the top, NaN outside.
     pub values: Vec<f32>,
-    /// Marks, as shares of the image's width and height from the top left corner.
+    /// FrameAnomalies, as shares of the image's width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
     /// Radius of the upright cylinder on which the image lies, as a share of its width; none where it is flat.
     pub bend: Option<f64>,

@@ -117,7 +117,9 @@ impl Command {
             Self::Treat(_) if !scene.is_treatable => {
                 Err("treatment refused: only the twin of a self-healing skin is cut and healed here".into())
             }
-            Self::Treat(action) => action.treatment().check().map_err(|error| format!("treatment refused: {error}")),
+            Self::Treat(action) => dermis::twin::from_skin::treatment_of(*action)
+                .check()
+                .map_err(|error| format!("treatment refused: {error}")),
             Self::ChooseChannels(indices) => check_channels(indices, scene),
         }
     }

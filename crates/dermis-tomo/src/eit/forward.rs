@@ -72,6 +72,9 @@ pub enum EitError {
     /// A readout circuit does not fit.
     #[error("readout circuit: {0}")]
     Circuit(#[from] CircuitError),
+    /// A fit was asked for with parameters that make no sense.
+    #[error(transparent)]
+    Fit(#[from] crate::least_squares::Error),
 }
 
 /// Mesh, electrodes and protocol made ready to solve for any conductivity.

@@ -391,13 +391,20 @@ impl Protocol {
         self.pattern_of(channel).touches(electrode) || self.stimulation_of(channel).touches(electrode)
     }
 
-    /// A label for people, one-based: `1-2 > 5-6` (drive, then measure).
+    /// A label for people, one-based: `1-2 > 5-6`, the drive first, then what is measured, each pair in the order of a skin
+    /// file: current goes in at the second electrode of the drive and out at the first, and the reading is the first measured
+    /// electrode's potential less the second's. Of 16 electrodes the last adjacent pair is `16-1`.
     pub fn channel_label(&self, channel: usize) -> String {
-        let list = |pattern: &Pattern| {
-            let names: Vec<String> = pattern.entries().iter().take(3).map(|e| (e.0 + 1).to_string()).collect();
-            format!("{}{}", names.join("-"), if pattern.entries().len() > 3 { ".." } else { "" })
+        let list = |pattern: &Pattern, first: f64| {
+            let mut entries: Vec<(u32, f64)> = pattern.entries().to_vec();
+            // Patterns of more electrodes than two are said by number.
+            if entries.len() == 2 {
+                entries.sort_by(|a, b| (first * b.1).total_cmp(&(first * a.1)));
+            }
+            let names: Vec<String> = entries.iter().take(3).map(|e| (e.0 + 1).to_string()).collect();
+            format!("{}{}", names.join("-"), if entries.len() > 3 { ".." } else { "" })
         };
-        format!("{} > {}", list(self.stimulation_of(channel)), list(self.pattern_of(channel)))
+        format!("{} > {}", list(self.stimulation_of(channel), -1.0), list(self.pattern_of(channel), 1.0))
     }
 }
 
@@ -551,6 +558,18 @@ mod tests {
         let absolute = Protocol::generate(&spec(Drive::Adjacent, Measure::Adjacent)).unwrap();
         assert_eq!(absolute.channel_label(13), "2-3 > 4-5");
         assert_eq!(absolute.channel_label(26), "3-4 > 1-2");
+        // The pair that wraps keeps its order: the reading is U16 - U1, and the last drive's current goes in at 1.
+        let channels = || 0..absolute.channel_count();
+        let wraps = channels().filter(|&channel| absolute.channel_label(channel).ends_with("> 16-1")).count();
+        assert_eq!(wraps, 13);
+        assert!(channels().any(|channel| absolute.channel_label(channel).starts_with("16-1 >")));
+        for channel in channels() {
+            let label = absolute.channel_label(channel);
+            let (_, measured) = label.split_once(" > ").unwrap();
+            let (plus, _) = measured.split_once('-').unwrap();
+            let entries = absolute.pattern_of(channel).entries();
+            assert!(entries.iter().any(|(e, w)| (e + 1).to_string() == plus && *w > 0.0), "{label}: {entries:?}");
+        }
         assert_eq!(protocol.channel_label(26), "3-4 > 5-6");
     }
 

@@ -7,7 +7,7 @@ use faer::linalg::matmul::triangular::{self, BlockStructure};
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Accum, Mat, MatRef, Par, Scale, Side};
 
-use super::proportional::Proportional;
+use super::reciprocity::ReciprocalColumns;
 use super::{Hyperparameter, InverseError, PriorMatrix, Spectrum, Weighting, check_finite};
 
 /// Below this many unknowns a singular prior is solved exactly, in model space.
@@ -22,7 +22,7 @@ pub struct LinearProblem {
     sensitivities: Mat<f64>,
     /// Channels that see alike, in whitened data. What is orthogonal to their groups sees nothing: in that basis the
     /// data-space system is one of the groups, and `lambda^2` beside it.
-    alike: Proportional,
+    alike: ReciprocalColumns,
     form: Form,
 }
 
@@ -104,12 +104,12 @@ impl LinearProblem {
             Weighting::Full(_) => {
                 let mut whitened = transposed.to_owned();
                 weighting.whiten(whitened.transpose_mut());
-                let alike = Proportional::of_columns(whitened.as_ref());
+                let alike = ReciprocalColumns::of_columns(whitened.as_ref());
                 let merged = alike.merged(whitened.as_ref());
                 (alike, merged)
             }
             Weighting::Identity | Weighting::Diagonal(_) => {
-                let alike = Proportional::of_scaled_columns(transposed, |channel| weighting.root(channel));
+                let alike = ReciprocalColumns::of_scaled_columns(transposed, |channel| weighting.root(channel));
                 let merged = alike.merged(transposed);
                 (alike, merged)
             }

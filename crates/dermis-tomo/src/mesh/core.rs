@@ -248,6 +248,11 @@ impl Mesh {
         &self.measures
     }
 
+    /// Side of a square of the elements' mean area, metres, of a mesh of triangles.
+    pub fn element_size_m(&self) -> f64 {
+        (self.measures.iter().sum::<f64>() / self.measures.len().max(1) as f64).sqrt()
+    }
+
     /// Centroid of one element, metres.
     pub fn centroid(&self, index: usize) -> [f64; 3] {
         let cell = self.element(index);

@@ -17,7 +17,8 @@ pub(super) fn dot2(a: Point, b: Point) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-pub(super) fn distance(a: Point, b: Point) -> f64 {
+/// Distance between two points of the plane, in their unit.
+pub fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
@@ -48,8 +49,8 @@ pub(super) fn contains(polygon: &[Point], p: Point) -> bool {
     inside
 }
 
-/// Distance from a point to a segment, and where on it (0 at `a`, 1 at `b`).
-pub(super) fn to_segment(p: Point, a: Point, b: Point) -> (f64, f64) {
+/// Distance from a point of the plane to the segment from `a` to `b`, and where on it the nearest point is (0 at `a`, 1 at `b`).
+pub fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
     let along = minus(b, a);
     let length2 = dot2(along, along);
     let t = if length2 > 0.0 { (dot2(minus(p, a), along) / length2).clamp(0.0, 1.0) } else { 0.0 };

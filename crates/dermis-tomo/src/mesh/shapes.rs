@@ -128,6 +128,22 @@ impl Outline {
         }
     }
 
+    /// True on the sheet, its rim and the sides of its holes included; false in its holes.
+    pub fn contains(&self, point_m: [f64; 2]) -> bool {
+        let Outline::Polygon { outer, holes } = self else {
+            let (low, high) = self.bounds_m();
+            return match self {
+                Outline::Disc { radius_m } => point_m[0].hypot(point_m[1]) <= *radius_m,
+                _ => (0..2).all(|axis| (low[axis]..=high[axis]).contains(&point_m[axis])),
+            };
+        };
+        // Which side of a side a point on it is taken to lie is chance, so that sides are asked first.
+        let slack = 1e-9 * self.perimeter_m();
+        let loops = || std::iter::once(outer).chain(holes);
+        loops().any(|polygon| super::plane::to_polygon(point_m, polygon) <= slack)
+            || super::plane::contains(outer, point_m) && !holes.iter().any(|hole| super::plane::contains(hole, point_m))
+    }
+
     /// Corners counter-clockwise, beginning where rim positions begin; empty for a disc.
     pub(super) fn rim_vertices(&self) -> Vec<Point> {
         match self {

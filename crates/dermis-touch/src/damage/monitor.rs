@@ -3,9 +3,9 @@
 use super::region::{Region, RegionFinder};
 use super::{Damage, DamageEvent, DamageParams, DamageShape, DamageState};
 use crate::blob::seconds_between;
+use crate::cells::ImageCells;
 use crate::contact::PixelNoise;
 use crate::error::{TouchError, require_length};
-use crate::geometry::ImageGeometry;
 use crate::track::Touch;
 
 /// A suspicion that is not seen for so long is dropped, seconds.
@@ -17,7 +17,7 @@ const OF_ITS_OWN: f64 = 0.5;
 /// A healed place with this much of its worst again has opened.
 const REOPENED: f64 = 0.6;
 
-/// What a network says of each pixel, row-major like the image, 0 to 1; NaN outside the skin.
+/// What a network says of each cell, in the order of the image, 0 to 1; NaN outside the skin.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassProbabilities<'a> {
     /// Damaged.
@@ -31,7 +31,7 @@ pub struct ClassProbabilities<'a> {
 pub struct DamageFrame<'a> {
     /// Its time, nanoseconds; not before the last one's.
     pub time_ns: u64,
-    /// The image against the intact reference: below zero is damage. Row-major, NaN outside the skin.
+    /// The image against the intact reference: below zero is damage. NaN outside the skin.
     pub image: &'a [f32],
     /// Standard deviation of that image's noise.
     pub noise: PixelNoise<'a>,
@@ -42,7 +42,7 @@ pub struct DamageFrame<'a> {
     /// What a model makes of the damage known already, as an image: where it explains a low region, that is a side lobe and
     /// begins nothing.
     pub known: Option<&'a [f32]>,
-    /// The classes of the pixels, where a network gives them: a damage begins only where most of its place is called
+    /// The classes of the cells, where a network gives them: a damage begins only where most of its place is called
     /// damaged, and is covered where most is called compressed.
     pub classes: Option<ClassProbabilities<'a>>,
 }
@@ -68,7 +68,7 @@ struct Record {
 /// the image is taken against is the caller's, and must be the intact skin.
 #[derive(Debug, Clone)]
 pub struct DamageMonitor {
-    geometry: ImageGeometry,
+    cells: ImageCells,
     params: DamageParams,
     finder: RegionFinder,
     mean: Vec<f32>,
@@ -80,25 +80,26 @@ pub struct DamageMonitor {
     records: Vec<Record>,
     damages: Vec<Damage>,
     events: Vec<DamageEvent>,
-    /// Bits of the records that each pixel belongs to.
+    /// Bits of the records that each cell belongs to.
     masks: Vec<u16>,
     next_id: u64,
 }
 
 impl DamageMonitor {
-    /// A monitor for images on `geometry`.
+    /// A monitor for images on these cells.
     ///
     /// # Errors
-    /// [`TouchError::Parameter`] when the geometry or a parameter is out of range.
-    pub fn new(geometry: ImageGeometry, params: DamageParams) -> Result<Self, TouchError> {
-        geometry.validate()?;
+    /// [`TouchError::Parameter`] when the cells or a parameter are out of range.
+    pub fn new(cells: impl Into<ImageCells>, params: DamageParams) -> Result<Self, TouchError> {
+        let cells = cells.into();
+        cells.validate()?;
         params.validate()?;
-        let pixels = geometry.len();
+        let count = cells.len();
         Ok(Self {
-            geometry,
+            cells,
             params,
-            finder: RegionFinder::new(pixels, params.most),
-            mean: vec![f32::NAN; pixels],
+            finder: RegionFinder::new(count, params.most),
+            mean: vec![f32::NAN; count],
             variance: 1.0,
             free_since_ns: None,
             loaded_ns: None,
@@ -107,7 +108,7 @@ impl DamageMonitor {
             damages: Vec::with_capacity(params.most),
             // At most two things happen to a damage in one frame, and one by a model's word.
             events: Vec::with_capacity(3 * params.most),
-            masks: vec![0; pixels],
+            masks: vec![0; count],
             next_id: 1,
         })
     }
@@ -222,14 +223,14 @@ impl DamageMonitor {
     }
 
     fn check(&self, frame: &DamageFrame<'_>) -> Result<(), TouchError> {
-        require_length("image", self.geometry.len(), frame.image.len())?;
-        frame.noise.validate(self.geometry.len())?;
+        require_length("image", self.cells.len(), frame.image.len())?;
+        frame.noise.validate(self.cells.len())?;
         if let Some(known) = frame.known {
-            require_length("image of the known damage", self.geometry.len(), known.len())?;
+            require_length("image of the known damage", self.cells.len(), known.len())?;
         }
         if let Some(classes) = &frame.classes {
-            require_length("probabilities of damage", self.geometry.len(), classes.damaged.len())?;
-            require_length("probabilities of compression", self.geometry.len(), classes.compressed.len())?;
+            require_length("probabilities of damage", self.cells.len(), classes.damaged.len())?;
+            require_length("probabilities of compression", self.cells.len(), classes.compressed.len())?;
         }
         match self.time_ns.filter(|previous| frame.time_ns < *previous) {
             Some(previous_ns) => Err(TouchError::TimeReversed { time_ns: frame.time_ns, previous_ns }),
@@ -284,8 +285,8 @@ impl DamageMonitor {
         let highest = self.mean.iter().copied().filter(|v| v.is_finite()).fold(0.0_f32, f32::max);
         let least = self.params.smallest_depth.max(self.params.lobe_share * f64::from(highest));
         let averaged = self.variance.sqrt();
-        let sigma = |pixel: usize| averaged * f64::from(frame.noise.at(pixel));
-        self.finder.find(&self.mean, &self.geometry, &self.params, sigma, least);
+        let sigma = |cell: usize| averaged * f64::from(frame.noise.at(cell));
+        self.finder.find(&self.mean, &self.cells, &self.params, sigma, least);
         for index in 0..self.finder.regions().len() {
             let region = self.finder.regions()[index];
             let of_its_own = self.is_of_its_own(&region, frame.known);
@@ -310,7 +311,7 @@ impl DamageMonitor {
         self.drop_unseen(frame.time_ns);
     }
 
-    /// The record whose place a region is: most of its pixels, or the nearest within both extents.
+    /// The record whose place a region is: most of its cells, or the nearest within both extents.
     fn record_of(&self, region: &Region) -> Option<usize> {
         let distance = |record: &Record| {
             let own = record.damage.shape.distance_m(region.shape.centre_m);
@@ -329,9 +330,9 @@ impl DamageMonitor {
     /// Whether a region is more than what the known damage does there.
     fn is_of_its_own(&self, region: &Region, known: Option<&[f32]>) -> bool {
         let Some(known) = known else { return true };
-        let pixels = self.finder.labels().iter().zip(self.mean.iter().zip(known));
+        let cells = self.finder.labels().iter().zip(self.mean.iter().zip(known));
         let left =
-            pixels.filter(|(label, _)| **label & region.bit != 0).map(|(_, (mean, known))| f64::from(known - mean));
+            cells.filter(|(label, _)| **label & region.bit != 0).map(|(_, (mean, known))| f64::from(known - mean));
         left.fold(0.0, f64::max) >= OF_ITS_OWN * region.depth
     }
 
@@ -357,7 +358,7 @@ impl DamageMonitor {
         self.paint(bit, region.bit);
     }
 
-    /// Gives a record the pixels of a region.
+    /// Gives a record the cells of a region.
     fn paint(&mut self, bit: u16, region_bit: u16) {
         for (mask, label) in self.masks.iter_mut().zip(self.finder.labels()) {
             *mask = if label & region_bit != 0 { *mask | bit } else { *mask & !bit };
@@ -386,11 +387,13 @@ impl DamageMonitor {
     /// One free frame in the life of a record.
     fn follow(&mut self, index: usize, frame: &DamageFrame<'_>) {
         let time_ns = frame.time_ns;
-        let (pixel_m2, mean, masks) = (self.geometry.pixel_m * self.geometry.pixel_m, &self.mean, &self.masks);
+        let (cells, mean, masks) = (&self.cells, &self.mean, &self.masks);
         let params = self.params;
         let record = &mut self.records[index];
         if !record.modelled && record.damage.state != DamageState::Suspected {
-            let left: f64 = within(masks, record.bit, mean).map(|value| -f64::from(value)).sum::<f64>() * pixel_m2;
+            let of_cell = |(cell, value): (usize, f32)| -f64::from(value) * cells.relative_area(cell);
+            let left: f64 = within(masks, record.bit, mean).map(of_cell).sum();
+            let left = left * (cells.cell_size_m() * cells.cell_size_m());
             record.damage.share = (left / record.damage.volume_m2).clamp(0.0, 1.0);
         }
         let share = record.damage.share;
@@ -450,13 +453,15 @@ impl DamageMonitor {
     }
 }
 
-/// The finite values of the pixels of a mask.
-fn within<'a>(masks: &'a [u16], bit: u16, values: &'a [f32]) -> impl Iterator<Item = f32> + 'a {
-    let inside = masks.iter().zip(values).filter(move |(mask, value)| **mask & bit != 0 && value.is_finite());
-    inside.map(|(_, value)| *value)
+/// The cells of a mask with their values, as far as those are finite.
+fn within<'a>(masks: &'a [u16], bit: u16, values: &'a [f32]) -> impl Iterator<Item = (usize, f32)> + 'a {
+    let inside =
+        masks.iter().zip(values).enumerate().filter(move |(_, (mask, value))| **mask & bit != 0 && value.is_finite());
+    inside.map(|(cell, (_, value))| (cell, *value))
 }
 
+/// Mean over the cells of a mask, all alike.
 fn mean_within(masks: &[u16], bit: u16, values: &[f32]) -> f64 {
-    let (sum, count) = within(masks, bit, values).fold((0.0, 0u32), |(sum, n), v| (sum + f64::from(v), n + 1));
+    let (sum, count) = within(masks, bit, values).fold((0.0, 0u32), |(sum, n), (_, v)| (sum + f64::from(v), n + 1));
     if count > 0 { sum / f64::from(count) } else { f64::NAN }
 }

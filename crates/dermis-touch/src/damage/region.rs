@@ -1,8 +1,8 @@
-//! Low regions of an image: the pixels connected to a minimum that lie below half of it, with their moments. The extent of
+//! Low regions of an image: the cells connected over edges to a minimum that lie below half of it, with their moments. The extent of
 //! a line in them follows from the larger second moment, less that of a point: a line of length L has the variance L^2/12.
 
 use super::{DamageParams, DamageShape};
-use crate::geometry::ImageGeometry;
+use crate::cells::ImageCells;
 
 /// One low region.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +20,7 @@ pub(super) struct Region {
 /// Finds them, in memory of its own.
 #[derive(Debug, Clone)]
 pub(super) struct RegionFinder {
-    /// Bit of the region that each pixel belongs to.
+    /// Bit of the region that each cell belongs to.
     labels: Vec<u16>,
     stack: Vec<u32>,
     regions: Vec<Region>,
@@ -28,7 +28,7 @@ pub(super) struct RegionFinder {
     taken: Vec<bool>,
 }
 
-/// Sums over the pixels of a region.
+/// Sums over the cells of a region.
 #[derive(Debug, Clone, Copy, Default)]
 struct Moments {
     weight: f64,
@@ -66,12 +66,12 @@ impl Moments {
 }
 
 impl RegionFinder {
-    pub fn new(pixels: usize, most: usize) -> Self {
+    pub fn new(cells: usize, most: usize) -> Self {
         Self {
-            labels: vec![0; pixels],
-            stack: Vec::with_capacity(pixels),
+            labels: vec![0; cells],
+            stack: Vec::with_capacity(cells),
             regions: Vec::with_capacity(most),
-            taken: vec![false; pixels],
+            taken: vec![false; cells],
         }
     }
 
@@ -80,16 +80,16 @@ impl RegionFinder {
         &self.regions
     }
 
-    /// Bit of the region that each pixel belongs to, 0 for none.
+    /// Bit of the region that each cell belongs to, 0 for none.
     pub fn labels(&self) -> &[u16] {
         &self.labels
     }
 
-    /// Finds the regions of an image whose minimum is below minus `limit(pixel)`.
+    /// Finds the regions of an image whose minimum is below minus `limit(cell)`.
     pub fn find(
         &mut self,
         image: &[f32],
-        geometry: &ImageGeometry,
+        cells: &ImageCells,
         params: &DamageParams,
         sigma: impl Fn(usize) -> f64,
         least: f64,
@@ -109,15 +109,15 @@ impl RegionFinder {
                 break;
             }
             let bit = 1 << self.regions.len();
-            let moments = self.flood(image, geometry, seed, bit);
-            let volume_m2 = moments.volume * geometry.pixel_m * geometry.pixel_m;
+            let moments = self.flood(image, cells, seed, bit);
+            let volume_m2 = moments.volume * cells.cell_size_m() * cells.cell_size_m();
             let shape = moments.shape(params.point_spread_m);
             self.regions.push(Region { shape, depth, sigma: sigma(seed), volume_m2, bit });
         }
     }
 
-    /// Takes the pixels connected to a minimum that lie below half of it, and shuts off the slope about them.
-    fn flood(&mut self, image: &[f32], geometry: &ImageGeometry, seed: usize, bit: u16) -> Moments {
+    /// Takes the cells connected to a minimum that lie below half of it, and shuts off the slope about them.
+    fn flood(&mut self, image: &[f32], cells: &ImageCells, seed: usize, bit: u16) -> Moments {
         let half = 0.5 * -image[seed];
         let mut moments = Moments::default();
         self.stack.clear();
@@ -128,24 +128,17 @@ impl RegionFinder {
             let value = -image[index];
             if value >= half {
                 self.labels[index] = bit;
-                let weight = f64::from(value - half).max(f64::MIN_POSITIVE);
-                moments.add(geometry.pixel_centre_m(index), f64::from(value), weight);
+                let (area, weight) = (cells.relative_area(index), f64::from(value - half).max(f64::MIN_POSITIVE));
+                moments.add(cells.place_m(index), f64::from(value) * area, weight * area);
             }
-            let (column, row) = (index % geometry.columns, index / geometry.columns);
-            let neighbours = [
-                (column > 0).then(|| index - 1),
-                (column + 1 < geometry.columns).then(|| index + 1),
-                (row > 0).then(|| index - geometry.columns),
-                (row + 1 < geometry.rows).then(|| index + geometry.columns),
-            ];
-            for next in neighbours.into_iter().flatten() {
+            cells.for_each_edge_neighbour(index, |next| {
                 // Down the slope while it is part of the region, then on while it still rises to zero.
                 let lies = -image[next];
                 if !self.taken[next] && lies > 0.0 && (lies >= half || lies <= value) {
                     self.taken[next] = true;
                     self.stack.push(next as u32);
                 }
-            }
+            });
         }
         moments
     }

@@ -1,15 +1,15 @@
 //! Damage in images made by hand: dips and bumps of known place, depth and length.
 
 use super::*;
+use crate::cells::GridGeometry;
 use crate::contact::{ContactSign, PixelNoise};
-use crate::geometry::ImageGeometry;
 use crate::track::{Observation, Touch, TouchPhase};
 
 const GRID: usize = 50;
 const NOISE: PixelNoise<'static> = PixelNoise::Uniform(0.002);
 
-fn geometry() -> ImageGeometry {
-    ImageGeometry::centred(GRID, GRID, 2e-3)
+fn geometry() -> GridGeometry {
+    GridGeometry::centred(GRID, GRID, 2e-3)
 }
 
 /// A line of Gaussian spots of 5 mm, from end to end, of a depth.

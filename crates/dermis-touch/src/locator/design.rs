@@ -122,7 +122,7 @@ impl Design {
 }
 
 /// 1 / noise, floored; 0 for a channel without finite noise or measured in fewer than half of the examples.
-fn channel_weights(examples: &Examples) -> Vec<f64> {
+pub(super) fn channel_weights(examples: &Examples) -> Vec<f64> {
     let (n, c) = (examples.len(), examples.channels);
     let mut weights = match &examples.channel_noise {
         None => vec![1.0; c],
@@ -217,7 +217,7 @@ impl Prior {
 }
 
 /// The four nearest map positions and their inverse-square-distance shares.
-fn nearest(positions: &[[f64; 2]], at: [f64; 2]) -> Vec<(usize, f64)> {
+pub(super) fn nearest(positions: &[[f64; 2]], at: [f64; 2]) -> Vec<(usize, f64)> {
     let mut best: Vec<(usize, f64)> = Vec::with_capacity(5);
     for (p, position) in positions.iter().enumerate() {
         let d2 = squared_distance(*position, at);

@@ -90,3 +90,21 @@ pub(super) fn check_positions(field: &'static str, positions: &[[f64; 2]]) -> Re
         None => Ok(()),
     }
 }
+
+/// Refuses the first value that is not accepted.
+pub(super) fn check_first(
+    field: &'static str,
+    mut values: impl Iterator<Item = f64>,
+    accept: impl Fn(f64) -> bool,
+    expected: &'static str,
+) -> Result<(), LocatorError> {
+    let mut index = 0;
+    values
+        .find(|v| {
+            !accept(*v) || {
+                index += 1;
+                false
+            }
+        })
+        .map_or(Ok(()), |value| Err(LocatorError::Value { field, index, value, expected }))
+}

@@ -12,6 +12,7 @@ use super::data::{LoadEstimate, Located, MIN_CHANNELS};
 use super::error::{LocatorError, check_length};
 use super::posterior::moments;
 use super::regression::{Products, noise_variance};
+use super::rows::{dot, logarithms, products};
 
 /// Working memory of [`Locator::predict_into`], kept by the caller between frames.
 ///
@@ -20,17 +21,21 @@ use super::regression::{Products, noise_variance};
 pub struct LocatorScratch {
     fingerprint: Option<u64>,
     frame: Vec<f32>,
-    whitened: Vec<f32>,
+    pub(super) whitened: Vec<f32>,
     missing: Vec<usize>,
-    missing_now: Vec<usize>,
+    pub(super) missing_now: Vec<usize>,
     /// E = L^-1 D', a row of rank values for each missing channel.
     removed: Vec<f32>,
     /// E y, one value for each missing channel.
     shares: Vec<f32>,
+    /// Inner product of each signature with the whitened frame.
+    pub(super) along: Vec<f32>,
+    /// Logarithms of the variances.
+    logarithms: Vec<f32>,
     /// Squared lengths of the signatures in the metric in use.
     squares: Vec<f64>,
-    log_likelihood: Vec<f64>,
-    posterior: Vec<f64>,
+    pub(super) log_likelihood: Vec<f64>,
+    pub(super) posterior: Vec<f64>,
 }
 
 impl LocatorScratch {
@@ -43,8 +48,8 @@ impl LocatorScratch {
 }
 
 /// Amplitude of a frame and the part of a typical frame's energy in the channels it has.
-struct Weighed {
-    amplitude: f64,
+pub(super) struct Weighed {
+    pub amplitude: f64,
     usable: usize,
 }
 
@@ -63,13 +68,19 @@ impl Locator {
     /// Another number of channels than the examples had, too few usable ones, or a frame that is all zero.
     pub fn predict_into(&self, frame: &[f64], scratch: &mut LocatorScratch) -> Result<Located, LocatorError> {
         check_length("frame", self.channels(), frame.len())?;
+        let (weighed, misfit_at_peak) = self.compare(frame, scratch)?;
+        Ok(self.read_out(&weighed, misfit_at_peak, scratch))
+    }
+
+    /// Log-likelihoods over the map, in the scratch, with the misfit per channel at the most likely position.
+    pub(super) fn compare(&self, frame: &[f64], scratch: &mut LocatorScratch) -> Result<(Weighed, f64), LocatorError> {
         if scratch.fingerprint != Some(self.fingerprint) {
             self.adopt(scratch);
         }
         let weighed = self.weigh(frame, scratch)?;
         self.whiten(scratch);
         let misfit_at_peak = self.fill_log_likelihood(&weighed, scratch);
-        Ok(self.read_out(&weighed, misfit_at_peak, scratch))
+        Ok((weighed, misfit_at_peak))
     }
 
     /// [`Locator::predict_into`] with memory of its own.
@@ -93,6 +104,8 @@ impl Locator {
         scratch.shares.clear();
         scratch.squares.clear();
         scratch.squares.extend_from_slice(&self.squares);
+        scratch.along.resize(positions, 0.0);
+        scratch.logarithms.resize(positions, 0.0);
         scratch.log_likelihood.resize(positions, 0.0);
         scratch.posterior.resize(positions, 0.0);
     }
@@ -161,9 +174,7 @@ impl Locator {
 
     /// y = T z, less its part along missing channels.
     fn whiten(&self, scratch: &mut LocatorScratch) {
-        for (y, row) in scratch.whitened.iter_mut().zip(self.state.transform.chunks_exact(self.channels())) {
-            *y = dot(row, &scratch.frame);
-        }
+        products(&self.state.transform, self.channels(), &scratch.frame, &mut scratch.whitened);
     }
 
     /// L(p) for every position; returns the misfit per channel at the most likely one.
@@ -184,12 +195,15 @@ impl Locator {
         let used = state.weights.iter().filter(|w| **w > 0.0).count();
         let rank = state.rank as f64 * weighed.usable as f64 / used as f64;
         let mut best = (f64::NEG_INFINITY, 0.0);
-        for (p, signature) in state.signatures.chunks_exact(state.rank).enumerate() {
-            let frame_map = f64::from(dot(signature, &scratch.whitened));
+        products(&state.signatures, state.rank, &scratch.whitened, &mut scratch.along);
+        scratch.logarithms.iter_mut().zip(&state.variance).for_each(|(l, v)| *l = (v + noise) as f32);
+        logarithms(&mut scratch.logarithms);
+        for (p, along) in scratch.along.iter().enumerate() {
+            let frame_map = f64::from(*along);
             let products = Products { frame_frame: square.max(0.0), frame_map, map_map: scratch.squares[p] };
             let variance = state.variance[p] + noise;
             let misfit = products.misfit() / variance;
-            let value = -0.5 * (misfit + rank * variance.ln());
+            let value = -0.5 * (misfit + rank * f64::from(scratch.logarithms[p]));
             scratch.log_likelihood[p] = value;
             if value > best.0 {
                 best = (value, misfit);
@@ -225,17 +239,4 @@ impl Locator {
             novelty: misfit / state.usual_misfit,
         }
     }
-}
-
-/// Inner product in eight running sums, which the compiler keeps in vector registers.
-pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; 16];
-    let (whole_a, whole_b) = (a.chunks_exact(16), b.chunks_exact(16));
-    let rest: f32 = whole_a.remainder().iter().zip(whole_b.remainder()).map(|(x, y)| x * y).sum();
-    for (x, y) in whole_a.zip(whole_b) {
-        for lane in 0..16 {
-            sums[lane] += x[lane] * y[lane];
-        }
-    }
-    sums.iter().sum::<f32>() + rest
 }

@@ -17,18 +17,20 @@ pub(super) struct LoadLaw {
     pub exponent: f64,
     /// c0 + g at every map position.
     pub log_factor: Vec<f64>,
-    /// Root mean square relative error of the load at left-out examples.
+    /// Relative error of the load at left-out examples.
     pub relative_error: f64,
 }
 
 impl LoadLaw {
-    /// Fits the law; `None` when the loads do not vary or the amplitude does not grow with them.
+    /// Fits the law; `None` when the loads do not vary or the amplitude does not grow with them. `summary` makes the
+    /// relative error of the load from those of left-out examples.
     pub(super) fn fit(
         map: &[[f64; 2]],
         positions: &[[f64; 2]],
         amplitudes: &[f64],
         loads: &[f64],
         length_m: f64,
+        summary: fn(&[f64]) -> f64,
     ) -> Result<Option<Self>, LocatorError> {
         let log_load: Vec<f64> = loads.iter().map(|v| v.ln()).collect();
         let log_amplitude: Vec<f64> = amplitudes.iter().map(|v| v.ln()).collect();
@@ -40,8 +42,8 @@ impl LoadLaw {
         for ratio in NOISE_RATIOS {
             let inverse = inverse_covariance(positions, &vec![ratio; loads.len()], length_m)?;
             let Some((trend, alpha)) = generalised_least_squares(&inverse, &log_load, &log_amplitude) else { continue };
-            let left_out = alpha.iter().enumerate().map(|(i, a)| (a / inverse[(i, i)] / trend[1]).powi(2));
-            let relative_error = (left_out.sum::<f64>() / alpha.len() as f64).sqrt();
+            let left_out = alpha.iter().enumerate().map(|(i, a)| (a / inverse[(i, i)] / trend[1]).abs());
+            let relative_error = summary(&left_out.collect::<Vec<_>>());
             if best.as_ref().is_none_or(|b| relative_error < b.relative_error) {
                 let to_map = correlations(map, positions, length_m);
                 let g = |p: usize| (0..alpha.len()).map(|i| to_map[(p, i)] * alpha[i]).sum::<f64>();
@@ -51,6 +53,11 @@ impl LoadLaw {
         }
         Ok(best)
     }
+}
+
+/// Root mean square of values.
+pub(super) fn root_mean_square(values: &[f64]) -> f64 {
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 /// Trend (c0, c1) by generalised least squares and K^-1 times what it leaves; `None` when the exponent is not above

@@ -18,10 +18,12 @@
 mod data;
 mod design;
 mod error;
+mod fused;
 mod live;
 mod load;
 mod posterior;
 mod regression;
+mod rows;
 mod state;
 mod suggest;
 
@@ -32,13 +34,14 @@ pub use data::{
     Selection, SignatureMap, SuggestedPoke,
 };
 pub use error::LocatorError;
+pub use fused::*;
 pub use live::LocatorScratch;
 pub use state::LOCATOR_VERSION;
 
 use design::{Design, Prior, basis};
 use load::LoadLaw;
 use posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile, spacing};
-use regression::{FittedMap, example_noise, median, smoothed};
+use regression::{ChannelPrior, FittedMap, example_noise, median, smoothed};
 
 /// Passes of filling missing channels of the examples with what the regression makes of the others.
 const FILLING_PASSES: usize = 3;
@@ -83,12 +86,13 @@ impl Locator {
         let (design, prior) = prepare(examples, physics, &start)?;
         let basis = basis(&design, &prior, options.max_rank)?;
         let spacing_m = spacing(&physics.positions_m);
-        let fitting = Fitting { positions: &physics.positions_m, basis: basis.as_ref(), spacing_m };
+        let (positions, basis) = (&physics.positions_m, basis.as_ref());
+        let fitting = Fitting { positions, basis, spacing_m, channel_prior: None, grid: GRID };
         let hyper = match options.selection {
             Selection::Fixed(hyper) => hyper,
             Selection::LeaveOneOut => {
                 let rows = evenly(design.positions_m.len(), options.selection_examples);
-                fitting.select(&design.subset(&rows), &prior.subset(&rows), start, radius)?
+                fitting.select(&design.subset(&rows), &prior.subset(&rows), start, radius)?.1
             }
         };
         let judged = fitting.judge(&design, &prior, &hyper)?;
@@ -98,7 +102,8 @@ impl Locator {
         let load = match &examples.loads {
             None => None,
             Some(loads) => {
-                LoadLaw::fit(&physics.positions_m, &design.positions_m, &design.amplitude, loads, hyper.length_m)?
+                let (map, poked) = (&physics.positions_m, &design.positions_m);
+                LoadLaw::fit(map, poked, &design.amplitude, loads, hyper.length_m, load::root_mean_square)?
             }
         };
         Self::from_state(state::LocatorState::assemble(&design, &prior, &fitting, &judged, spread, hyper, load))
@@ -131,7 +136,20 @@ struct Fitting<'a> {
     positions: &'a [[f64; 2]],
     basis: Option<&'a Mat<f64>>,
     spacing_m: f64,
+    channel_prior: Option<&'a ChannelPrior>,
+    grid: Grid,
 }
+
+/// Candidates of each hyperparameter, lengths as fractions of the skin's radius; the first of each is the default.
+#[derive(Debug, Clone, Copy)]
+struct Grid {
+    lengths: &'static [f64],
+    noises: &'static [f64],
+    shrinkages: &'static [f64],
+}
+
+/// The candidates of [`Locator::fit`].
+const GRID: Grid = Grid { lengths: &LENGTHS, noises: &NOISES, shrinkages: &SHRINKAGES };
 
 /// A fit with its calibration and the log-likelihoods (positions by examples) and misfits of the left-out examples.
 #[derive(Debug, Clone)]
@@ -145,7 +163,7 @@ struct Judged {
 impl Fitting<'_> {
     /// Fits, leaves out each example in turn, and calibrates.
     fn judge(&self, design: &Design, prior: &Prior, hyper: &Hyperparameters) -> Result<Judged, LocatorError> {
-        let map = FittedMap::new(design, prior, self.positions, self.basis, hyper)?;
+        let map = FittedMap::new(design, prior, self.positions, self.basis, hyper, self.channel_prior)?;
         let mut left_out = Mat::<f64>::zeros(self.positions.len(), map.examples());
         let misfits =
             (0..map.examples()).map(|i| map.left_out_log_likelihood(i, left_out.col_as_slice_mut(i))).collect();
@@ -153,14 +171,15 @@ impl Fitting<'_> {
         Ok(Judged { map, calibration, left_out, misfits })
     }
 
-    /// Goes once through the candidates of each hyperparameter and keeps what the left-out examples like best.
+    /// Goes once through the candidates of each hyperparameter and keeps what the left-out examples like best, with its
+    /// score.
     fn select(
         &self,
         design: &Design,
         prior: &Prior,
         start: Hyperparameters,
         radius: f64,
-    ) -> Result<Hyperparameters, LocatorError> {
+    ) -> Result<(f64, Hyperparameters), LocatorError> {
         let score = |hyper: &Hyperparameters| Ok(self.judge(design, prior, hyper)?.calibration.score);
         let margin = SELECTION_MARGIN / design.positions_m.len() as f64;
         let mut best = (score(&start)?, start);
@@ -172,16 +191,16 @@ impl Fitting<'_> {
             }
             Ok::<(), LocatorError>(())
         };
-        for shrinkage in &SHRINKAGES[1..] {
+        for shrinkage in &self.grid.shrinkages[1..] {
             consider(&|kept| Hyperparameters { shrinkage: *shrinkage, ..kept })?;
         }
-        for noise in &NOISES[1..] {
+        for noise in &self.grid.noises[1..] {
             consider(&|kept| Hyperparameters { noise: *noise, ..kept })?;
         }
-        for length in &LENGTHS[1..] {
+        for length in &self.grid.lengths[1..] {
             consider(&|kept| Hyperparameters { length_m: *length * radius, ..kept })?;
         }
-        Ok(best.1)
+        Ok(best)
     }
 
     /// Each example as the others locate it.
@@ -215,8 +234,8 @@ impl Fitting<'_> {
             if outside.len() < MIN_EXAMPLES {
                 return Ok(Vec::new());
             }
-            let map =
-                FittedMap::new(&design.subset(&outside), &prior.subset(&outside), self.positions, self.basis, hyper)?;
+            let (some, about) = (design.subset(&outside), prior.subset(&outside));
+            let map = FittedMap::new(&some, &about, self.positions, self.basis, hyper, self.channel_prior)?;
             for &i in &order[inside] {
                 map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
                 let variance = |p: usize| map.variance[p];

@@ -10,7 +10,7 @@ const TEMPERATURES: usize = 20;
 const COLDEST: f64 = 2.0;
 const HOTTEST: f64 = 0.003;
 /// Fraction of errors within one standard deviation of a Gaussian.
-const ONE_SIGMA: f64 = 0.6827;
+pub(super) const ONE_SIGMA: f64 = 0.6827;
 /// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
 /// common gain, temperature, both terms of sigma): left-out errors are too small by about that many parts in their
 /// number.
@@ -154,6 +154,11 @@ impl Spread {
         Self { factor: factor * (1.0 + CHOSEN_QUANTITIES / near.len() as f64), extrapolation_m }
     }
 
+    /// The factor from `near` for a given extrapolation, raised for what the examples chose.
+    pub(super) fn factor_with(near: &[Trial], extrapolation_m: f64) -> f64 {
+        Self::factor_for(near, extrapolation_m) * (1.0 + CHOSEN_QUANTITIES / near.len() as f64)
+    }
+
     fn factor_for(near: &[Trial], extrapolation_m: f64) -> f64 {
         let needed = |t: &Trial, axis: usize| {
             let rest = t.error_m[axis].powi(2) - (extrapolation_m * t.unexplained).powi(2);
@@ -165,7 +170,7 @@ impl Spread {
 }
 
 /// Log density of a Student t with 4 degrees of freedom, without its constants: outliers cost little more than misses.
-fn log_student(error: f64, sigma: f64) -> f64 {
+pub(super) fn log_student(error: f64, sigma: f64) -> f64 {
     -2.5 * (1.0 + (error / sigma).powi(2) / 4.0).ln() - sigma.ln()
 }
 

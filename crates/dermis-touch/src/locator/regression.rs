@@ -98,6 +98,7 @@ impl FittedMap {
         positions: &[[f64; 2]],
         basis: Option<&Mat<f64>>,
         hyper: &Hyperparameters,
+        channel_prior: Option<&ChannelPrior>,
     ) -> Result<Self, LocatorError> {
         let n = design.z.nrows();
         let project = |m: &Mat<f64>| basis.map_or_else(|| m.clone(), |q| m * q);
@@ -106,7 +107,7 @@ impl FittedMap {
         let z = project(&design.z);
         let residual = &z - project(&prior.at_examples);
         let alpha = &inverse * &residual;
-        let factor = channel_factor(&residual, &alpha, hyper.shrinkage)?;
+        let factor = channel_factor(&residual, &alpha, hyper.shrinkage, channel_prior)?;
         let to_map = correlations(positions, &design.positions_m, hyper.length_m);
         let influence = &to_map * &inverse;
         let variance = remaining_variance(&to_map, &influence);
@@ -133,7 +134,7 @@ impl FittedMap {
             influence,
             alpha,
             inverse_diagonal: (0..n).map(|i| inverse[(i, i)]).collect(),
-            sample_share: (1.0 - hyper.shrinkage) / n as f64,
+            sample_share: (1.0 - hyper.shrinkage) / (n as f64 + channel_prior.map_or(0.0, |p| p.examples)),
             signatures_frames,
             signatures_alpha,
         })
@@ -215,14 +216,31 @@ impl Products {
     }
 }
 
+/// What another skin of the family says about the covariance between channels, in the coordinates of the regression:
+/// the mode of an inverse Wishart prior, worth `examples` pokes. Only its shape counts, not its scale.
+#[derive(Debug, Clone)]
+pub(super) struct ChannelPrior {
+    pub covariance: Mat<f64>,
+    pub examples: f64,
+}
+
 /// Cholesky factor of the residual covariance between channels, shrunk to its diagonal.
-fn channel_factor(residual: &Mat<f64>, alpha: &Mat<f64>, shrinkage: f64) -> Result<Mat<f64>, LocatorError> {
+fn channel_factor(
+    residual: &Mat<f64>,
+    alpha: &Mat<f64>,
+    shrinkage: f64,
+    prior: Option<&ChannelPrior>,
+) -> Result<Mat<f64>, LocatorError> {
     let (n, c) = (residual.nrows() as f64, residual.ncols());
     let sample = residual.transpose() * alpha;
     let trace: f64 = (0..c).map(|k| sample[(k, k)]).sum::<f64>() / n;
     let floor = 1e-3 * trace / c as f64;
+    let prior_trace = prior.map_or(0.0, |p| (0..c).map(|k| p.covariance[(k, k)]).sum::<f64>());
+    let prior = prior.filter(|_| prior_trace > 0.0);
+    let worth = prior.map_or(0.0, |p| p.examples);
     let covariance = Mat::from_fn(c, c, |i, j| {
-        let value = (sample[(i, j)] + sample[(j, i)]) * 0.5 / n;
+        let expected = prior.map_or(0.0, |p| p.covariance[(i, j)] * worth * trace / prior_trace);
+        let value = ((sample[(i, j)] + sample[(j, i)]) * 0.5 + expected) / (n + worth);
         if i == j { value + shrinkage * floor } else { (1.0 - shrinkage) * value }
     });
     let what = "covariance between channels";
@@ -265,11 +283,11 @@ mod tests {
         let (n, channels, out) = (40, 6, 11);
         let (design, prior, map) = made_up(n, channels);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 1e-12 };
-        let full = FittedMap::new(&design, &prior, &map, None, &hyper).expect("fits");
+        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None).expect("fits");
         let mut closed = vec![0.0; map.len()];
         full.left_out_log_likelihood(out, &mut closed);
         let rows: Vec<usize> = (0..n).filter(|i| *i != out).collect();
-        let rest = FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper).expect("fits");
+        let rest = FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper, None).expect("fits");
         let frame = &rest.transform * design.z.row(out).transpose();
         for p in 0..map.len() {
             let signature = rest.signatures.col(p);
@@ -290,12 +308,13 @@ mod tests {
         let (n, channels) = (10, 60);
         let (design, prior, map) = made_up(n, channels);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 0.03 };
-        let full = FittedMap::new(&design, &prior, &map, None, &hyper).expect("fits");
+        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None).expect("fits");
         let (mut closed, mut refitted) = (vec![0.0; map.len()], vec![0.0; map.len()]);
         for out in 0..n {
             full.left_out_log_likelihood(out, &mut closed);
             let rows: Vec<usize> = (0..n).filter(|i| *i != out).collect();
-            let rest = FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper).expect("fits");
+            let rest =
+                FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper, None).expect("fits");
             rest.log_likelihood(design.z.row(out), full.noise[out], &mut refitted);
             let top = (0..map.len()).fold(0, |b, p| if closed[p] > closed[b] { p } else { b });
             let misfit = |value: f64| -2.0 * value / channels as f64 - (rest.variance[top] + full.noise[out]).ln();

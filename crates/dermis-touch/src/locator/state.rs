@@ -2,7 +2,7 @@
 
 use super::data::{Hyperparameters, LeaveOneOut};
 use super::design::{Design, Prior};
-use super::error::{LocatorError, check_finite, check_length, check_positions};
+use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::load::LoadLaw;
 use super::posterior::Spread;
 use super::{Fitting, Judged, Locator, example_noise, median, quantile};
@@ -201,21 +201,4 @@ fn check_not_negative(field: &'static str, values: &[f64]) -> Result<(), Locator
 
 fn check_above_zero(field: &'static str, values: &[f64]) -> Result<(), LocatorError> {
     check_first(field, values.iter().copied(), |v| v.is_finite() && v > 0.0, "a finite number above zero")
-}
-
-fn check_first(
-    field: &'static str,
-    mut values: impl Iterator<Item = f64>,
-    accept: impl Fn(f64) -> bool,
-    expected: &'static str,
-) -> Result<(), LocatorError> {
-    let mut index = 0;
-    values
-        .find(|v| {
-            !accept(*v) || {
-                index += 1;
-                false
-            }
-        })
-        .map_or(Ok(()), |value| Err(LocatorError::Value { field, index, value, expected }))
 }

@@ -7,9 +7,9 @@ use faer::Mat;
 use super::Locator;
 use super::data::SuggestedPoke;
 use super::error::LocatorError;
-use super::live::dot;
 use super::posterior::moments;
 use super::regression::{Products, correlations, inverse_covariance, noise_variance};
+use super::rows::dot;
 
 /// At most so many of the map's positions are considered.
 const CANDIDATES: usize = 600;

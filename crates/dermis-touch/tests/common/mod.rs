@@ -1,7 +1,7 @@
 //! Images of Gaussian touches, and noise, for the tests.
 #![allow(dead_code)] // Each test binary uses its own part.
 
-use dermis_touch::{Contact, ContactSign, ContactStrength, ImageGeometry};
+use dermis_touch::{Contact, ContactSign, ContactStrength, GridGeometry};
 
 /// One bell-shaped touch.
 #[derive(Debug, Clone, Copy)]
@@ -17,11 +17,11 @@ pub fn bell(x_mm: f64, y_mm: f64, sigma_mm: f64, height: f64) -> Bell {
 }
 
 /// A square of 128 mm in 64 x 64 pixels of 2 mm.
-pub fn square() -> ImageGeometry {
-    ImageGeometry::centred(64, 64, 0.002)
+pub fn square() -> GridGeometry {
+    GridGeometry::centred(64, 64, 0.002)
 }
 
-pub fn paint(geometry: &ImageGeometry, bells: &[Bell]) -> Vec<f32> {
+pub fn paint(geometry: &GridGeometry, bells: &[Bell]) -> Vec<f32> {
     (0..geometry.len())
         .map(|index| {
             let [x, y] = geometry.pixel_centre_m(index);
@@ -33,7 +33,7 @@ pub fn paint(geometry: &ImageGeometry, bells: &[Bell]) -> Vec<f32> {
 }
 
 /// Sets everything outside the disc of `radius_m` to NaN.
-pub fn cut_disc(geometry: &ImageGeometry, image: &mut [f32], radius_m: f64) {
+pub fn cut_disc(geometry: &GridGeometry, image: &mut [f32], radius_m: f64) {
     for (index, value) in image.iter_mut().enumerate() {
         let [x, y] = geometry.pixel_centre_m(index);
         if x.hypot(y) > radius_m {

@@ -1,7 +1,14 @@
-//! The chain, its presets and its faults against closed forms.
+//! The chain and its faults against closed forms.
 
 use super::*;
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, ProtocolSpec, Reference};
+
+const CONVERTER: Converter = Converter { bits: 14, range_v: 1.0, gain: 8.0 };
+const NOISE: Noise = Noise { floor_v: 2.9e-5, proportional: 3e-4 };
+
+fn noisy() -> InstrumentOptions {
+    InstrumentOptions { noise: NOISE, converter: Some(CONVERTER), ..InstrumentOptions::ideal() }
+}
 
 fn read(options: InstrumentOptions, voltages: &[f64]) -> Vec<f64> {
     let mut out = voltages.to_vec();
@@ -138,7 +145,10 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
     let voltages: Vec<f64> = (0..208).map(|k| 1e-3 * 1.02_f64.powi(k) * if k % 3 == 0 { -1.0 } else { 1.0 }).collect();
     let floor_v = floor_for_ionic_snr_v(&voltages, 59.7, 100, 5e-7).unwrap();
     let tuned = InstrumentOptions { noise: Noise { floor_v, proportional: 5e-7 }, ..InstrumentOptions::ideal() };
-    for options in [InstrumentOptions::ionic_as_printed(), tuned] {
+    // Without a floor, the proportional noise at which an ideal frame has the figure.
+    let unit = expected_ionic_snr_db(&voltages, f64::abs, 100);
+    let noise = Noise { floor_v: 0.0, proportional: 10_f64.powf(-(59.7 - unit) / 10.0) };
+    for options in [InstrumentOptions { noise, ..InstrumentOptions::ideal() }, tuned] {
         let mut instrument = Instrument::new(options, 208, 11).unwrap();
         let (mut sum, mut squares) = (vec![0.0; 208], vec![0.0; 208]);
         for _ in 0..100 {
@@ -165,33 +175,18 @@ fn noise_predicted_from_the_printed_formula_gives_its_figure() {
 }
 
 #[test]
-fn presets_keep_the_papers_time_and_steps() {
-    let ionic = Instrument::new(InstrumentOptions::ionic(), 208, 1).unwrap();
-    assert!((ionic.frame_period_s() - 1.0 / 16.0).abs() < 1e-12);
-    let piezo = Instrument::new(InstrumentOptions::piezo(), 4096, 1).unwrap();
-    assert!((piezo.frame_period_s() - 4096.0 * (1e-5 + 1.0 / 860.0)).abs() < 1e-9);
-    assert!((InstrumentOptions::piezo().drive.unwrap().actual_a() - 39e-6).abs() < 1e-18);
-}
-
-#[test]
 fn options_without_a_converter_come_back_from_toml() {
     let drift = Some(Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 2e-5 });
-    let presets = [
-        InstrumentOptions::ideal(),
-        InstrumentOptions::ionic(),
-        InstrumentOptions::ionic_as_printed(),
-        InstrumentOptions::piezo(),
-        InstrumentOptions { drift, ..InstrumentOptions::healing() },
-    ];
-    for options in presets {
+    for options in [InstrumentOptions::ideal(), noisy(), InstrumentOptions { drift, ..noisy() }] {
         let text = toml::to_string(&options).unwrap();
         assert_eq!(toml::from_str::<InstrumentOptions>(&text).unwrap(), options, "{text}");
     }
-    assert_eq!(toml::from_str::<InstrumentOptions>("").unwrap().converter, Some(Converter::default()));
-    let bits = toml::from_str::<InstrumentOptions>("converter = { bits = 12 }").unwrap().converter;
-    assert_eq!(bits, Some(Converter { bits: 12, ..Converter::default() }));
+    assert_eq!(toml::from_str::<InstrumentOptions>("").unwrap(), InstrumentOptions::ideal());
+    let text = "converter = { bits = 12, range_v = 1.0, gain = 8.0 }";
+    let bits = toml::from_str::<InstrumentOptions>(text).unwrap().converter;
+    assert_eq!(bits, Some(Converter { bits: 12, ..CONVERTER }));
     assert!(toml::from_str::<InstrumentOptions>("converter = \"nothing\"").is_err());
-    assert!(toml::from_str::<InstrumentOptions>("converter = { bit = 12 }").is_err());
+    assert!(toml::from_str::<InstrumentOptions>("converter = { bit = 12, range_v = 1.0, gain = 8.0 }").is_err());
 }
 
 #[test]
@@ -270,8 +265,8 @@ fn frames_are_dropped_and_doubled_as_often_as_asked() {
 
 #[test]
 fn noise_is_the_same_with_and_without_frame_faults() {
-    let mut sound = Instrument::new(InstrumentOptions::default(), 3, 9).unwrap();
-    let mut faulty = Instrument::new(InstrumentOptions::default(), 3, 9).unwrap();
+    let mut sound = Instrument::new(noisy(), 3, 9).unwrap();
+    let mut faulty = Instrument::new(noisy(), 3, 9).unwrap();
     faulty.set_faults(vec![Fault::StuckChannel { channel: 2, value_v: 0.0 }]).unwrap();
     for _ in 0..5 {
         let (mut a, mut b) = ([1e-3, 2e-3, 3e-3], [1e-3, 2e-3, 3e-3]);
@@ -284,7 +279,7 @@ fn noise_is_the_same_with_and_without_frame_faults() {
 #[test]
 fn without_a_chain_readings_are_drift_noise_and_converter_to_the_bit() {
     let drift = Drift { common_per_sqrt_s: 1e-4, channel_per_sqrt_s: 1e-4 };
-    let options = InstrumentOptions { drift: Some(drift), ..InstrumentOptions::default() };
+    let options = InstrumentOptions { drift: Some(drift), ..noisy() };
     let mut instrument = Instrument::new(options, 2, 4).unwrap();
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let (mut common, mut channel) = (0.0, [0.0; 2]);
@@ -297,8 +292,8 @@ fn without_a_chain_readings_are_drift_noise_and_converter_to_the_bit() {
             expected[k] *= 1.0 + common + channel[k];
         }
         for value in &mut expected {
-            *value += Noise::default().deviation_v(*value) * normal(&mut random);
-            *value = Converter::default().read_v(*value);
+            *value += NOISE.deviation_v(*value) * normal(&mut random);
+            *value = CONVERTER.read_v(*value);
         }
         let mut got = [0.0123, -0.0456];
         instrument.read(0.04, &mut got);

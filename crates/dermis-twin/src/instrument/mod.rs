@@ -5,7 +5,6 @@
 mod chain;
 mod faults;
 mod noise;
-mod presets;
 mod schedule;
 mod snr;
 
@@ -27,7 +26,7 @@ use faults::Faults;
 
 /// The converter behind the amplifier.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct Converter {
     /// Resolution over the whole range, both signs.
     pub bits: u32,
@@ -35,14 +34,6 @@ pub struct Converter {
     pub range_v: f64,
     /// Amplification before it.
     pub gain: f64,
-}
-
-impl Default for Converter {
-    /// The 14 bits over +-1 V of the board named in paper H; the gain of 8 (+-125 mV at the skin, steps of 15 uV) is
-    /// assumed, so that the paper's largest channel of 87.9 mV fits with room for a cut sheet.
-    fn default() -> Self {
-        Self { bits: 14, range_v: 1.0, gain: 8.0 }
-    }
 }
 
 impl Converter {
@@ -107,7 +98,7 @@ pub enum Reading {
 
 impl Default for InstrumentOptions {
     fn default() -> Self {
-        Self::healing()
+        Self::ideal()
     }
 }
 
@@ -311,7 +302,7 @@ impl InstrumentOptions {
     }
 }
 
-/// A converter as a table, none as the word `"none"`: TOML has no null, and a key left out means the default.
+/// A converter as a table, none as the word `"none"` or left out: TOML has no null.
 mod converter_or_none {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -353,6 +344,13 @@ mod chain_tests;
 mod tests {
     use super::*;
 
+    const CONVERTER: Converter = Converter { bits: 14, range_v: 1.0, gain: 8.0 };
+
+    fn noisy() -> InstrumentOptions {
+        let noise = Noise { floor_v: 2.9e-5, proportional: 3e-4 };
+        InstrumentOptions { noise, converter: Some(CONVERTER), ..InstrumentOptions::ideal() }
+    }
+
     #[test]
     fn readings_are_codes_and_saturate() {
         let converter = Converter { bits: 8, range_v: 1.0, gain: 2.0 };
@@ -361,8 +359,8 @@ mod tests {
         assert_eq!(converter.read_v(10.4 * step), 10.0 * step);
         assert_eq!(converter.read_v(9.0), 127.0 * step);
         assert_eq!(converter.read_v(-9.0), -128.0 * step);
-        let mut instrument = Instrument::new(InstrumentOptions::default(), 1, 1).unwrap();
-        let converter = Converter::default();
+        let mut instrument = Instrument::new(noisy(), 1, 1).unwrap();
+        let converter = CONVERTER;
         for _ in 0..100 {
             let mut reading = [0.0123];
             instrument.read(0.02, &mut reading);
@@ -388,10 +386,10 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        let bits = Converter { bits: 1, ..Converter::default() };
-        let options = InstrumentOptions { converter: Some(bits), ..InstrumentOptions::default() };
+        let bits = Converter { bits: 1, ..CONVERTER };
+        let options = InstrumentOptions { converter: Some(bits), ..noisy() };
         assert!(Instrument::new(options, 3, 0).is_err());
         let noise = Noise { floor_v: -1.0, proportional: 0.0 };
-        assert!(Instrument::new(InstrumentOptions { noise, ..InstrumentOptions::default() }, 3, 0).is_err());
+        assert!(Instrument::new(InstrumentOptions { noise, ..noisy() }, 3, 0).is_err());
     }
 }

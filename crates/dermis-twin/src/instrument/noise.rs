@@ -4,21 +4,13 @@
 use serde::{Deserialize, Serialize};
 
 /// White noise of a reading, independent between channels and frames.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Noise {
     /// Standard deviation at 0 V, volts at the skin.
     pub floor_v: f64,
     /// Standard deviation that grows with the voltage, per volt.
     pub proportional: f64,
-}
-
-impl Default for Noise {
-    /// Solved from the two ends that paper H gives: 22.7 dB at 0.4 mV and 67.0 dB at 87.9 mV, less the rounding of the
-    /// default converter (see [`Noise::through`]).
-    fn default() -> Self {
-        Self { floor_v: 2.898e-5, proportional: 2.972e-4 }
-    }
 }
 
 impl Noise {
@@ -54,13 +46,13 @@ mod tests {
     use crate::instrument::Converter;
 
     #[test]
-    fn default_passes_through_both_ends_of_the_paper() {
-        let step = Converter::default().step_v();
-        let solved = Noise::through((0.4e-3, 22.7), (87.9e-3, 67.0), step).unwrap();
-        let default = Noise::default();
-        // The constants are rounded to four digits.
-        assert!((solved.floor_v / default.floor_v - 1.0).abs() < 2e-4, "{solved:?}");
-        assert!((solved.proportional / default.proportional - 1.0).abs() < 2e-4, "{solved:?}");
-        assert!(Noise::through((0.4e-3, 22.7), (87.9e-3, 90.0), step).is_none());
+    fn noise_passes_through_both_ends() {
+        let converter = Converter { bits: 14, range_v: 1.0, gain: 8.0 };
+        let noise = Noise::through((0.4e-3, 22.7), (87.9e-3, 67.0), converter.step_v()).unwrap();
+        for (voltage_v, db) in [(0.4e-3, 22.7), (87.9e-3, 67.0_f64)] {
+            let variance = noise.deviation_v(voltage_v).powi(2) + converter.step_v().powi(2) / 12.0;
+            assert!((10.0 * (voltage_v * voltage_v / variance).log10() - db).abs() < 1e-9, "{voltage_v}");
+        }
+        assert!(Noise::through((0.4e-3, 22.7), (87.9e-3, 90.0), converter.step_v()).is_none());
     }
 }

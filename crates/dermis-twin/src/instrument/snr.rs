@@ -1,6 +1,6 @@
-//! The signal-to-noise ratio that paper H reports, and the noise that gives paper I's figure.
+//! Signal-to-noise ratios as two of the field's papers define them, and the noise that gives the second its figure.
 
-/// Paper H, eq. 5, of one channel: `10 log10(sum V^2 / sum (V - mean)^2)` over repeated readings of a skin at rest.
+/// Of one channel, as a ratio of powers: `10 log10(sum V^2 / sum (V - mean)^2)` over repeated readings of a skin at rest.
 /// Infinite for readings that never change.
 pub fn snr_db(readings: &[f64]) -> f64 {
     let mean = readings.iter().sum::<f64>() / readings.len() as f64;
@@ -9,7 +9,7 @@ pub fn snr_db(readings: &[f64]) -> f64 {
     10.0 * (power / scatter).log10()
 }
 
-/// Paper I's signal-to-noise ratio as printed, `(1/N) sum 10 log10(mean V / std V)` over K frames, that noise of these
+/// The ionic skins' signal-to-noise ratio as printed, `(1/N) sum 10 log10(mean V / std V)` over K frames, that noise of these
 /// standard deviations is expected to give: ten times the logarithm of an amplitude ratio.
 ///
 /// A sample's deviation is on average too small in the logarithm: `E ln(s / sd) = (psi(n/2) - ln(n/2)) / 2` with
@@ -46,7 +46,7 @@ pub fn floor_for_ionic_snr_v(voltages_v: &[f64], target_db: f64, frames: usize, 
 }
 
 /// Expected logarithm of a sample's standard deviation over the true one.
-pub(super) fn deviation_bias(frames: usize) -> f64 {
+fn deviation_bias(frames: usize) -> f64 {
     let n = frames as f64 - 1.0;
     -0.5 / n - 1.0 / (6.0 * n * n)
 }

@@ -8,13 +8,8 @@ use serde::{Deserialize, Serialize};
 use crate::error::{TwinError, check, check_positive};
 
 /// Contact conductance per area as a function of pressure.
-///
-/// Paper H gives no contact resistance, only that 80 kPa presses of 20 and 25 mm indenters are clearly seen and that
-/// lighter ones are felt near the rim. The default is therefore assumed, not fitted: it puts 80 kPa at about 60 % of
-/// saturation, where current turns into the copper within `sqrt(5 mS / g)` = 2.4 mm of an indenter's edge, so that
-/// a 20 mm press is nearly a short circuit while a 10 kPa press (`sqrt(5 mS / g)` = 11 mm) is a faint one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct ContactLaw {
     /// p_t: pressure that closes the air gap, pascals.
     pub threshold_pa: f64,
@@ -24,12 +19,6 @@ pub struct ContactLaw {
     pub exponent: f64,
     /// g_max: conductance per area at saturation, S/m^2.
     pub saturation_s_per_m2: f64,
-}
-
-impl Default for ContactLaw {
-    fn default() -> Self {
-        Self { threshold_pa: 3e3, reference_pa: 60e3, exponent: 1.5, saturation_s_per_m2: 1500.0 }
-    }
 }
 
 impl ContactLaw {
@@ -60,9 +49,12 @@ impl ContactLaw {
 mod tests {
     use super::*;
 
+    const LAW: ContactLaw =
+        ContactLaw { threshold_pa: 3e3, reference_pa: 60e3, exponent: 1.5, saturation_s_per_m2: 1500.0 };
+
     #[test]
     fn gap_opens_then_grows_then_saturates() {
-        let law = ContactLaw::default();
+        let law = LAW;
         assert_eq!(law.conductance_s_per_m2(law.threshold_pa), 0.0);
         let half = law.conductance_s_per_m2(law.threshold_pa + law.reference_pa);
         assert!((half - 750.0).abs() < 1e-9, "{half}");
@@ -73,7 +65,7 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused_by_name() {
-        let error = ContactLaw { exponent: f64::NAN, ..Default::default() }.check().unwrap_err();
+        let error = ContactLaw { exponent: f64::NAN, ..LAW }.check().unwrap_err();
         assert_eq!(error.to_string(), "contact exponent: NaN refused; expected positive and finite");
     }
 }

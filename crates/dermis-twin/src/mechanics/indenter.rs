@@ -17,16 +17,19 @@ const REACH: f64 = 5.0;
 
 /// The layer between indenter and contact.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct Cover {
-    /// Standard deviation of the smoothing, metres. A load spreads by about the thickness of what it passes through;
-    /// the default is the 1 mm composite of paper H and half a millimetre for its air gap (assumed).
+    /// Standard deviation of the smoothing, metres. A load spreads by about the thickness of what it passes through.
     pub smoothing_m: f64,
 }
 
-impl Default for Cover {
-    fn default() -> Self {
-        Self { smoothing_m: 1.5e-3 }
+impl Cover {
+    /// Checks the number.
+    ///
+    /// # Errors
+    /// A smoothing that is not positive and finite.
+    pub fn check(&self) -> Result<(), TwinError> {
+        check_positive("cover smoothing_m", self.smoothing_m)
     }
 }
 
@@ -298,6 +301,8 @@ fn normal_cdf(x: f64) -> f64 {
 mod tests {
     use super::*;
 
+    const COVER: Cover = Cover { smoothing_m: 1.5e-3 };
+
     /// Sum of the pressure over a grid of 0.25 mm, newtons.
     fn carried_force(indenter: Indenter) -> f64 {
         let step = 2.5e-4;
@@ -305,7 +310,7 @@ mod tests {
         let positions: Vec<[f64; 2]> =
             (-200..=200).flat_map(|i| (-200..=200).map(move |j| [axis(i), axis(j)])).collect();
         let mut pressure = vec![0.0; positions.len()];
-        indenter.add_pressure(Cover::default(), &positions, &mut pressure);
+        indenter.add_pressure(COVER, &positions, &mut pressure);
         pressure.iter().sum::<f64>() * step * step
     }
 
@@ -343,7 +348,7 @@ mod tests {
         let at = |shape: Shape, position: [f64; 2]| {
             let mut pressure = [0.0];
             let indenter = Indenter { centre_m: [0.01, 0.0], shape, load: Load::PressurePa(1e3) };
-            indenter.add_pressure(Cover::default(), &[position], &mut pressure);
+            indenter.add_pressure(COVER, &[position], &mut pressure);
             pressure[0]
         };
         let square = Shape::Rectangle { width_m: 0.006, height_m: 0.006, angle_rad: 0.3 };
@@ -358,7 +363,7 @@ mod tests {
 
     #[test]
     fn grams_become_newtons() {
-        // Paper I: one weight of 6.5 g presses with 64 mN, on a disc of 20 mm with 0.203 kPa.
+        // One weight of 6.5 g presses with 64 mN, on a disc of 20 mm with 0.203 kPa.
         let weight = Indenter::weight([0.0; 2], 0.01, 6.5);
         assert!((weight.force_n() - 0.06374).abs() < 1e-5 && (weight.pressure_pa() - 203.0).abs() < 0.5);
     }

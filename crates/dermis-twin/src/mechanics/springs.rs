@@ -1,4 +1,4 @@
-//! A grid of rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling
+//! Rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling
 //! drags its neighbours along; springs are linear first and stiffen as coils close or foam densifies, so that the travel
 //! saturates: with x the travel of the linear grid, `(k + c L) x = F` (L the Laplacian of the grid's graph), the travel is
 //! `x / (1 + (x/limit)^n)^(1/n)`.
@@ -8,10 +8,16 @@ use serde::{Deserialize, Serialize};
 use super::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Distance between the places at which an indenter's pressure on a cell is summed, metres.
+/// Largest distance between the places at which an indenter's pressure on a cell is summed, metres, and least number of them
+/// along a cell.
 const SAMPLE_M: f64 = 3e-3;
-/// Smoothing of the pressure, of the order of that distance, so that the sum is the force.
-const COVER: Cover = Cover { smoothing_m: 2.5e-3 };
+const LEAST_SAMPLES: f64 = 4.0;
+/// Smoothing of the pressure over that distance, so that the sum is the force.
+const SMOOTHING: f64 = 2.5 / 3.0;
+/// Most elements.
+const MOST_ELEMENTS: f64 = 1024.0;
+/// Share of a cell by which a neighbour's place may be off.
+const OFF: f64 = 0.1;
 /// Relative change at which the linear grid counts as solved.
 const SETTLED: f64 = 1e-13;
 
@@ -57,12 +63,14 @@ impl Springs {
     }
 }
 
-/// A square grid of elements around the origin, numbered row by row from the bottom left.
+/// Elements with their cells, and who stands beside whom.
 #[derive(Clone, Debug)]
 pub struct SpringGrid {
     springs: Springs,
-    per_side: usize,
     places_m: Vec<[f64; 2]>,
+    /// Neighbours to the left, right, below and above.
+    beside: Vec<[Option<u32>; 4]>,
+    cover: Cover,
     samples_m: Vec<[f64; 2]>,
     pressure_pa: Vec<f64>,
     per_cell: usize,
@@ -70,33 +78,40 @@ pub struct SpringGrid {
 }
 
 impl SpringGrid {
-    /// `per_side` squared elements, `pitch_m` apart.
+    /// Elements in the middles of cells of this width and height, metres. Those one cell apart along x or y, within a tenth of
+    /// a cell, are neighbours.
     ///
     /// # Errors
-    /// Springs that make no sense, no or more than 32 elements a side, a pitch that is not positive.
-    pub fn new(springs: Springs, per_side: usize, pitch_m: f64) -> Result<Self, TwinError> {
+    /// Springs that make no sense, no or more than 1024 elements, places that are not finite, a cell without area, cells that
+    /// overlap.
+    pub fn new(springs: Springs, places_m: Vec<[f64; 2]>, cell_m: [f64; 2]) -> Result<Self, TwinError> {
         springs.check()?;
-        check("elements per side", per_side as f64, 1.0, 32.0, "1 to 32")?;
-        check_positive("pitch_m", pitch_m)?;
-        let middle = 0.5 * (per_side as f64 - 1.0);
-        let at = |k: usize| (k as f64 - middle) * pitch_m;
-        let count = per_side * per_side;
-        let places_m: Vec<[f64; 2]> = (0..count).map(|k| [at(k % per_side), at(k / per_side)]).collect();
-        let side = (pitch_m / SAMPLE_M).ceil() as usize;
-        let step = pitch_m / side as f64;
-        let offset = |k: usize| (k as f64 + 0.5) * step - 0.5 * pitch_m;
-        let samples_m: Vec<[f64; 2]> = places_m
-            .iter()
-            .flat_map(|p| (0..side * side).map(move |k| [p[0] + offset(k % side), p[1] + offset(k / side)]))
-            .collect();
+        check("number of elements", places_m.len() as f64, 1.0, MOST_ELEMENTS, "1 to 1024")?;
+        check_positive("cell_m (width)", cell_m[0])?;
+        check_positive("cell_m (height)", cell_m[1])?;
+        for value in places_m.iter().flatten() {
+            check("places_m", *value, -1e3, 1e3, "a position in metres")?;
+        }
+        let beside = neighbours(&places_m, cell_m)?;
+        let sample_m = SAMPLE_M.min(cell_m[0].min(cell_m[1]) / LEAST_SAMPLES);
+        let count = cell_m.map(|length| (length / sample_m).ceil() as usize);
+        let step = [0, 1].map(|axis| cell_m[axis] / count[axis] as f64);
+        let offset = |axis: usize, k: usize| (k as f64 + 0.5) * step[axis] - 0.5 * cell_m[axis];
+        let at = |k: usize| [offset(0, k % count[0]), offset(1, k / count[0])];
+        let of_cell = |place: &[f64; 2]| {
+            let [x, y] = *place;
+            (0..count[0] * count[1]).map(move |k| [x + at(k)[0], y + at(k)[1]])
+        };
+        let samples_m: Vec<[f64; 2]> = places_m.iter().flat_map(of_cell).collect();
         Ok(Self {
             springs,
-            per_side,
-            places_m,
+            beside,
+            cover: Cover { smoothing_m: SMOOTHING * sample_m },
             pressure_pa: vec![0.0; samples_m.len()],
             samples_m,
-            per_cell: side * side,
-            sample_area_m2: step * step,
+            per_cell: count[0] * count[1],
+            sample_area_m2: step[0] * step[1],
+            places_m,
         })
     }
 
@@ -115,7 +130,7 @@ impl SpringGrid {
     pub fn forces_n(&mut self, indenters: &[Indenter], forces_n: &mut [f64]) {
         self.pressure_pa.fill(0.0);
         for indenter in indenters {
-            indenter.add_pressure(COVER, &self.samples_m, &mut self.pressure_pa);
+            indenter.add_pressure(self.cover, &self.samples_m, &mut self.pressure_pa);
         }
         for (force, cell) in forces_n.iter_mut().zip(self.pressure_pa.chunks_exact(self.per_cell)) {
             *force = cell.iter().sum::<f64>() * self.sample_area_m2;
@@ -131,8 +146,8 @@ impl SpringGrid {
             let mut moved: f64 = 0.0;
             for element in 0..travel_m.len() {
                 let (mut beside, mut count) = (0.0, 0.0);
-                for other in self.beside(element) {
-                    beside += travel_m[other];
+                for other in self.beside[element].iter().flatten() {
+                    beside += travel_m[*other as usize];
                     count += 1.0;
                 }
                 let next = (forces_n[element] + c * beside) / (k + c * count);
@@ -145,15 +160,26 @@ impl SpringGrid {
         }
         travel_m.iter_mut().for_each(|x| *x = self.springs.stiffened_m(*x));
     }
+}
 
-    fn beside(&self, element: usize) -> impl Iterator<Item = usize> {
-        let (n, row, column) = (self.per_side, element / self.per_side, element % self.per_side);
-        let left = (column > 0).then(|| element - 1);
-        let right = (column + 1 < n).then(|| element + 1);
-        let below = (row > 0).then(|| element - n);
-        let above = (row + 1 < n).then(|| element + n);
-        [left, right, below, above].into_iter().flatten()
+/// Neighbours of each element to the left, right, below and above.
+fn neighbours(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Result<Vec<[Option<u32>; 4]>, TwinError> {
+    let mut beside = vec![[None; 4]; places_m.len()];
+    for (element, place) in places_m.iter().enumerate() {
+        for (other, there) in places_m.iter().enumerate().filter(|(other, _)| *other != element) {
+            let cells = [0, 1].map(|axis| (there[axis] - place[axis]) / cell_m[axis]);
+            if cells.iter().all(|away| away.abs() < 1.0 - OFF) {
+                let expected = "elements at least one cell apart along x or y";
+                return Err(TwinError::Place { what: "element", x_m: there[0], y_m: there[1], expected });
+            }
+            for (side, to) in [[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]].iter().enumerate() {
+                if (0..2).all(|axis| (cells[axis] - to[axis]).abs() <= OFF) {
+                    beside[element][side] = Some(other as u32);
+                }
+            }
+        }
     }
+    Ok(beside)
 }
 
 #[cfg(test)]
@@ -161,6 +187,12 @@ mod tests {
     use super::*;
 
     const SPONGE: Springs = Springs { stiffness_n_per_m: 400.0, limit_m: 0.01, sharpness: 2.0, coupling_n_per_m: 20.0 };
+
+    /// `n` x `n` elements around the origin, row by row from the bottom left.
+    fn square(springs: Springs, n: usize, pitch_m: f64) -> Result<SpringGrid, TwinError> {
+        let at = |k: usize| (k as f64 - 0.5 * (n as f64 - 1.0)) * pitch_m;
+        SpringGrid::new(springs, (0..n * n).map(|k| [at(k % n), at(k / n)]).collect(), [pitch_m; 2])
+    }
 
     #[test]
     fn travel_rises_with_force_ever_less_and_stays_below_the_limit() {
@@ -177,7 +209,7 @@ mod tests {
 
     #[test]
     fn cells_carry_what_presses_on_them() {
-        let mut grid = SpringGrid::new(SPONGE, 5, 0.02).unwrap();
+        let mut grid = square(SPONGE, 5, 0.02).unwrap();
         let mut forces = [0.0; 25];
         let press = |x, y| Indenter::disc([x, y], 0.004, 1.0 / (std::f64::consts::PI * 0.004 * 0.004));
         grid.forces_n(&[press(0.02, -0.04)], &mut forces);
@@ -196,7 +228,7 @@ mod tests {
 
     #[test]
     fn neighbours_are_dragged_along_weakly_and_evenly() {
-        let grid = SpringGrid::new(SPONGE, 5, 0.02).unwrap();
+        let grid = square(SPONGE, 5, 0.02).unwrap();
         let (mut forces, mut travel) = ([0.0; 25], [0.0; 25]);
         forces[12] = 0.4;
         grid.travel_m(&forces, &mut travel);
@@ -211,9 +243,39 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        assert!(SpringGrid::new(Springs { stiffness_n_per_m: 0.0, ..SPONGE }, 5, 0.02).is_err());
-        assert!(SpringGrid::new(Springs { coupling_n_per_m: 500.0, ..SPONGE }, 5, 0.02).is_err());
-        assert!(SpringGrid::new(Springs { sharpness: 0.5, ..SPONGE }, 5, 0.02).is_err());
-        assert!(SpringGrid::new(SPONGE, 0, 0.02).is_err() && SpringGrid::new(SPONGE, 5, -1.0).is_err());
+        assert!(square(Springs { stiffness_n_per_m: 0.0, ..SPONGE }, 5, 0.02).is_err());
+        assert!(square(Springs { coupling_n_per_m: 500.0, ..SPONGE }, 5, 0.02).is_err());
+        assert!(square(Springs { sharpness: 0.5, ..SPONGE }, 5, 0.02).is_err());
+        assert!(square(SPONGE, 0, 0.02).is_err() && square(SPONGE, 5, -1.0).is_err());
+    }
+
+    #[test]
+    fn a_list_in_any_order_finds_its_neighbours() {
+        let cell_m = [0.01, 0.02];
+        // An L of three, the corner last and half a millimetre off, and one that stands alone.
+        let places = vec![[0.01, 0.0], [0.0, 0.02], [0.05, 0.05], [0.0005, 0.0]];
+        let grid = SpringGrid::new(SPONGE, places, cell_m).unwrap();
+        assert_eq!(grid.beside[3], [None, Some(0), None, Some(1)]);
+        assert_eq!((grid.beside[0], grid.beside[1]), ([Some(3), None, None, None], [None, None, Some(3), None]));
+        assert_eq!(grid.beside[2], [None; 4]);
+        let error = SpringGrid::new(SPONGE, vec![[0.0; 2], [0.004, 0.01]], cell_m).unwrap_err().to_string();
+        assert!(error.starts_with("element at (0.004, 0.01) m refused"), "{error}");
+        assert!(SpringGrid::new(SPONGE, vec![[f64::NAN, 0.0]], cell_m).is_err());
+        assert!(SpringGrid::new(SPONGE, vec![[0.0; 2]], [0.01, 0.0]).is_err());
+    }
+
+    #[test]
+    fn small_and_oblong_cells_carry_what_presses_on_them() {
+        for cell_m in [[2e-3, 2e-3], [4e-3, 1e-3], [0.02, 0.03]] {
+            let at = |k: usize, n: usize, pitch: f64| (k as f64 - 0.5 * (n as f64 - 1.0)) * pitch;
+            let places = (0..54).map(|k| [at(k % 9, 9, cell_m[0]), at(k / 9, 6, cell_m[1])]).collect();
+            let mut grid = SpringGrid::new(SPONGE, places, cell_m).unwrap();
+            let mut forces = [0.0; 54];
+            let radius_m = 1.2 * cell_m[1];
+            let area_m2 = std::f64::consts::PI * radius_m * radius_m;
+            grid.forces_n(&[Indenter::disc([0.0; 2], radius_m, 1.0 / area_m2)], &mut forces);
+            let total: f64 = forces.iter().sum();
+            assert!((total - 1.0).abs() < 0.01, "{cell_m:?}: {total}");
+        }
     }
 }

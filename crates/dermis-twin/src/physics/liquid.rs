@@ -1,4 +1,5 @@
-//! Fields of a flat tray of conducting liquid whose depth varies from place to place, with electrodes on its wall.
+//! Fields of a flat tray of conducting liquid whose depth varies from place to place, with electrodes on its wall
+//! or its bottom.
 //!
 //! Averaged over the depth h the potential solves `div(sigma h grad u) = 0` in the plane, which holds where h varies slowly
 //! against itself and electrodes reach from bottom to top. In three dimensions `div(sigma grad u) = 0` is solved on
@@ -7,22 +8,27 @@
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{
-    CellKind, ElectrodeShape, ElectrodedMesh, Mesh, Outline, PrismElectrode, PrismSpec, SheetSpec,
+    CellKind, ElectrodeShape, ElectrodedMesh, Mesh, MeshError, Outline, PrismElectrode, PrismSpec, SheetSpec,
 };
 
+use super::conductance_map::ConductanceMap;
 use crate::error::{TwinError, check, check_positive};
 
-/// Electrodes on the wall of a tray.
+/// Electrodes of a tray.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidElectrodes {
-    /// Stretches of the rim that they cover, in order.
-    pub rim: Vec<ElectrodeShape>,
-    /// Their height, metres.
+    /// Stretches of the rim that they cover, in order; and pads on the bottom, where fields are averaged over the depth.
+    pub shapes: Vec<ElectrodeShape>,
+    /// Height of those on the wall, metres.
     pub height_m: f64,
     /// Their middle above the bottom, metres; averaged over the depth it makes no difference.
     pub middle_m: f64,
-    /// Specific contact impedance, ohm.m^2.
-    pub contact_impedance_ohm_m2: f64,
+    /// Specific contact impedance, ohm.m^2: one for all, or one for each.
+    pub contact_impedances_ohm_m2: Vec<f64>,
+}
+
+fn is_on_rim(shape: &ElectrodeShape) -> bool {
+    matches!(shape, ElectrodeShape::RimArc { .. } | ElectrodeShape::RimSegment { .. })
 }
 
 /// A tray of liquid at rest.
@@ -34,6 +40,8 @@ pub struct LiquidSpec {
     pub depth_m: f64,
     /// Conductivity, S/m.
     pub conductivity_s_per_m: f64,
+    /// A factor on the conductance over the plan; averaged over the depth only.
+    pub conductance: ConductanceMap,
     /// On its wall.
     pub electrodes: LiquidElectrodes,
     /// Edge length of the triangles seen from above, metres.
@@ -61,28 +69,50 @@ impl LiquidSpec {
     fn check(&self) -> Result<(), TwinError> {
         check_positive("depth_m", self.depth_m)?;
         check_positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
-        check_positive("contact_impedance_ohm_m2", self.electrodes.contact_impedance_ohm_m2)?;
+        let electrodes = &self.electrodes;
+        for &value in &electrodes.contact_impedances_ohm_m2 {
+            check_positive("contact_impedances_ohm_m2", value)?;
+        }
+        if !electrodes.shapes.iter().any(is_on_rim) {
+            return Ok(());
+        }
         let expected = "above 0 and no more than the liquid's depth";
-        let half = 0.5 * self.electrodes.height_m;
-        check("electrode height_m", 2.0 * half, f64::MIN_POSITIVE, self.depth_m, expected)?;
+        let half = 0.5 * electrodes.height_m;
+        check("electrode_height_m", 2.0 * half, f64::MIN_POSITIVE, self.depth_m, expected)?;
         // A patch that ends at the surface may miss it by rounding.
         let slack = 1e-9 * self.depth_m;
         let range = (half - slack, self.depth_m - half + slack);
-        check("electrode middle_m", self.electrodes.middle_m, range.0, range.1, "a place within the wall")
+        check("electrode_middle_m", electrodes.middle_m, range.0, range.1, "a place within the wall")
     }
 
     /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the impedance
     /// of that share.
     fn sheet(&self) -> Result<ElectrodedMesh, TwinError> {
-        let mut sheet = SheetSpec::new(self.outline.clone(), self.electrodes.rim.clone(), self.element_size_m);
+        let electrodes = &self.electrodes;
+        let mut sheet = SheetSpec::new(self.outline.clone(), electrodes.shapes.clone(), self.element_size_m);
         sheet.electrode_element_size_m = self.electrode_element_size_m;
-        let (body, _) = sheet.build(&[self.electrodes.contact_impedance_ohm_m2 / self.electrodes.height_m])?;
-        Ok(body)
+        let per_m = |(shape, impedance): (&ElectrodeShape, &f64)| match is_on_rim(shape) {
+            true => impedance / electrodes.height_m,
+            false => *impedance,
+        };
+        let given = &electrodes.contact_impedances_ohm_m2;
+        let impedances: Vec<f64> = match given.as_slice() {
+            [one] => electrodes.shapes.iter().map(|shape| per_m((shape, one))).collect(),
+            each if each.len() == electrodes.shapes.len() => electrodes.shapes.iter().zip(each).map(per_m).collect(),
+            // The mesh refuses it by its number.
+            other => other.to_vec(),
+        };
+        Ok(sheet.build(&impedances)?.0)
     }
 
     fn solid(&self, layers: usize) -> Result<ElectrodedMesh, TwinError> {
-        let low_m = (self.electrodes.middle_m - 0.5 * self.electrodes.height_m).max(0.0);
-        let high_m = (low_m + self.electrodes.height_m).min(self.depth_m);
+        let electrodes = &self.electrodes;
+        if let Some(electrode) = electrodes.shapes.iter().position(|shape| !is_on_rim(shape)) {
+            let reason = "expected a stretch of the rim: fields in three dimensions know no others".to_string();
+            return Err(MeshError::Electrode { electrode, reason }.into());
+        }
+        let low_m = (electrodes.middle_m - 0.5 * electrodes.height_m).max(0.0);
+        let high_m = (low_m + electrodes.height_m).min(self.depth_m);
         let side = |rim: &ElectrodeShape| PrismElectrode::Side { rim: rim.clone(), low_m, high_m };
         let prism = PrismSpec {
             outline: self.outline.clone(),
@@ -90,9 +120,9 @@ impl LiquidSpec {
             element_size_m: self.element_size_m,
             electrode_element_size_m: self.electrode_element_size_m,
             layers,
-            electrodes: self.electrodes.rim.iter().map(side).collect(),
+            electrodes: electrodes.shapes.iter().map(side).collect(),
         };
-        Ok(prism.build(&[self.electrodes.contact_impedance_ohm_m2])?)
+        Ok(prism.build(&electrodes.contact_impedances_ohm_m2)?)
     }
 }
 
@@ -151,6 +181,12 @@ impl LiquidFields {
                 for (sheet, triangle) in sheet_s.iter_mut().zip(self.plan.elements()) {
                     let mean = triangle.iter().map(|&node| depth_m[node as usize]).sum::<f64>() / 3.0;
                     *sheet = self.spec.conductivity_s_per_m * mean;
+                    if !self.spec.conductance.is_even() {
+                        let at = |axis: usize| {
+                            triangle.iter().map(|&n| self.plan.nodes()[n as usize][axis]).sum::<f64>() / 3.0
+                        };
+                        *sheet *= self.spec.conductance.at([at(0), at(1)]);
+                    }
                 }
                 Ok(model.voltages(sheet_s)?)
             }

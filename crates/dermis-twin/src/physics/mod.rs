@@ -1,25 +1,25 @@
-//! Fields of two conductive sheets that touch where pressed (papers P and H): a sensing sheet u with electrodes and a
+//! Fields of two conductive sheets that touch where pressed: a sensing sheet u with electrodes and a
 //! shortcut sheet v that floats, `div(s_s grad u) = g (u - v)`, `div(s_c grad v) = -g (u - v)`, insulated rims.
 //! In weak form the contact adds `integral g (u - v)(phi_u - phi_v)`; g is linear on each triangle and the integral exact
 //! under continuous copper ([`TwoSheets`]), g and v are constant on cells under separate patches ([`PatchedSheet`]).
-//! And fields of a tray of liquid whose depth varies (paper I), averaged over the depth or in three dimensions.
+//! And fields of a tray of liquid whose depth varies, averaged over the depth or in three dimensions.
 
+mod conductance_map;
 mod cut;
 mod direct;
 mod element;
 mod liquid;
 mod patches;
 mod patches_cells;
-mod patches_surface;
 mod paths;
 mod two_sheets;
 
+pub use conductance_map::ConductanceMap;
 pub use cut::{Cut, damaged_conductance};
 pub use direct::direct_impedance;
 pub use element::SheetConductance;
 pub use liquid::{LiquidElectrodes, LiquidFields, LiquidSpec};
 pub use patches::{PatchedSheet, direct_patched_impedance};
 pub use patches_cells::{ContactCell, PatchLayout};
-pub use patches_surface::Surface;
 pub use paths::{SlitPath, SlitPaths};
 pub use two_sheets::{Shortcut, TwoSheets};

@@ -1,4 +1,4 @@
-//! A sensing sheet under separate fabric patches (paper P), solved by a low-rank update. Fabric conducts so much better
+//! A sensing sheet under separate patches of fabric, say, solved by a low-rank update. Fabric conducts so much better
 //! than the sprayed sheet that each patch is one floating potential v; a cell of it with conductance `d = g area` takes
 //! the current `q = d (u - v)` from the sheet, u the sheet's mean potential under the cell, and `sum q = 0` over a patch.
 //!
@@ -12,6 +12,7 @@ use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, MatRef, Par, Side};
 
+use super::conductance_map::ConductanceMap;
 use super::element::{PAIRS, SheetConductance, stiffness};
 use super::patches_cells::{ContactCell, ContactCells, PatchLayout};
 use super::two_sheets::{contact_entries, coordinates, refuse, triangles_of};
@@ -37,12 +38,18 @@ pub struct PatchedSheet {
 }
 
 impl PatchedSheet {
-    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity) under patches.
+    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity), times a factor from place to
+    /// place, under patches.
     ///
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.
-    pub fn new(body: &ElectrodedMesh, sheet_s: f64, layout: PatchLayout) -> Result<Self, SparseError> {
-        let sheet = BareSheet::new(body, sheet_s)?;
+    pub fn new(
+        body: &ElectrodedMesh,
+        sheet_s: f64,
+        layout: PatchLayout,
+        conductance: &ConductanceMap,
+    ) -> Result<Self, SparseError> {
+        let sheet = BareSheet::new(body, sheet_s, conductance)?;
         let contact = ContactCells::new(&sheet.triangles, &sheet.positions, layout);
         let (structure, factor) = sheet.factor(&[], 0)?;
         let (nodes, electrodes, cells) = (sheet.positions.len(), sheet.electrodes, contact.cells.len());
@@ -145,7 +152,7 @@ pub fn direct_patched_impedance(
     layout: PatchLayout,
     contact_s_per_m2: &[f64],
 ) -> Result<Mat<f64>, SparseError> {
-    let sheet = BareSheet::new(body, sheet_s)?;
+    let sheet = BareSheet::new(body, sheet_s, &ConductanceMap::Even)?;
     let contact = ContactCells::new(&sheet.triangles, &sheet.positions, layout);
     let (nodes, electrodes) = (sheet.positions.len(), sheet.electrodes);
     let first_patch = (nodes + electrodes - 1) as u32;
@@ -178,7 +185,7 @@ struct BareSheet {
 }
 
 impl BareSheet {
-    fn new(body: &ElectrodedMesh, sheet_s: f64) -> Result<Self, SparseError> {
+    fn new(body: &ElectrodedMesh, sheet_s: f64, conductance: &ConductanceMap) -> Result<Self, SparseError> {
         if body.mesh.nodes().iter().any(|node| node[2] != 0.0) {
             return Err(refuse("expected a flat sheet (z = 0 at every node); unroll a bent one first".into()));
         }
@@ -188,7 +195,8 @@ impl BareSheet {
         let mut entries: Vec<((u32, u32), f64)> = contacts.iter().map(|e| ((e.row, e.column), e.value)).collect();
         for triangle in &triangles {
             let corners = triangle.map(|node| positions[node as usize]);
-            let local = stiffness(corners, SheetConductance::isotropic(sheet_s));
+            let middle = [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
+            let local = stiffness(corners, SheetConductance::isotropic(sheet_s * conductance.at(middle)));
             entries.extend(PAIRS.iter().zip(local).map(|(&(a, b), value)| ((triangle[a], triangle[b]), value)));
         }
         let places = coordinates(body, &positions);

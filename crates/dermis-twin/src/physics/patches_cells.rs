@@ -2,6 +2,7 @@
 //! pitch with gaps between them, clipped to the sheet; each is cut into equal square cells, and contact is constant on a
 //! cell: a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
 
+use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
 
 use super::cut::clip;
@@ -10,11 +11,9 @@ use crate::error::{TwinError, check, check_positive};
 /// Cells of which less than this share lies on the sheet are left out.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Square patches on a regular pitch, centred on the sheet.
-///
-/// Paper P shows separate patches and gives neither their size nor their distance: both are assumed.
+/// Square patches on a regular pitch, centred on the sheet's bounds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct PatchLayout {
     /// From the middle of a patch to the next, metres, along x and along y.
     pub pitch_m: f64,
@@ -24,16 +23,16 @@ pub struct PatchLayout {
     pub cells_per_side: usize,
 }
 
-impl Default for PatchLayout {
-    fn default() -> Self {
-        Self { pitch_m: 10e-3, gap_m: 1e-3, cells_per_side: 3 }
-    }
-}
-
 impl PatchLayout {
     /// Side of a contact cell, metres.
     pub fn cell_m(&self) -> f64 {
         (self.pitch_m - self.gap_m) / self.cells_per_side as f64
+    }
+
+    /// About how many contact cells lie on a sheet, those cut by its rim included.
+    pub fn cells_on(&self, outline: &Outline) -> f64 {
+        let per_m2 = (self.cells_per_side as f64 / self.pitch_m).powi(2);
+        (outline.area_m2() + outline.perimeter_m() * 0.5 * self.cell_m()) * per_m2
     }
 
     /// Checks the numbers.
@@ -246,8 +245,10 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        assert!(PatchLayout { pitch_m: 0.0, ..Default::default() }.check().is_err());
-        assert!(PatchLayout { gap_m: 0.01, ..Default::default() }.check().is_err());
-        assert!(PatchLayout { cells_per_side: 0, ..Default::default() }.check().is_err());
+        let layout = PatchLayout { pitch_m: 0.01, gap_m: 0.001, cells_per_side: 3 };
+        assert!(layout.check().is_ok());
+        assert!(PatchLayout { pitch_m: 0.0, ..layout }.check().is_err());
+        assert!(PatchLayout { gap_m: 0.01, ..layout }.check().is_err());
+        assert!(PatchLayout { cells_per_side: 0, ..layout }.check().is_err());
     }
 }

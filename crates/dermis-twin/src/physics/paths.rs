@@ -6,7 +6,7 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
-use dermis_tomo::mesh::{Contact, ElectrodedMesh};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, distance, to_segment};
 use dermis_tomo::sparse::SparseError;
 
 use super::two_sheets::triangles_of;
@@ -45,8 +45,9 @@ pub struct SlitPaths {
     positions: Vec<[f64; 2]>,
     /// Corners counter-clockwise.
     triangles: Vec<[u32; 3]>,
-    /// Elements about each node.
+    /// Elements about each node, and the nodes that it shares one with.
     around: Vec<Vec<u32>>,
+    neighbours: Vec<Vec<u32>>,
     /// Nodes within the sheet that no electrode lies on.
     free: Vec<bool>,
     edge_m: f64,
@@ -71,14 +72,16 @@ impl SlitPaths {
             length_m += distance(a, b) + distance(b, c) + distance(c, a);
             corners.iter().for_each(|&node| around[node as usize].push(element as u32));
         }
-        // About a node of the rim there are more neighbours than elements.
-        let is_inner = |node: usize| {
-            let mut neighbours: Vec<u32> = around[node].iter().flat_map(|&e| triangles[e as usize]).collect();
+        let neighbours_of = |(node, elements): (usize, &Vec<u32>)| {
+            let corners = elements.iter().flat_map(|&element| triangles[element as usize]);
+            let mut neighbours: Vec<u32> = corners.filter(|&other| other as usize != node).collect();
             neighbours.sort_unstable();
             neighbours.dedup();
-            neighbours.len() == around[node].len() + 1
+            neighbours
         };
-        let mut free: Vec<bool> = (0..positions.len()).map(is_inner).collect();
+        let neighbours: Vec<Vec<u32>> = around.iter().enumerate().map(neighbours_of).collect();
+        // About a node of the rim there are more neighbours than elements.
+        let mut free: Vec<bool> = around.iter().zip(&neighbours).map(|(a, n)| n.len() == a.len()).collect();
         for electrode in &body.electrodes {
             match &electrode.contact {
                 Contact::Area(elements) => {
@@ -92,7 +95,7 @@ impl SlitPaths {
             }
         }
         let edge_m = length_m / (3 * triangles.len().max(1)) as f64;
-        Ok(Self { positions, triangles, around, free, edge_m })
+        Ok(Self { positions, triangles, around, neighbours, free, edge_m })
     }
 
     /// The path nearest to a chain of points (metres) beside those that are there already, with this conductance across it per
@@ -138,7 +141,7 @@ impl SlitPaths {
             .iter()
             .map(|&node| {
                 let at = self.positions[node as usize];
-                let off_m = chain_m.windows(2).map(|ends| from_segment(at, ends[0], ends[1]));
+                let off_m = chain_m.windows(2).map(|ends| to_segment(at, ends[0], ends[1]).0);
                 (node, off_m.fold(f64::INFINITY, f64::min) / self.edge_m)
             })
             .filter(|entry| entry.1 <= FARTHEST)
@@ -154,7 +157,7 @@ impl SlitPaths {
             if best.get(&node).is_some_and(|entry| entry.0 < cost) {
                 continue;
             }
-            for next in self.neighbours(node) {
+            for &next in &self.neighbours[node as usize] {
                 let Some(off) = off.get(&next) else { continue };
                 let length = distance(self.positions[node as usize], self.positions[next as usize]);
                 let cost = cost + length * (1.0 + STRAYING * off * off);
@@ -187,24 +190,14 @@ impl SlitPaths {
     fn straighten(&self, nodes: &mut Vec<u32>) {
         let mut first = 0;
         while first + 2 < nodes.len() {
-            let chord = (first + 2..nodes.len()).rev().find(|&last| self.are_joined(nodes[first], nodes[last]));
+            let chord = (first + 2..nodes.len())
+                .rev()
+                .find(|&last| self.neighbours[nodes[first] as usize].contains(&nodes[last]));
             if let Some(last) = chord {
                 nodes.drain(first + 1..last);
             }
             first += 1;
         }
-    }
-
-    fn neighbours(&self, node: u32) -> Vec<u32> {
-        let corners = self.around[node as usize].iter().flat_map(|&element| self.triangles[element as usize]);
-        let mut neighbours: Vec<u32> = corners.filter(|&other| other != node).collect();
-        neighbours.sort_unstable();
-        neighbours.dedup();
-        neighbours
-    }
-
-    fn are_joined(&self, a: u32, b: u32) -> bool {
-        self.around[a as usize].iter().any(|&element| self.triangles[element as usize].contains(&b))
     }
 
     /// Elements about the middle of three nodes of a path, on its left: counter-clockwise from the next edge to the last.
@@ -236,17 +229,6 @@ fn samples(chain_m: &[[f64; 2]], step_m: f64) -> Vec<[f64; 2]> {
         points.extend((1..=count).map(at));
     }
     points
-}
-
-fn from_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let (ab, ap) = ([b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]);
-    let square = ab[0] * ab[0] + ab[1] * ab[1];
-    let along = if square > 0.0 { ((ab[0] * ap[0] + ab[1] * ap[1]) / square).clamp(0.0, 1.0) } else { 0.0 };
-    distance(p, [a[0] + along * ab[0], a[1] + along * ab[1]])
-}
-
-fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 #[cfg(test)]
@@ -289,7 +271,7 @@ mod tests {
             let mut slit = TwoSheets::with_slits(&open, &slits[0], SHEET_S, Shortcut::Equipotential).unwrap();
             slit.set_joints(|_, _| joined);
             let mut along = sheets(&body);
-            along.set_slit_paths(vec![SlitPath { s_per_m: joined, ..path.clone() }]).unwrap();
+            along.set_slit_paths(&[SlitPath { s_per_m: joined, ..path.clone() }]).unwrap();
             let contact = |positions: &[[f64; 2]]| if touched { press(positions) } else { vec![0.0; positions.len()] };
             let [on_slit, on_path] = [slit.positions_m(), along.positions_m()].map(contact);
             let expected: Mat<f64> = slit.impedance(&on_slit).unwrap().to_owned();
@@ -299,7 +281,7 @@ mod tests {
             let error = largest(|r, c| expected[(r, c)] - got[(r, c)]);
             assert!(error < 1e-9 * change, "touched {touched}, joined {joined}: {error:e} of {change:e}");
             // And without paths again what it was.
-            along.set_slit_paths(Vec::new()).unwrap();
+            along.set_slit_paths(&[]).unwrap();
             let healed = along.impedance(&on_path).unwrap();
             assert!(largest(|r, c| healed[(r, c)] - intact[(r, c)]) < 1e-12 * change);
         }
@@ -320,7 +302,7 @@ mod tests {
         let (coarse, _) = spec(Vec::new(), 1.6e-3).build(&[1e-3]).unwrap();
         let path = SlitPaths::new(&coarse).unwrap().along(&LINE, &[], 0.0).unwrap();
         let mut along = sheets(&coarse);
-        along.set_slit_paths(vec![path]).unwrap();
+        along.set_slit_paths(&[path]).unwrap();
         let found = change(&mut along, &mut sheets(&coarse));
         // The ends lie up to half an edge off, of a cut of 25 mm: 6 % of its length, 12 % of its effect.
         let scale = largest(|r, c| truth[(r, c)]);

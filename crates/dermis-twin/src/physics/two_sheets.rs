@@ -4,7 +4,7 @@
 //! leaves `(K_v + B) w = r`, where B is bounded by the sensing sheet's conductance, so that the expansion in
 //! `B / K_v ~ s_s / s_c` starts with the exact equipotential problem and converges at once:
 //! `Z = Z_equipotential + r' K_v^-1 r + O((s_s/s_c)^2)`. K_v is factored once, the single sheet plus contact once a
-//! frame. With 35 um of copper on paper H's composite, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
+//! frame. With 35 um of copper over 5 mS, `(s_s/s_c)^2` is 6e-12; [`super::direct_impedance`] solves
 //! all unknowns at once and is what the tests compare with.
 
 use std::collections::HashMap;
@@ -42,9 +42,8 @@ pub struct TwoSheets {
     /// Edges of slits with the conductance across them per length, S/m.
     pub(super) joints: Vec<(SlitEdge, f64)>,
     joint_slots: Vec<u32>,
-    /// Slits along the mesh's edges, and the second values of their inner nodes.
-    paths: Vec<SlitPath>,
-    second: SecondValues,
+    /// Of slits along the mesh's edges.
+    pub(super) second: SecondValues,
     shortcut: Shortcut,
     structure: SpdStructure,
     /// Slots of the element pairs, in the order of [`PAIRS`].
@@ -79,26 +78,21 @@ pub(super) struct ContactEntry {
 /// What paths add to the system `K u = r`: an element on the slit's side takes `u + w` at the path's inner nodes, so that
 /// `K u + B w = r` and `B' u + D w = s`.
 #[derive(Debug)]
-struct SecondValues {
+pub(super) struct SecondValues {
     /// Elements with the numbers that their corners have among the second values; with one or more of them.
     elements: Vec<(u32, [Option<u32>; 3])>,
     /// What joins the sides, entries of D.
     joined: Vec<(u32, u32, f64)>,
-    count: usize,
-    /// B by node, second value.
-    coupling: Vec<(u32, u32, f64)>,
+    pub(super) count: usize,
     /// s where the shortcut has unit potential.
     load: Vec<f64>,
-    /// `K^-1 B`, a row for each second value.
-    lifted: Mat<f64>,
     /// w, second values x right-hand sides.
     solved: Mat<f64>,
 }
 
 impl SecondValues {
     fn none() -> Self {
-        let (elements, joined, coupling, load) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { elements, joined, count: 0, coupling, load, lifted: Mat::zeros(0, 0), solved: Mat::zeros(0, 0) }
+        Self { elements: Vec::new(), joined: Vec::new(), count: 0, load: Vec::new(), solved: Mat::zeros(0, 0) }
     }
 }
 
@@ -151,7 +145,6 @@ impl TwoSheets {
             contact_slots: contact_slots.to_vec(),
             joint_slots: joint_slots.to_vec(),
             joints,
-            paths: Vec::new(),
             second: SecondValues::none(),
             slots: element_slots,
             open_values: vec![0.0; structure.value_count()],
@@ -232,11 +225,11 @@ impl TwoSheets {
     ///
     /// # Errors
     /// Paths of another mesh, or two with a node in common.
-    pub fn set_slit_paths(&mut self, paths: Vec<SlitPath>) -> Result<(), SparseError> {
+    pub fn set_slit_paths(&mut self, paths: &[SlitPath]) -> Result<(), SparseError> {
         let mut second = SecondValues::none();
         let mut number = vec![None; self.positions.len()];
         let mut of_element: HashMap<u32, [Option<u32>; 3]> = HashMap::new();
-        for path in &paths {
+        for path in paths {
             let inner = &path.nodes[1..path.nodes.len() - 1];
             let largest = path.side.iter().flatten().max().map_or(0, |element| *element as usize);
             if path.nodes.iter().any(|&node| node as usize >= number.len()) || largest >= self.triangles.len() {
@@ -256,25 +249,21 @@ impl TwoSheets {
                 }
             }
             for ends in path.nodes.windows(2) {
-                let [a, b] = [ends[0], ends[1]].map(|node| self.positions[node as usize]);
-                let mass = path.s_per_m * (a[0] - b[0]).hypot(a[1] - b[1]) / 6.0;
-                let [i, j] = [ends[0], ends[1]].map(|node| number[node as usize].filter(|_| inner.contains(&node)));
-                second.joined.extend([i, j].into_iter().flatten().map(|i| (i, i, 2.0 * mass)));
-                if let (Some(i), Some(j)) = (i, j) {
-                    second.joined.extend([(i, j, mass), (j, i, mass)]);
-                }
+                // As a joint whose other side has the second values for nodes: only these are no nodes of the mesh.
+                let nodes = number.len() as u32;
+                let one = [ends[0], ends[1]];
+                let own = |node: &u32| number[*node as usize].filter(|_| inner.contains(node));
+                let other = one.map(|node| own(&node).map_or(node, |second| nodes + second));
+                let entries = joint_entries(&([one, other], path.s_per_m), &self.positions).into_iter();
+                let among = entries.filter(|((row, column), _)| *row >= nodes && *column >= nodes);
+                second.joined.extend(among.map(|((row, column), value)| (row - nodes, column - nodes, value)));
             }
         }
         second.elements = of_element.into_iter().collect();
         // In an order of their own, so that sums are always the same.
         second.elements.sort_unstable_by_key(|entry| entry.0);
-        (self.paths, self.second) = (paths, second);
+        self.second = second;
         Ok(())
-    }
-
-    /// The slits along edges of the mesh.
-    pub fn slit_paths(&self) -> &[SlitPath] {
-        &self.paths
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
@@ -319,8 +308,10 @@ impl TwoSheets {
         let (nodes, electrodes) = (self.positions.len(), self.electrode_count - 1);
         let second = &mut self.second;
         let mut system: Mat<f64> = Mat::zeros(second.count, second.count);
-        second.joined.iter().for_each(|&(i, j, value)| system[(i as usize, j as usize)] += value);
-        second.coupling.clear();
+        // Only the lower triangle is read.
+        second.joined.iter().for_each(|&(i, j, value)| system[(i.max(j) as usize, i.min(j) as usize)] += value);
+        // B by node, second value.
+        let mut coupling: Vec<(u32, u32, f64)> = Vec::new();
         second.load.clear();
         second.load.resize(second.count, 0.0);
         for (element, numbers) in &second.elements {
@@ -333,7 +324,7 @@ impl TwoSheets {
                 let both = [(a, b), (b, a)];
                 for &(a, b) in &both[..if a == b { 1 } else { 2 }] {
                     let Some(column) = numbers[b] else { continue };
-                    second.coupling.push((triangle[a], column, stiffness + mass));
+                    coupling.push((triangle[a], column, stiffness + mass));
                     if let Some(row) = numbers[a] {
                         system[(row as usize, column as usize)] += stiffness + mass;
                     }
@@ -344,19 +335,20 @@ impl TwoSheets {
                 second.load[number as usize] += area * (sum + g[corner]) / 12.0;
             }
         }
-        second.lifted = Mat::zeros(second.count, nodes + electrodes);
-        for &(node, column, value) in &second.coupling {
-            second.lifted[(column as usize, node as usize)] += value;
+        // K^-1 B, a row for each second value.
+        let mut lifted: Mat<f64> = Mat::zeros(second.count, nodes + electrodes);
+        for &(node, column, value) in &coupling {
+            lifted[(column as usize, node as usize)] += value;
         }
-        self.structure.solve_in_place(&self.factor, second.lifted.as_mut().transpose_mut());
+        self.structure.solve_in_place(&self.factor, lifted.as_mut().transpose_mut());
         let mut right: Mat<f64> = Mat::zeros(second.count, solved);
         if solved > electrodes {
             second.load.iter().enumerate().for_each(|(row, load)| right[(row, electrodes)] = *load);
         }
-        for &(node, row, value) in &second.coupling {
+        for &(node, row, value) in &coupling {
             let (row, node) = (row as usize, node as usize);
             for column in 0..second.count {
-                system[(row, column)] -= value * second.lifted[(column, node)];
+                system[(row, column)] -= value * lifted[(column, node)];
             }
             for column in 0..solved {
                 right[(row, column)] -= value * self.fields[(column, node)];
@@ -368,7 +360,7 @@ impl TwoSheets {
         let read = self.touching.iter().map(|&node| node as usize).chain(nodes..nodes + electrodes);
         for place in read {
             for row in 0..solved {
-                let change: f64 = (0..second.count).map(|k| second.lifted[(k, place)] * second.solved[(k, row)]).sum();
+                let change: f64 = (0..second.count).map(|k| lifted[(k, place)] * second.solved[(k, row)]).sum();
                 self.fields[(row, place)] -= change;
             }
         }

@@ -25,7 +25,7 @@ pub struct RandomTouches {
 }
 
 impl RandomTouches {
-    /// Touches for a 100 mm square skin like those of paper H: radii 7.5 to 15 mm, 30 to 100 kPa, within 35 mm of the
+    /// Touches for a skin of 100 mm: radii 7.5 to 15 mm, 30 to 100 kPa, within 35 mm of the
     /// middle along each axis, at least 10 mm between edges.
     pub fn new(seed: u64) -> Self {
         Self {

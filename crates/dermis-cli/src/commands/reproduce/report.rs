@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::experiments::{Figure, Report, Row};
+use dermis::lab::experiments::{Figure, Report, Row};
 use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
 
@@ -88,7 +88,7 @@ fn drawing(figure: &Figure) -> (&'static str, Picture) {
             (*name, Chart { title: title.clone(), x_label, y_label, series: series.collect() }.picture())
         }
         Figure::Images { name, title, columns, panels } => {
-            let panel = |panel: &dermis::experiments::ImagePanel| Panel {
+            let panel = |panel: &dermis::lab::experiments::ImagePanel| Panel {
                 name: panel.name.clone(),
                 columns: *columns,
                 values: panel.values.clone(),

@@ -2,17 +2,19 @@
 
 mod damage;
 
+use dermis::live::imager::Imager;
+use dermis::live::reference::Reference;
 use std::borrow::Cow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use dermis::acquire::AcquisitionCounters;
-use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
+use dermis::device::acquire::AcquisitionCounters;
+use dermis::live::output::Output;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
 use dermis::record::RecorderStatus;
-use dermis::sink::Output;
 use dermis::skin::Bend;
-use dermis::twins::PressRange;
+use dermis::twin::PressRange;
 use dermis_cli::page::{
     Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
     TouchView, Update,
@@ -72,7 +74,7 @@ impl PageFeed {
     }
 
     /// Takes over one frame's results.
-    pub fn take(&mut self, output: &Output<'_>) {
+    pub fn show(&mut self, output: &Output<'_>) {
         let update = &mut self.update;
         update.frame = output.sequence;
         update.time_ns = output.time_ns;
@@ -88,12 +90,12 @@ impl PageFeed {
         if update.state.source != SourceState::Running {
             update.state.source = SourceState::Running;
         }
-        self.take_health(output);
-        self.take_classes(output);
+        self.show_health(output);
+        self.show_classes(output);
         damage::take(&output.damage, &mut self.update.damage);
     }
 
-    fn take_classes(&mut self, output: &Output<'_>) {
+    fn show_classes(&mut self, output: &Output<'_>) {
         let Some(seen) = output.classes else {
             self.update.classes = None;
             return;
@@ -108,7 +110,7 @@ impl PageFeed {
         shown.falls_back = seen.falls_back;
     }
 
-    fn take_health(&mut self, output: &Output<'_>) {
+    fn show_health(&mut self, output: &Output<'_>) {
         let health = &mut self.update.health;
         let for_s = |since_ns: u64| output.time_ns.saturating_sub(since_ns) as f64 * 1e-9;
         health.left_out = output.health.channels.len() as u32;
@@ -238,7 +240,7 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         modality: prepared.skin.modality.name().into(),
         is_twin: press.is_some(),
         watches_damage: prepared.skin.damage.watch,
-        is_treatable: press.is_some() && prepared.skin.frontend.layer.kind == "sandwich",
+        is_treatable: press.is_some() && matches!(prepared.skin.frontend.layer, dermis::skin::Layer::Sandwich(_)),
         outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
         bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
         electrodes: electrodes(prepared),
@@ -271,8 +273,8 @@ fn limits(range: PressRange) -> PressLimits {
 
 /// Middle of the slider: lambda by the skin file's own rule where that needs no data, else 1.
 fn typical_hyperparameter(prepared: &Prepared) -> f64 {
-    let reference = prepared.reference_from(&prepared.voltages, None);
-    reference.and_then(|r| prepared.imager(&r, &[])).map_or(1.0, |imager| imager.hyperparameter())
+    let reference = Reference::from_baseline(prepared, &prepared.voltages, None);
+    reference.and_then(|r| Imager::new(prepared, &r, &[])).map_or(1.0, |imager| imager.hyperparameter())
 }
 
 fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {

@@ -4,14 +4,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use dermis::calibrate::Calibration;
-use dermis::forces::parse_forces;
-use dermis::pipeline::Pipeline;
-use dermis::prepare::Prepared;
+use dermis::lab::twin_source::{TwinCommand, TwinSource};
+use dermis::live::calibration::Calibration;
+use dermis::live::forces::parse_forces;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
 use dermis::record::{Recording, RecordingHead, Replay};
 use dermis::skin::Skin;
-use dermis::twin_source::{TwinCommand, TwinSource};
-use dermis::twins::PressRange;
+use dermis::twin::PressRange;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire};
 
@@ -128,7 +128,7 @@ pub fn open(selector: &str, skin_name: &str, speed: f64, as_set: bool) -> anyhow
         SourceSelector::File(spec) if spec.path.extension().is_some_and(|extension| extension == "mcap") => {
             let recording = Recording::open(&spec.path)?;
             let file = spec.path.display().to_string();
-            let skin = Skin::parse(&recording.head().skin_toml, &file)?;
+            let skin = Skin::parse_any_version(&recording.head().skin_toml, &file)?;
             let replay = Replay::new(recording, pacing(None), Repeat::Once).map_err(dermis::Error::from)?;
             Ok(Opened { skin, source: Box::new(replay), twin: None, wait: true })
         }

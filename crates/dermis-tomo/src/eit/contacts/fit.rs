@@ -1,11 +1,14 @@
-//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by Levenberg and Marquardt
-//! (Marquardt, J. SIAM 11, 1963, 431) on the full model, with a broad prior on radius and conductance.
+//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by damped least squares
+//! ([`crate::least_squares`]) on the full model, with a broad prior on radius and conductance.
 
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 
 use super::{ContactPatch, ContactSheet, Touched};
 use crate::eit::EitError;
+use crate::least_squares::{
+    Acceptance, Control, Damping, NormalEquations, Outcome, Params, Problem, Scratch, Tolerances, Trial, minimise,
+};
 
 /// Parameters of a patch: x, y, logarithm of the radius, logarithm of the conductance per area.
 const OF_PATCH: usize = 4;
@@ -128,32 +131,37 @@ impl ContactSheet {
         left_v: &mut Vec<f64>,
     ) -> Result<(Vec<ContactFit>, FitSummary), EitError> {
         self.check_frame(change_v, deviation_v)?;
-        let fit = Fit { sheet: self, change_v, deviation_v, options };
-        let (mut misfit, mut cost) = fit.judge(from);
-        let (mut normal, mut gradient) = fit.normal(from);
-        let (mut steps, mut settled) = (0, false);
-        while steps < options.most_steps && from.damping < DAMPING[1] && !from.patches.is_empty() && !settled {
-            let Some(step) = damped_step(&normal, &gradient, from.damping) else { break };
-            let predicted = 0.5 * step.iter().zip(&gradient).map(|(step, slope)| step * slope).sum::<f64>();
-            if predicted < SETTLED {
-                break;
-            }
-            steps += 1;
-            let mut next = self.begin_fit(&stepped(&from.patches, &step))?;
-            let (next_misfit, next_cost) = fit.judge(&mut next);
-            if next_cost < cost {
-                // Where the cost falls as predicted it is a parabola, whose bottom this is.
-                settled = (cost - next_cost - predicted).abs() < SETTLED;
-                next.damping = (0.2 * from.damping).max(1e-9);
-                (*from, misfit, cost) = (next, next_misfit, next_cost);
-                if !settled && steps < options.most_steps {
-                    (normal, gradient) = fit.normal(from);
-                }
-            } else {
-                from.damping *= 8.0;
-            }
+        let gain_precision =
+            (options.gain_deviation != 0.0).then(|| self.gain_precision(change_v, deviation_v, options));
+        let fit = Fit { sheet: self, change_v, deviation_v, options, gain_precision };
+        let is_empty = from.patches.is_empty();
+        let control = Control::Damping(Damping {
+            start: from.damping,
+            least: 1e-9,
+            most: DAMPING[1],
+            decrease: 0.2,
+            increase: 8.0,
+            least_after_rejection: 0.0,
+            refused: None,
+        });
+        let params = Params {
+            control,
+            acceptance: Acceptance::Lower,
+            tolerances: Tolerances { predicted: Some(SETTLED), agreement: Some(SETTLED), ..Tolerances::default() },
+            most_trials: options.most_steps,
+            ..Params::default()
+        };
+        let (mut way, mut scratch) =
+            (FitUnderWay { fit: &fit, at: from, tried: None, misfit: 0.0 }, Scratch::default());
+        let info = minimise(&mut way, &params, &mut scratch)?;
+        let equations = &mut scratch.equations;
+        if info.linearisations == 0 && !is_empty {
+            fit.normal(way.at, equations);
         }
-        settled |= steps < options.most_steps;
+        let FitUnderWay { misfit, at: from, .. } = way;
+        let (steps, cost) = (info.trials, info.cost);
+        let settled = steps < options.most_steps || (info.outcome == Outcome::Settled && !is_empty);
+        from.damping = info.damping;
         // A fit that is gone on with on another frame begins boldly again.
         if settled {
             from.damping = DAMPING[0];
@@ -163,7 +171,7 @@ impl ContactSheet {
         left_v.extend(change_v.iter().zip(model).map(|(change, model)| change - model));
         let energy = fit.misfit(&vec![0.0; change_v.len()], 0.0);
         let summary = FitSummary { misfit, cost: 2.0 * cost, energy, steps, settled };
-        let covariance = inverse(&normal);
+        let covariance = inverse(equations);
         let block = |k: usize| {
             let mut values = [[f64::NAN; OF_PATCH]; OF_PATCH];
             if let Some(matrix) = &covariance {
@@ -229,6 +237,12 @@ impl ContactSheet {
         jacobian
     }
 
+    fn gain_precision(&self, change_v: &[f64], deviation_v: &[f64], options: &FitOptions) -> f64 {
+        let channels = change_v.iter().zip(deviation_v).zip(&self.bare_v).filter(|((change, _), _)| change.is_finite());
+        let of_prior = 1.0 / (options.gain_deviation * options.gain_deviation);
+        channels.fold(of_prior, |precision, ((_, sigma), bare)| precision + (bare / sigma) * (bare / sigma))
+    }
+
     pub(super) fn check_frame(&self, change_v: &[f64], deviation_v: &[f64]) -> Result<(), EitError> {
         let expected = self.channels();
         match [change_v.len(), deviation_v.len()].into_iter().find(|length| *length != expected) {
@@ -243,6 +257,8 @@ struct Fit<'a> {
     change_v: &'a [f64],
     deviation_v: &'a [f64],
     options: &'a FitOptions,
+    /// Precision of the gain (one over its variance) by the data and what is expected of it, where it is fitted.
+    gain_precision: Option<f64>,
 }
 
 impl Fit<'_> {
@@ -257,26 +273,21 @@ impl Fit<'_> {
         sum / f64::max(count, 1.0)
     }
 
-    /// The gain that suits patches best, and its precision (one over its variance), where it is fitted.
-    fn gain(&self, model: &[f64]) -> Option<(f64, f64)> {
-        let deviation = self.options.gain_deviation;
-        if deviation == 0.0 {
-            return None;
-        }
-        let (mut cross, mut precision) = (0.0, 1.0 / (deviation * deviation));
+    /// The gain that suits patches of this effect best; 0 where none is fitted.
+    fn gain(&self, model: &[f64]) -> f64 {
+        let Some(precision) = self.gain_precision else { return 0.0 };
+        let mut cross = 0.0;
         for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
             if change.is_finite() {
-                let bare = self.sheet.bare_v[channel] / sigma;
-                cross += bare * (change - model[channel]) / sigma;
-                precision += bare * bare;
+                cross += self.sheet.bare_v[channel] / sigma * (change - model[channel]) / sigma;
             }
         }
-        Some((cross / precision, precision))
+        cross / precision
     }
 
     /// Misfit and cost of where a fit stands, at the gain that suits it best.
     fn judge(&self, at: &mut PatchFit) -> (f64, f64) {
-        at.gain = self.gain(&at.change_v).map_or(0.0, |(gain, _)| gain);
+        at.gain = self.gain(&at.change_v);
         let misfit = self.misfit(&at.change_v, at.gain);
         let count = self.change_v.iter().filter(|change| change.is_finite()).count() as f64;
         let mut prior: f64 = at.patches.iter().map(|patch| self.off(patch).iter().map(|v| v * v).sum::<f64>()).sum();
@@ -295,15 +306,16 @@ impl Fit<'_> {
         ]
     }
 
-    /// Normal matrix and gradient where a fit stands; the gain is eliminated.
-    fn normal(&self, at: &mut PatchFit) -> (Mat<f64>, Vec<f64>) {
+    /// The equations where a fit stands; the gain is eliminated.
+    fn normal(&self, at: &mut PatchFit, equations: &mut NormalEquations) {
         let size = OF_PATCH * at.patches.len();
-        let precision = self.gain(&at.change_v).map(|(_, precision)| precision);
         let gain = at.gain;
         let mut by_gain = vec![0.0; size];
         let PatchFit { patches, touched, jacobian, .. } = at;
         let jacobian = &*jacobian.get_or_insert_with(|| self.sheet.derivatives(patches, touched));
-        let (mut normal, mut gradient) = (Mat::<f64>::zeros(size, size), vec![0.0; size]);
+        let NormalEquations { normal, right } = equations;
+        normal.fill(0.0);
+        right.fill(0.0);
         for (channel, (change, sigma)) in self.change_v.iter().zip(self.deviation_v).enumerate() {
             if !change.is_finite() {
                 continue;
@@ -314,46 +326,94 @@ impl Fit<'_> {
             let residual = change - at.change_v[channel] - gain * bare;
             for a in 0..size {
                 by_gain[a] += weight * bare * row[a];
-                gradient[a] += weight * residual * row[a];
+                right[a] += weight * residual * row[a];
                 for b in 0..=a {
-                    normal[(a, b)] += weight * row[a] * row[b];
+                    normal[a * size + b] += weight * row[a] * row[b];
                 }
             }
         }
         for a in 0..size {
             for b in 0..=a {
-                if let Some(precision) = precision {
-                    normal[(a, b)] -= by_gain[a] * by_gain[b] / precision;
+                if let Some(precision) = self.gain_precision {
+                    normal[a * size + b] -= by_gain[a] * by_gain[b] / precision;
                 }
-                normal[(b, a)] = normal[(a, b)];
+                normal[b * size + a] = normal[a * size + b];
             }
         }
         let deviations = [self.options.radius_log_deviation, self.options.conductance_log_deviation];
         for (k, patch) in at.patches.iter().enumerate() {
             for (j, (off, deviation)) in self.off(patch).into_iter().zip(deviations).enumerate() {
                 let at = OF_PATCH * k + 2 + j;
-                normal[(at, at)] += 1.0 / (deviation * deviation);
-                gradient[at] -= off / deviation;
+                normal[at * size + at] += 1.0 / (deviation * deviation);
+                right[at] -= off / deviation;
             }
         }
-        (normal, gradient)
     }
 }
 
-fn damped_step(normal: &Mat<f64>, gradient: &[f64], damping: f64) -> Option<Vec<f64>> {
-    let size = gradient.len();
-    let damped = Mat::from_fn(size, size, |a, b| normal[(a, b)] * if a == b { 1.0 + damping } else { 1.0 });
-    let factor = Llt::new(damped.as_ref(), Side::Lower).ok()?;
-    let step = factor.solve(Mat::from_fn(size, 1, |row, _| gradient[row]));
-    Some(step.col(0).iter().copied().collect())
+/// A fit while it goes on.
+struct FitUnderWay<'a> {
+    fit: &'a Fit<'a>,
+    at: &'a mut PatchFit,
+    /// The patches tried last, with their misfit.
+    tried: Option<(PatchFit, f64)>,
+    /// Misfit where the fit stands.
+    misfit: f64,
 }
 
-fn inverse(normal: &Mat<f64>) -> Option<Mat<f64>> {
-    if normal.nrows() == 0 {
+impl Problem for FitUnderWay<'_> {
+    type Error = EitError;
+
+    fn unknowns(&self) -> usize {
+        OF_PATCH * self.at.patches.len()
+    }
+
+    fn cost(&mut self) -> Result<f64, EitError> {
+        let (misfit, cost) = self.fit.judge(self.at);
+        self.misfit = misfit;
+        Ok(cost)
+    }
+
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, EitError> {
+        self.fit.normal(self.at, equations);
+        Ok(true)
+    }
+
+    fn solve(&mut self, equations: &NormalEquations, damping: f64, _factor: &mut [f64], step: &mut [f64]) -> bool {
+        let damped = matrix(equations, 1.0 + damping);
+        let Ok(factor) = Llt::new(damped.as_ref(), Side::Lower) else { return false };
+        let solution = factor.solve(Mat::from_fn(step.len(), 1, |row, _| equations.right[row]));
+        step.iter_mut().zip(solution.col(0).iter()).for_each(|(step, value)| *step = *value);
+        true
+    }
+
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, EitError> {
+        let mut next = self.fit.sheet.begin_fit(&stepped(&self.at.patches, step))?;
+        let (misfit, cost) = self.fit.judge(&mut next);
+        self.tried = Some((next, misfit));
+        Ok(Some(Trial { cost, moved: 0.0 }))
+    }
+
+    fn accept(&mut self) {
+        if let Some((next, misfit)) = self.tried.take() {
+            (*self.at, self.misfit) = (next, misfit);
+        }
+    }
+}
+
+/// The matrix of the equations with its diagonal multiplied.
+fn matrix(equations: &NormalEquations, diagonal: f64) -> Mat<f64> {
+    let size = equations.unknowns();
+    Mat::from_fn(size, size, |a, b| equations.normal[a * size + b] * if a == b { diagonal } else { 1.0 })
+}
+
+fn inverse(equations: &NormalEquations) -> Option<Mat<f64>> {
+    let size = equations.unknowns();
+    if size == 0 {
         return None;
     }
-    let factor = Llt::new(normal.as_ref(), Side::Lower).ok()?;
-    Some(factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows())))
+    let factor = Llt::new(matrix(equations, 1.0).as_ref(), Side::Lower).ok()?;
+    Some(factor.solve(Mat::<f64>::identity(size, size)))
 }
 
 fn stepped(patches: &[ContactPatch], step: &[f64]) -> Vec<ContactPatch> {

@@ -2,6 +2,10 @@
 
 use super::SpotModel;
 use crate::inverse::InverseError;
+use crate::least_squares::{
+    Acceptance, Control, Damping, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise,
+    minimise, solve_factored,
+};
 
 /// A fitted spot.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,8 +44,23 @@ const CONVERGED: f64 = 2e-3;
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
 /// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide spots.
 const UNIFORM_DEVIATION: f64 = 0.2;
-/// Damping at the start, and at most, relative to the diagonal.
-const DAMPING: [f64; 2] = [1e-4, 1e4];
+/// Rules of the fit, beside when it has converged.
+const PARAMS: Params = Params {
+    control: Control::Damping(Damping {
+        start: 1e-4,
+        least: 0.0,
+        most: 1e4,
+        decrease: 0.2,
+        increase: 8.0,
+        least_after_rejection: 1e-3,
+        refused: Some(10.0),
+    }),
+    acceptance: Acceptance::NotHigher,
+    tolerances: Tolerances { moved: None, gain: None, predicted: None, agreement: None },
+    most_trials: MOST_STEPS,
+    most_linearisations: usize::MAX,
+    most_rejections: usize::MAX,
+};
 
 /// Memory of a fit.
 #[derive(Clone, Debug, Default)]
@@ -56,9 +75,7 @@ pub struct FitScratch {
     trial_residual: Vec<f32>,
     /// Weighted derivative columns, one a parameter.
     columns: Vec<f32>,
-    normal: Vec<f64>,
-    factor: Vec<f64>,
-    right: Vec<f64>,
+    solver: Scratch,
     state: Vec<State>,
     trial: Vec<State>,
     spots: Vec<Spot>,
@@ -91,9 +108,7 @@ impl SpotModel {
             residual: vec![0.0; length],
             trial_residual: vec![0.0; length],
             columns: vec![0.0; length * parameters],
-            normal: vec![0.0; parameters * parameters],
-            factor: vec![0.0; parameters * parameters],
-            right: vec![0.0; parameters],
+            solver: Scratch::new(parameters),
             state: Vec::with_capacity(most),
             trial: Vec::with_capacity(most),
             spots: Vec::with_capacity(most),
@@ -116,34 +131,17 @@ impl SpotModel {
         let FitScratch { data, .. } = scratch;
         self.project(difference, data);
         let energy: f64 = data.iter().map(|v| f64::from(*v).powi(2)).sum();
-        let mut uniform = self.begin(starts_m, scratch)?;
+        let uniform = self.begin(starts_m, scratch)?;
         let parameters = OF_SPOT * starts_m.len() + 1;
-        let mut cost = self.cost(scratch, uniform);
-        let (mut damping, mut steps) = (DAMPING[0], 0);
-        while steps < MOST_STEPS && damping < DAMPING[1] {
-            steps += 1;
-            self.normal_equations(uniform, scratch);
-            let Some((moved, new_uniform, new_cost)) = self.step(damping, uniform, scratch) else {
-                damping *= 10.0;
-                continue;
-            };
-            if new_cost > cost {
-                damping = (damping * 8.0).max(1e-3);
-                continue;
-            }
-            let gain = cost - new_cost;
-            std::mem::swap(&mut scratch.state, &mut scratch.trial);
-            std::mem::swap(&mut scratch.rows, &mut scratch.trial_rows);
-            std::mem::swap(&mut scratch.residual, &mut scratch.trial_residual);
-            (uniform, cost, damping) = (new_uniform, new_cost, damping * 0.2);
-            if moved < CONVERGED || gain < 1e-6 * cost {
-                break;
-            }
-        }
+        let mut solver = std::mem::take(&mut scratch.solver);
+        let mut way = FitUnderWay { model: self, scratch, uniform, tried_uniform: uniform };
+        let info = minimise(&mut way, &PARAMS, &mut solver);
+        let (uniform, scratch) = (way.uniform, way.scratch);
+        scratch.solver = solver;
+        let steps = info?.trials;
         let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
         let residual = left / (length.saturating_sub(parameters)).max(1) as f64;
-        self.normal_equations(uniform, scratch);
-        self.finish(residual, scratch);
+        self.finish(residual, uniform, scratch);
         Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
     }
 
@@ -162,8 +160,7 @@ impl SpotModel {
             expected: "within the table",
         })?;
         scratch.state.push(State { position_m, amplitude, log_radius });
-        self.normal_equations(0.0, &mut scratch);
-        self.finish(1.0, &mut scratch);
+        self.finish(1.0, 0.0, &mut scratch);
         let covariance = scratch.spots[0].covariance;
         if covariance[0][0].is_finite() {
             Ok(covariance)
@@ -227,18 +224,21 @@ impl SpotModel {
             scratch.columns[k * length..(k + 1) * length].copy_from_slice(&scratch.rows[from..from + length]);
         }
         scratch.columns[(count - 1) * length..count * length].copy_from_slice(&self.uniform);
-        let FitScratch { columns, data, normal, right, factor, .. } = scratch;
+        let FitScratch { columns, data, solver, .. } = scratch;
+        solver.resize(count);
+        let Scratch { equations: NormalEquations { normal, right }, factor, .. } = solver;
         products(columns, data, length, count, normal, right);
         for k in 0..count {
             normal[k * count + k] *= 1.0 + 1e-9;
         }
         normal[count * count - 1] += UNIFORM_DEVIATION.powi(-2);
-        if !cholesky(normal, factor, count) {
+        factor.copy_from_slice(normal);
+        if !factorise(factor, count) {
             return (f64::INFINITY, 0.0);
         }
-        solve(factor, right, count);
-        scratch.state.iter_mut().zip(&scratch.right).for_each(|(state, a)| state.amplitude = *a);
-        let uniform = scratch.right[count - 1];
+        solve_factored(factor, right, count);
+        scratch.state.iter_mut().zip(right.iter()).for_each(|(state, a)| state.amplitude = *a);
+        let uniform = right[count - 1];
         self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
         (self.cost(scratch, uniform), uniform)
     }
@@ -268,9 +268,10 @@ impl SpotModel {
     /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then the
     /// uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and strong, and a step along
     /// that valley would otherwise be cut short.
-    fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch) {
+    fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch, equations: &mut NormalEquations) {
         let length = self.combinations();
-        let FitScratch { rows, columns, residual, normal, right, state, .. } = scratch;
+        let FitScratch { rows, columns, residual, state, .. } = scratch;
+        let NormalEquations { normal, right } = equations;
         let parameters = OF_SPOT * state.len() + 1;
         for (k, state) in state.iter().enumerate() {
             let amplitude = state.amplitude as f32;
@@ -294,26 +295,16 @@ impl SpotModel {
         right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
     }
 
-    /// A damped step to the trial state: the largest move (see [`CONVERGED`]), the uniform change and the cost there. `None`
-    /// where the system cannot be solved or the step leaves the table.
-    fn step(&self, damping: f64, uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
+    /// The trial state at the end of a step: the largest move (see [`CONVERGED`]), the uniform change and the cost there.
+    /// `None` where the step leaves the table.
+    fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
-        let parameters = OF_SPOT * scratch.state.len() + 1;
-        let FitScratch { normal, factor, right, state, trial, trial_rows, trial_residual, data, tabulated, .. } =
-            scratch;
-        let floor = 1e-12 * (0..parameters).map(|k| normal[k * parameters + k]).fold(0.0, f64::max);
-        for k in 0..parameters {
-            normal[k * parameters + k] += damping * normal[k * parameters + k] + floor;
-        }
-        if !cholesky(normal, factor, parameters) {
-            return None;
-        }
-        solve(factor, right, parameters);
+        let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, .. } = scratch;
         let [least, most] = self.responses.log_radii();
         let mut moved: f64 = 0.0;
         trial.clear();
         for (k, state) in state.iter().enumerate() {
-            let change = &right[OF_SPOT * k..OF_SPOT * (k + 1)];
+            let change = &step[OF_SPOT * k..OF_SPOT * (k + 1)];
             let radius = state.log_radius.exp();
             // No step is longer than half a radius: beyond that the model is not linear in the place.
             let distance = change[0].hypot(change[1]);
@@ -327,17 +318,22 @@ impl SpotModel {
             let amplitude = (state.amplitude + change[2]) * (-2.0 * wider).exp();
             trial.push(State { position_m, amplitude, log_radius });
         }
-        let uniform = uniform + right[parameters - 1];
+        let uniform = uniform + step[OF_SPOT * state.len()];
         self.residual(trial, trial_rows, data, uniform, trial_residual);
         let cost = self.cost_of(trial_residual, trial, uniform);
         cost.is_finite().then_some((moved, uniform, cost))
     }
 
     /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise.
-    fn finish(&self, residual: f64, scratch: &mut FitScratch) {
+    fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
-        let FitScratch { normal, factor, right, state, spots, .. } = scratch;
-        let known = cholesky(normal, factor, parameters);
+        let mut solver = std::mem::take(&mut scratch.solver);
+        solver.resize(parameters);
+        self.normal_equations(uniform, scratch, &mut solver.equations);
+        let FitScratch { state, spots, .. } = &mut *scratch;
+        let Scratch { equations: NormalEquations { normal, right }, factor, .. } = &mut solver;
+        factor.copy_from_slice(normal);
+        let known = factorise(factor, parameters);
         spots.clear();
         for (k, state) in state.iter().enumerate() {
             let mut covariance = [[f64::INFINITY; OF_SPOT]; OF_SPOT];
@@ -345,7 +341,7 @@ impl SpotModel {
                 for (column, of_column) in (0..OF_SPOT).map(|column| (column, OF_SPOT * k + column)) {
                     right[..parameters].fill(0.0);
                     right[of_column] = residual.max(1.0);
-                    solve(factor, right, parameters);
+                    solve_factored(factor, right, parameters);
                     (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
                 }
             }
@@ -356,6 +352,52 @@ impl SpotModel {
             let radius_m = state.log_radius.exp();
             spots.push(Spot { position_m: state.position_m, amplitude: state.amplitude, radius_m, covariance });
         }
+        scratch.solver = solver;
+    }
+}
+
+/// A fit while it goes on.
+struct FitUnderWay<'a> {
+    model: &'a SpotModel,
+    scratch: &'a mut FitScratch,
+    uniform: f64,
+    tried_uniform: f64,
+}
+
+impl Problem for FitUnderWay<'_> {
+    type Error = InverseError;
+
+    fn unknowns(&self) -> usize {
+        OF_SPOT * self.scratch.state.len() + 1
+    }
+
+    fn cost(&mut self) -> Result<f64, InverseError> {
+        Ok(self.model.cost(self.scratch, self.uniform))
+    }
+
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, InverseError> {
+        self.model.normal_equations(self.uniform, self.scratch, equations);
+        Ok(true)
+    }
+
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, InverseError> {
+        let Some((moved, uniform, cost)) = self.model.try_step(step, self.uniform, self.scratch) else {
+            return Ok(None);
+        };
+        self.tried_uniform = uniform;
+        Ok(Some(Trial { cost, moved }))
+    }
+
+    fn accept(&mut self) {
+        let FitScratch { state, trial, rows, trial_rows, residual, trial_residual, .. } = &mut *self.scratch;
+        std::mem::swap(state, trial);
+        std::mem::swap(rows, trial_rows);
+        std::mem::swap(residual, trial_residual);
+        self.uniform = self.tried_uniform;
+    }
+
+    fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
+        progress.moved < CONVERGED || progress.before - progress.after < 1e-6 * progress.after
     }
 }
 
@@ -383,37 +425,4 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     }
     let tail: f32 = a[rest..].iter().zip(&b[rest..]).map(|(p, q)| p * q).sum();
     lanes.iter().map(|v| f64::from(*v)).sum::<f64>() + f64::from(tail)
-}
-
-/// Lower Cholesky factor of a small symmetric matrix, row-major; false where it is not positive definite.
-fn cholesky(matrix: &[f64], factor: &mut [f64], n: usize) -> bool {
-    for row in 0..n {
-        for column in 0..=row {
-            let mut sum = matrix[row * n + column];
-            for k in 0..column {
-                sum -= factor[row * n + k] * factor[column * n + k];
-            }
-            if row == column {
-                if !(sum > 0.0 && sum.is_finite()) {
-                    return false;
-                }
-                factor[row * n + row] = sum.sqrt();
-            } else {
-                factor[row * n + column] = sum / factor[column * n + column];
-            }
-        }
-    }
-    true
-}
-
-/// Solves with the factor, in place.
-fn solve(factor: &[f64], x: &mut [f64], n: usize) {
-    for row in 0..n {
-        let sum: f64 = (0..row).map(|k| factor[row * n + k] * x[k]).sum();
-        x[row] = (x[row] - sum) / factor[row * n + row];
-    }
-    for row in (0..n).rev() {
-        let sum: f64 = (row + 1..n).map(|k| factor[k * n + row] * x[k]).sum();
-        x[row] = (x[row] - sum) / factor[row * n + row];
-    }
 }

@@ -1,4 +1,4 @@
-use dermis_tomo::mesh::{Outline, SheetSpec};
+use dermis_tomo::mesh::{Mesh, Outline, SheetSpec};
 
 use super::*;
 use crate::mechanics::{Load, Shape};
@@ -96,7 +96,7 @@ fn weight_of_the_liquid_stiffens_a_skin_that_lies_and_slack_ones_burst_when_hung
     // The first mode holds as long as T (2.405/R)^2 > rho g: 12.8 N/m.
     let slack = |tension| Membrane::new(&disc(4e-3), MembraneSpec { tension_n_per_m: tension, ..hanging });
     assert!(slack(13.5).is_ok());
-    assert!(matches!(slack(12.0), Err(TwinError::Fields(SparseError::NotPositiveDefinite { .. }))));
+    assert!(matches!(slack(12.0), Err(dermis_tomo::sparse::SparseError::NotPositiveDefinite { .. })));
 }
 
 #[test]
@@ -116,8 +116,38 @@ fn loads_carry_their_force_and_superpose() {
 
 #[test]
 fn nonsense_is_refused_by_name() {
-    let error = Membrane::new(&disc(0.02), weightless(-1.0)).unwrap_err().to_string();
-    assert_eq!(error, "tension_n_per_m: -1 refused; expected positive and finite");
+    let error = check_membrane(&weightless(-1.0)).unwrap_err().to_string();
+    assert_eq!(error, "tension_n_per_m: -1 refused; expected zero (an open tank) or more, finite");
     let gravity = MembraneSpec { gravity_m_per_s2: [f64::NAN, 0.0, 0.0], ..weightless(1.0) };
-    assert!(Membrane::new(&disc(0.02), gravity).is_err());
+    assert!(check_membrane(&gravity).is_err() && Membrane::new(&disc(0.02), gravity).is_err());
+}
+
+#[test]
+fn an_open_tank_gives_way_by_the_pressure_and_keeps_its_liquid() {
+    let open = MembraneSpec { density_kg_per_m3: 1000.0, gravity_m_per_s2: [0.0, 0.0, -9.81], ..weightless(0.0) };
+    let mut tank = Membrane::new(&disc(4e-3), open).unwrap();
+    let (radius_m, pressure_pa) = (0.03, 20.0);
+    let w = pressed(&mut tank, &[Indenter::disc([0.0; 2], radius_m, pressure_pa)]);
+    // p = rho g w + c: down by 2.04 mm less the rise of all of it, which is the share of the area.
+    let share = (radius_m / RADIUS).powi(2);
+    for (position, w) in tank.positions_m().iter().zip(&w) {
+        let distance = position[0].hypot(position[1]);
+        let pressed = f64::from(u8::from(distance < radius_m));
+        if (distance - radius_m).abs() > 8e-3 {
+            let exact = pressure_pa / 9810.0 * (pressed - share);
+            assert!((w - exact).abs() < 0.01 * pressure_pa / 9810.0, "{distance}: {w} {exact}");
+        }
+    }
+    assert!(tank.volume_m3().abs() < 1e-15);
+    // A tilted tank: the surface stays level.
+    let tilted = MembraneSpec { gravity_m_per_s2: [1.0, 0.0, -9.75], ..open };
+    let tank = Membrane::new(&disc(4e-3), tilted).unwrap();
+    for (position, w) in tank.positions_m().iter().zip(tank.deflection_m()) {
+        // A lumped mass averages over a node's triangles: half an element at the rim.
+        assert!((w + position[0] / 9.75).abs() < 3e-3 / 9.75, "{position:?} {w}");
+    }
+    for gravity_m_per_s2 in [[0.0; 3], [0.0, -9.81, 0.0], [0.0, 0.0, 9.81]] {
+        let error = check_membrane(&MembraneSpec { gravity_m_per_s2, ..open }).unwrap_err().to_string();
+        assert!(error.starts_with("gravity_m_per_s2 along z: ") && error.contains("open tank"), "{error}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Damage and baselines as the page lists them.
 
-use dermis::damage::DamageView as Known;
+use dermis::live::stages::damage::DamageView as Known;
 use dermis_cli::page::{BaselineRow, DamageRow, DamageView, ProposalView};
 use dermis_touch::ReferenceOrigin;
 

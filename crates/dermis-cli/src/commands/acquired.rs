@@ -1,0 +1,42 @@
+//! Frames of an acquisition as a feed for the driver of frames.
+
+use std::time::Duration;
+
+use dermis::device::acquire::{Acquisition, Next as Acquired};
+use dermis::live::driver::{Feed, Next};
+use dermis_device::Frame;
+
+/// What an acquisition delivers. A frame's memory goes back when the next one is asked for.
+pub struct AcquiredFrames<'a> {
+    acquisition: &'a mut Acquisition,
+    /// Longest wait for a frame.
+    patience: Duration,
+    current: Option<Frame>,
+}
+
+impl<'a> AcquiredFrames<'a> {
+    /// Waits at most so long for each frame.
+    pub fn new(acquisition: &'a mut Acquisition, patience: Duration) -> Self {
+        Self { acquisition, patience, current: None }
+    }
+
+    /// Where the frames come from.
+    pub fn acquisition(&self) -> &Acquisition {
+        self.acquisition
+    }
+}
+
+impl Feed for AcquiredFrames<'_> {
+    type Error = anyhow::Error;
+
+    fn next(&mut self) -> anyhow::Result<Next<'_>> {
+        if let Some(frame) = self.current.take() {
+            self.acquisition.recycle(frame);
+        }
+        Ok(match self.acquisition.next(self.patience).map_err(dermis::Error::from)? {
+            Acquired::Frame(frame) => Next::Frame(self.current.insert(frame), None),
+            Acquired::Idle => Next::Idle,
+            Acquired::End => Next::End,
+        })
+    }
+}

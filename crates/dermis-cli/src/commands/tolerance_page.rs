@@ -1,0 +1,147 @@
+//! What a workshop's errors come to, for people: a table in the terminal, CSV files, a picture of the map, and one page of HTML
+//! that holds all of it and needs nothing else.
+
+use std::fmt::Write as _;
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::Context;
+use dermis::lab::tolerances::{ToleranceReport, ToleranceRow, Tolerances};
+use dermis_device::write_atomic;
+
+use crate::draw::{self, Heatmap, Panel, Picture};
+
+const STYLE: &str = "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#282c34}\
+table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:right}\
+td:first-child,th:first-child{text-align:left}pre{background:#f6f6f6;padding:1em}";
+/// Columns of the table.
+const COLUMNS: [&str; 8] = [
+    "what is wrong",
+    "samples",
+    "position, mm (median)",
+    "(90 %)",
+    "amplitude, % (median)",
+    "(90 %)",
+    "missed, %",
+    "false per press",
+];
+
+/// The table and the verdict as text.
+pub(super) fn write_table(out: &mut dyn Write, report: &ToleranceReport) -> std::io::Result<()> {
+    let extent = &report.extent;
+    let (samples, presses, seed) = (extent.samples, extent.presses, extent.seed);
+    writeln!(out, "{}: {samples} samples of every kind, {presses} presses each, seed {seed}", report.skin)?;
+    let head = ["", "samples", "position, mm", "90 %", "amplitude, %", "90 %", "missed, %", "false/press"];
+    write_line(out, &head.map(String::from))?;
+    report.rows().try_for_each(|row| write_line(out, &cells(row)))?;
+    writeln!(out, "{}", report.verdict())
+}
+
+fn write_line(out: &mut dyn Write, cells: &[String; 8]) -> std::io::Result<()> {
+    write!(out, "{:<30}", cells[0])?;
+    cells[1..].iter().try_for_each(|cell| write!(out, " {cell:>12}"))?;
+    writeln!(out)
+}
+
+fn cells(row: &ToleranceRow) -> [String; 8] {
+    let number = |value: f64, digits: usize| if value.is_finite() { format!("{value:.digits$}") } else { "-".into() };
+    [
+        row.name.clone(),
+        row.samples.to_string(),
+        number(row.position_mm[0], 2),
+        number(row.position_mm[1], 2),
+        number(row.amplitude_percent[0], 1),
+        number(row.amplitude_percent[1], 1),
+        number(row.misses_percent, 1),
+        number(row.false_per_press, 2),
+    ]
+}
+
+/// NAME-tolerances.csv, NAME-tolerances-map.csv, NAME-tolerances-map.png and NAME-tolerances.html.
+pub(super) fn write_files(folder: &Path, report: &ToleranceReport, tolerances: &Tolerances) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
+    let picture = picture(report);
+    let files = [
+        (".csv", table_csv(report).into_bytes()),
+        ("-map.csv", map_csv(report).into_bytes()),
+        ("-map.png", draw::png(&picture)?),
+        (".html", page(report, tolerances, &picture).into_bytes()),
+    ];
+    for (end, content) in files {
+        let path = folder.join(format!("{}-tolerances{end}", report.skin));
+        write_atomic(&path, |file| file.write_all(&content))?;
+    }
+    Ok(())
+}
+
+fn table_csv(report: &ToleranceReport) -> String {
+    let mut text = String::from(
+        "what,samples,presses,position_median_mm,position_p90_mm,amplitude_median_percent,amplitude_p90_percent,\
+         misses_percent,false_per_press,mean_with_misses_mm\n",
+    );
+    for row in report.rows() {
+        let [median, p90] = row.position_mm;
+        let [amplitude, amplitude_p90] = row.amplitude_percent;
+        let (samples, presses, name) = (row.samples, row.presses, row.name.replace(',', ";"));
+        let (misses, false_touches, mean) = (row.misses_percent, row.false_per_press, row.mean_mm);
+        // Writing to a String cannot fail.
+        let _ = writeln!(
+            text,
+            "{name},{samples},{presses},{median},{p90},{amplitude},{amplitude_p90},{misses},{false_touches},{mean}"
+        );
+    }
+    text
+}
+
+fn map_csv(report: &ToleranceReport) -> String {
+    let mut text = String::from("x_mm,y_mm,presses,median_mm,misses\n");
+    for place in &report.places {
+        let [x, y] = place.place_m.map(|m| 1e3 * m);
+        let _ = writeln!(text, "{x},{y},{},{},{}", place.presses, place.median_mm, place.misses);
+    }
+    text
+}
+
+fn picture(report: &ToleranceReport) -> Picture {
+    let (grid, values) = (&report.grid, &report.map_mm);
+    let largest = values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
+    let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
+    let pressed = report.places.iter().filter(|place| place.presses > 0);
+    let mark = |p: [f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
+    let panel = Panel {
+        name: format!("darkest: {largest:.2} mm"),
+        columns: grid.columns,
+        values: values.clone(),
+        marks: pressed.map(|place| mark(place.place_m)).collect(),
+        bend: None,
+    };
+    Heatmap { title: "median position error".into(), panels: vec![panel], own_scales: true }.picture()
+}
+
+fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) -> String {
+    let name = escaped(&report.skin);
+    let head: String = COLUMNS.iter().map(|column| format!("<th>{column}</th>")).collect();
+    let line = |row: &ToleranceRow| {
+        let cells: String = cells(row).iter().map(|cell| format!("<td>{}</td>", escaped(cell))).collect();
+        format!("<tr>{cells}</tr>\n")
+    };
+    let rows: String = report.rows().map(line).collect();
+    let verdict = escaped(&report.verdict());
+    let extent = &report.extent;
+    let (samples, presses, seed) = (extent.samples, extent.presses, extent.seed);
+    let varied = escaped(&tolerances.to_toml());
+    let map = draw::svg(picture);
+    format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{name}: tolerances</title>\n\
+         <style>{STYLE}</style></head><body>\n<h1>{name}: what a workshop's errors cost</h1>\n<p><b>{verdict}</b></p>\n\
+         <table><tr>{head}</tr>\n{rows}</table>\n\
+         <p>{samples} samples of every kind, {presses} presses each, seed {seed}. Every sample is a twin with the errors of its \
+         row; the model that reads it knows nothing of them. Rows with fewer samples say so.</p>\n\
+         <h2>Where it goes wrong</h2>\n<p>All errors together; crosses are the places that were pressed. A press that was not seen \
+         counts as a quarter of the shorter side.</p>\n{map}\n<h2>What was varied</h2>\n<pre>{varied}</pre>\n</body></html>\n"
+    )
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}

@@ -1,0 +1,287 @@
+//! The search for a better skin: what the user frees is varied, the smallest bound on the position at the worst place wins.
+//! All candidates get the same time for a frame, so that reading more channels makes each noisier: noise power in
+//! proportion to the number of readings, from the skin file's assumed noise in volts on.
+
+use dermis_live::reference::Reference;
+use dermis_tomo::mesh::ElectrodeShape;
+
+use super::{Maps, Noise, Summary};
+use crate::Error;
+use dermis_live::prepare::Prepared;
+use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Modality, Pad, Pair, RimElectrode, Skin};
+
+/// What a search may change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// Distances of driving and of measuring pairs, together.
+    Protocol,
+    /// Distance of driving pairs only.
+    Drive,
+    /// Number of electrodes, placed by the skin file's rule.
+    Count,
+    /// Where each electrode is.
+    Electrodes,
+}
+
+/// A skin and its figure.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// The skin file.
+    pub skin: Skin,
+    /// Bound on the position, metres.
+    pub position_m: Summary,
+}
+
+/// What to look for.
+#[derive(Clone, Debug)]
+pub struct Search {
+    /// What may change, in this order; each begins at the best found before it.
+    pub freed: Vec<Freedom>,
+    /// Amplitude of the touch: a relative change of conductivity.
+    pub amplitude: f64,
+    /// Places along the longer side of the maps.
+    pub along: usize,
+}
+
+/// Share of the bound that a candidate must gain: less is the mesh, which differs from one candidate to the next.
+const LEAST_GAIN: f64 = 0.005;
+/// First step of an electrode, relative to the mean distance of neighbours; halved from round to round.
+const FIRST_STEP: f64 = 0.25;
+/// Rounds over all electrodes.
+const ROUNDS: u32 = 3;
+/// Numbers of electrodes on a rim that are tried.
+const RIM_COUNTS: [usize; 10] = [6, 8, 10, 12, 14, 16, 20, 24, 28, 32];
+/// Pads a side, or intervals a side of pads along a rim, that are tried.
+const PER_SIDE: std::ops::RangeInclusive<usize> = 2..=8;
+
+/// Searches. The skin as it is comes first, then the best. `progress` gets candidates judged and candidates in all.
+///
+/// # Errors
+/// A skin that does not work out as it is, or nothing that can be varied as asked for. Candidates that do not work out
+/// (electrodes that overlap or leave the skin, pairs of one electrode) are left out.
+pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize)) -> Result<[Candidate; 2], Error> {
+    if skin.modality == Modality::Mit {
+        return Err(Error::Frames {
+            what: format!("protocol of {}, which is to be improved", skin.name),
+            expected: "electrodes".into(),
+            got: "coils, whose pairs are all read".into(),
+        });
+    }
+    let prepared = Prepared::new(skin.clone())?;
+    let reference = Reference::from_baseline(&prepared, &prepared.voltages, None)?;
+    let noise_v = reference.noise.iter().copied().fold(0.0, f64::max);
+    let judge = Judge { noise_v, channels: prepared.channels(), amplitude: search.amplitude, along: search.along };
+    let own = Candidate { position_m: judge.summary(&prepared)?, skin: skin.clone() };
+    let mut state = State { judge, best: own.clone(), done: 0, all: 0, progress };
+    state.all = search.freed.iter().map(|freedom| candidates(*freedom, skin)).sum::<Result<usize, Error>>()?;
+    for freedom in &search.freed {
+        match freedom {
+            Freedom::Protocol | Freedom::Drive => state.patterns(*freedom == Freedom::Drive)?,
+            Freedom::Count => state.counts()?,
+            Freedom::Electrodes => state.places()?,
+        }
+    }
+    Ok([own, state.best])
+}
+
+/// How candidates are compared.
+struct Judge {
+    /// Noise of the skin as it is.
+    noise_v: f64,
+    /// Its channels.
+    channels: usize,
+    amplitude: f64,
+    along: usize,
+}
+
+impl Judge {
+    fn summary(&self, prepared: &Prepared) -> Result<Summary, Error> {
+        let longer = prepared.channels() as f64 / self.channels as f64;
+        let noise = Noise::Volts(self.noise_v * longer.sqrt());
+        Ok(Summary::of(&Maps::new(prepared, noise, self.amplitude, self.along)?.position_m))
+    }
+}
+
+struct State<P> {
+    judge: Judge,
+    best: Candidate,
+    done: usize,
+    all: usize,
+    progress: P,
+}
+
+impl<P: FnMut(usize, usize)> State<P> {
+    /// Takes a candidate if it is better; true where it was.
+    fn consider(&mut self, skin: Skin) -> bool {
+        let judged =
+            Prepared::new(skin.clone()).map_err(Error::from).and_then(|prepared| self.judge.summary(&prepared));
+        self.done += 1;
+        (self.progress)(self.done, self.all.max(self.done));
+        match judged {
+            Ok(position_m) if position_m.worst < (1.0 - LEAST_GAIN) * self.best.position_m.worst => {
+                self.best = Candidate { skin, position_m };
+                true
+            }
+            _ => false,
+        }
+    }
+
+    fn patterns(&mut self, drive_only: bool) -> Result<(), Error> {
+        let start = self.best.skin.clone();
+        let electrodes = start.electrode_shapes().len();
+        for (drive, measure) in patterns(electrodes, drive_only) {
+            let mut skin = start.clone();
+            skin.backend.drive = DrivePattern::Skip(drive);
+            if let Some(measure) = measure {
+                skin.backend.measure = MeasurePattern::Skip(measure);
+            }
+            self.consider(skin);
+        }
+        Ok(())
+    }
+
+    fn counts(&mut self) -> Result<(), Error> {
+        let start = self.best.skin.clone();
+        for electrodes in counts(&start)? {
+            let mut skin = start.clone();
+            skin.frontend.electrodes = electrodes;
+            self.consider(skin);
+        }
+        Ok(())
+    }
+
+    /// Moves one electrode after the other, as long as that helps.
+    fn places(&mut self) -> Result<(), Error> {
+        let start = self.best.skin.clone();
+        self.best.skin.frontend.electrodes = listed(&start)?;
+        let count = start.electrode_shapes().len();
+        for round in 0..ROUNDS {
+            let step = FIRST_STEP * 0.5_f64.powi(round as i32);
+            for electrode in 0..count {
+                for direction in directions(&self.best.skin) {
+                    let mut skin = self.best.skin.clone();
+                    shift(&mut skin, electrode, step, *direction, count);
+                    self.consider(skin);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How many candidates a freedom means.
+fn candidates(freedom: Freedom, skin: &Skin) -> Result<usize, Error> {
+    let electrodes = skin.electrode_shapes().len();
+    Ok(match freedom {
+        Freedom::Protocol | Freedom::Drive => patterns(electrodes, freedom == Freedom::Drive).len(),
+        Freedom::Count => counts(skin)?.len(),
+        Freedom::Electrodes => {
+            let mut free = skin.clone();
+            free.frontend.electrodes = listed(skin)?;
+            ROUNDS as usize * electrodes * directions(&free).len()
+        }
+    })
+}
+
+/// Every distance round the skin, of driving pairs or of both.
+fn patterns(electrodes: usize, drive_only: bool) -> Vec<(usize, Option<usize>)> {
+    let skips = 0..(electrodes / 2).max(1);
+    let measure = |drive| {
+        let all: Vec<_> = if drive_only { vec![None] } else { skips.clone().map(Some).collect() };
+        all.into_iter().map(move |measure| (drive, measure))
+    };
+    skips.clone().flat_map(measure).collect()
+}
+
+/// The skin's electrodes by its own rule, other numbers of them.
+fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
+    let same = &skin.frontend.electrodes;
+    let others: Vec<Electrodes> = match same {
+        Electrodes::Rim { width_mm, start_deg, clockwise, .. } => {
+            let rim =
+                |count| Electrodes::Rim { count, width_mm: *width_mm, start_deg: *start_deg, clockwise: *clockwise };
+            RIM_COUNTS.into_iter().map(rim).collect()
+        }
+        Electrodes::RimPads { per_side, pitch_mm, size_mm } => {
+            let (per_side, pitch_mm) = (per_side.both(), pitch_mm.both());
+            let sides_mm = [0, 1].map(|axis| per_side[axis] as f64 * pitch_mm[axis]);
+            // As many along the other side as its length allows.
+            let pads = |n: usize| {
+                let other = ((sides_mm[1] / sides_mm[0] * n as f64).round() as usize).max(1);
+                let pitch_mm = Pair::Two([sides_mm[0] / n as f64, sides_mm[1] / other as f64]);
+                Electrodes::RimPads { per_side: Pair::Two([n, other]), pitch_mm, size_mm: *size_mm }
+            };
+            PER_SIDE.map(pads).collect()
+        }
+        Electrodes::PadGrid { diameter_mm, .. } => PER_SIDE
+            .map(|per_side| Electrodes::PadGrid { per_side: Pair::One(per_side), diameter_mm: *diameter_mm })
+            .collect(),
+        Electrodes::RimList(_) | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
+            return Err(Error::Frames {
+                what: format!("frontend.electrodes of {}, whose number is to be varied", skin.name),
+                expected: "rim, rim-pads or pad-grid, which say where any number of them goes".into(),
+                got: "a list".into(),
+            });
+        }
+    };
+    Ok(others.into_iter().filter(|other| other != same).collect())
+}
+
+/// The skin's electrodes as a list.
+fn listed(skin: &Skin) -> Result<Electrodes, Error> {
+    const MM: f64 = 1e3;
+    let shapes = skin.electrode_shapes();
+    let perimeter_m = skin.outline().perimeter_m();
+    let rim = |shape: &ElectrodeShape| match *shape {
+        ElectrodeShape::RimArc { centre_rad, width_m } => {
+            Some(RimElectrode { at_deg: centre_rad.to_degrees(), width_mm: MM * width_m })
+        }
+        ElectrodeShape::RimSegment { centre_m, width_m } => {
+            Some(RimElectrode { at_deg: 360.0 * centre_m / perimeter_m, width_mm: MM * width_m })
+        }
+        _ => None,
+    };
+    let pad = |shape: &ElectrodeShape| match *shape {
+        ElectrodeShape::PadCircle { centre_m, radius_m } => {
+            Some(Pad::Circle { centre_mm: centre_m.map(|c| MM * c), diameter_mm: 2.0 * MM * radius_m })
+        }
+        ElectrodeShape::PadRectangle { centre_m, width_m, height_m, angle_rad: 0.0 } => {
+            let centre_mm = centre_m.map(|c| MM * c);
+            Some(Pad::Rectangle { centre_mm, width_mm: MM * width_m, height_mm: MM * height_m })
+        }
+        ElectrodeShape::Point { position_m } => Some(Pad::Point { at_mm: position_m.map(|c| MM * c) }),
+        _ => None,
+    };
+    let on_rim: Option<Vec<RimElectrode>> = shapes.iter().map(rim).collect();
+    let under: Option<Vec<Pad>> = shapes.iter().map(pad).collect();
+    on_rim.map(Electrodes::RimList).or(under.map(Electrodes::Pads)).ok_or_else(|| Error::Frames {
+        what: format!("frontend.electrodes of {}, which are to be moved", skin.name),
+        expected: "stretches of the rim, or pads that lie along the axes".into(),
+        got: "something else".into(),
+    })
+}
+
+/// Unit moves: along the rim, or along both axes.
+fn directions(skin: &Skin) -> &'static [[f64; 2]] {
+    match skin.frontend.electrodes {
+        Electrodes::RimList(_) => &[[1.0, 0.0], [-1.0, 0.0]],
+        _ => &[[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]],
+    }
+}
+
+/// Moves a listed electrode by a share of the mean distance of neighbours.
+fn shift(skin: &mut Skin, electrode: usize, share: f64, direction: [f64; 2], count: usize) {
+    let area_m2 = skin.outline().area_m2();
+    match &mut skin.frontend.electrodes {
+        Electrodes::RimList(list) => list[electrode].at_deg += direction[0] * share * 360.0 / count as f64,
+        Electrodes::Pads(list) => {
+            let step_mm = 1e3 * share * (area_m2 / count as f64).sqrt();
+            let place = match &mut list[electrode] {
+                Pad::Circle { centre_mm, .. } | Pad::Rectangle { centre_mm, .. } => centre_mm,
+                Pad::Point { at_mm } => at_mm,
+            };
+            place.iter_mut().zip(direction).for_each(|(c, d)| *c += d * step_mm);
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,35 @@
+//! How wide a point comes out in the image: the point-spread width of the skin's own operator.
+
+use dermis_live::imager::Imager;
+use dermis_live::reference::Reference;
+use dermis_tomo::quality::spread_width_m;
+
+use super::Maps;
+use crate::Error;
+use dermis_live::prepare::Prepared;
+
+/// Width of the image of a point at each place of the maps, metres: the diameter of the disc that has the area of the
+/// region at half the peak or more (the resolution figure of GREIT, Adler et al., Physiol. Meas. 30, 2009, S35, as a
+/// length). The point is one pixel of the skin's image grid; the operator is the skin file's. NaN where the image has no
+/// peak of the right sign.
+///
+/// # Errors
+/// An operator that cannot be made from the model alone.
+pub fn spread_width(prepared: &Prepared, maps: &Maps) -> Result<Vec<f64>, Error> {
+    let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
+    let mut imager = Imager::new(prepared, &reference, &[prepared.signatures(&[[0.0, 0.0]])])?;
+    let (grid, positions) = (prepared.map.grid(), &prepared.basis.positions);
+    let polarity = prepared.skin.imaging.polarity.sign();
+    let mut image = vec![f32::NAN; grid.len()];
+    let mut widths = Vec::with_capacity(maps.places_m.len());
+    for [x, y] in &maps.places_m {
+        let distance = |p: &[f64; 3]| (p[0] - x).hypot(p[1] - y);
+        let nearest = (0..positions.len()).min_by(|&a, &b| distance(&positions[a]).total_cmp(&distance(&positions[b])));
+        let Some(pixel) = nearest else { continue };
+        let point: Vec<f64> = (0..prepared.channels()).map(|c| polarity * prepared.jacobian.row(c)[pixel]).collect();
+        imager.image(&point, &mut image)?;
+        let values: Vec<f64> = image.iter().map(|value| f64::from(*value)).collect();
+        widths.push(spread_width_m(&values, grid, 1.0).unwrap_or(f64::NAN));
+    }
+    Ok(widths)
+}

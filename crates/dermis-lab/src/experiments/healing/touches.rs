@@ -1,0 +1,178 @@
+//! H1 to H3: intact skin, one to three round indenters.
+
+use dermis_tomo::quality::centroid_above_m;
+use dermis_twin::mechanics::Indenter;
+
+use super::{Bench, EXPERIMENTS, Seen, Step, indenter, mean, radius_m, row};
+use crate::Error;
+use crate::report::{Curve, Figure, ImagePanel, Kind, Report};
+use crate::twin_bench::distance_mm;
+
+/// The two indenters, millimetres.
+const DIAMETERS_MM: [f64; 2] = [20.0, 25.0];
+/// Where the paper presses them.
+const PLACES_MM: [[f64; 2]; 3] = [[0.0, 0.0], [0.0, 25.0], [25.0, 25.0]];
+/// ICC, RIE and SSIM that the paper's U-Net reaches with one, two and three touches.
+const PUBLISHED: [[f64; 3]; 3] = [[0.80, 0.59, 0.92], [0.85, 0.54, 0.86], [0.70, 0.78, 0.70]];
+
+/// Scores of all steps over some cases, with images of each.
+struct Scores {
+    /// By step, by case: ICC, RIE, SSIM.
+    by_step: [Vec<[f64; 3]>; Step::ALL.len()],
+    panels: Vec<ImagePanel>,
+}
+
+impl Scores {
+    fn new() -> Self {
+        Self { by_step: Default::default(), panels: Vec::new() }
+    }
+
+    fn add(&mut self, bench: &Bench, name: &str, indenters: &[Indenter], seen: &Seen) -> Result<(), Error> {
+        let truth = bench.truth(indenters);
+        let places: Vec<[f64; 2]> = indenters.iter().map(|indenter| indenter.centre_m).collect();
+        let mut show = |what: &str, image: &[f64]| {
+            let values: Vec<f32> = image.iter().map(|value| *value as f32).collect();
+            self.panels.push(bench.rig.panel(format!("{name}, {what}"), &values, &places));
+        };
+        show("truth", &truth);
+        for ((step, image), scores) in Step::ALL.iter().zip(&seen.images).zip(&mut self.by_step) {
+            scores.push(bench.scores(&truth, image)?);
+            show(step.name(), image);
+        }
+        Ok(())
+    }
+
+    fn rows(&self, published: [f64; 3], name: &str) -> Vec<super::Row> {
+        let mut rows = Vec::new();
+        for (step, scores) in Step::ALL.iter().zip(&self.by_step) {
+            for (k, figure) in ["ICC", "RIE", "SSIM"].into_iter().enumerate() {
+                let paper = (*step == Step::Network).then_some(published[k]);
+                let here = mean(scores.iter().map(|score| score[k]));
+                rows.push(row(format!("{name}, {}: mean {figure}", step.name()), "", paper, here, Kind::Algorithm));
+            }
+        }
+        rows
+    }
+}
+
+/// H1: both indenters at three places.
+pub(super) fn single() -> Result<Report, Error> {
+    let mut bench = Bench::new()?;
+    let mut scores = Scores::new();
+    let mut diameters = Vec::new();
+    for place in PLACES_MM {
+        for diameter in DIAMETERS_MM {
+            let indenters = [indenter(place, diameter)];
+            let seen = bench.see(&indenters)?;
+            let found = seen.contacts.first().map_or(f64::NAN, |contact| 2e3 * radius_m(contact));
+            diameters.push((place, diameter, found));
+            scores.add(&bench, &format!("{diameter} mm at ({}, {})", place[0], place[1]), &indenters, &seen)?;
+        }
+    }
+    let mut rows = scores.rows(PUBLISHED[0], "one touch");
+    for (place, diameter, found) in &diameters {
+        let what = format!("diameter of {diameter} mm at ({}, {})", place[0], place[1]);
+        rows.push(row(what, "mm", Some(*diameter), *found, Kind::Algorithm));
+    }
+    let nearer = |(_, diameter, found): &&([f64; 2], f64, f64)| {
+        let other = DIAMETERS_MM[0] + DIAMETERS_MM[1] - diameter;
+        (found - diameter).abs() < (found - other).abs()
+    };
+    let told = diameters.iter().filter(nearer).count() as f64;
+    rows.push(row("cases of six whose indenter is told by its size", "", Some(5.0), told, Kind::Algorithm));
+    let title = format!("H1: single touches at {} kPa", super::PRESSURE_PA * 1e-3);
+    let figures = vec![Figure::Images { name: "single", title, columns: bench.rig.columns(), panels: scores.panels }];
+    let notes = vec![
+        "The paper's size of one of six cases, 25 mm in the middle, was not told from the smaller one's.".into(),
+        "Truth is what the indenter covers. The first step is scored over its own peak.".into(),
+    ];
+    Ok(Report { id: "H1", title: EXPERIMENTS[0].title, rows, figures, notes })
+}
+
+/// H2: nine places 12.5 mm apart, 20 mm indenter.
+pub(super) fn positions() -> Result<Report, Error> {
+    let mut bench = Bench::new()?;
+    let grid = *bench.grid();
+    let mut errors: [Vec<f64>; Step::ALL.len()] = Default::default();
+    let mut points: [Vec<[f64; 2]>; Step::ALL.len()] = Default::default();
+    let mut truth = Vec::new();
+    for (x, y) in (0..3).flat_map(|r| (0..3).map(move |c| (12.5 * f64::from(c), 12.5 * f64::from(r)))) {
+        let pressed = indenter([x, y], DIAMETERS_MM[0]);
+        let seen = bench.see(&[pressed])?;
+        truth.push([x, y]);
+        for (k, step) in Step::ALL.into_iter().enumerate() {
+            let place = match step {
+                Step::Fit => seen.contacts.first().map(|contact| contact.centroid_m),
+                Step::First | Step::Network => centroid_above_m(&seen.images[k], &grid, 1.0, 0.5).ok(),
+            };
+            let place = place.unwrap_or([f64::NAN; 2]);
+            errors[k].push(distance_mm(place, pressed.centre_m));
+            points[k].push(place.map(|v| 1e3 * v));
+        }
+    }
+    let published = |step: Step| if step == Step::First { [3.75, 1.12, 2.52] } else { [3.44, 0.92, 1.84] };
+    let mut rows = Vec::new();
+    for (step, errors) in Step::ALL.into_iter().zip(&errors) {
+        let most = errors.iter().copied().fold(0.0, f64::max);
+        let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+        for ((word, here), paper) in ["largest", "smallest", "mean"]
+            .into_iter()
+            .zip([most, least, mean(errors.iter().copied())])
+            .zip(published(step))
+        {
+            rows.push(row(format!("{}: {word} error", step.name()), "mm", Some(paper), here, Kind::Algorithm));
+        }
+    }
+    let curve = |name: &str, points: &[[f64; 2]]| Curve { name: name.into(), points: points.to_vec(), joined: false };
+    let mut curves = vec![curve("truth", &truth)];
+    curves.extend(Step::ALL.iter().zip(&points).map(|(step, points)| curve(step.name(), points)));
+    let title = "H2: nine places of the first quadrant".into();
+    let figures = vec![Figure::Curves { name: "places", title, x_label: "x (mm)", y_label: "y (mm)", curves }];
+    let notes = vec!["The first step's place is the centroid above half of the peak, as in the paper.".into()];
+    Ok(Report { id: "H2", title: EXPERIMENTS[1].title, rows, figures, notes })
+}
+
+/// H3: two and three touches of 20 mm.
+pub(super) fn several() -> Result<Report, Error> {
+    let two: [&[[f64; 2]]; 4] = [
+        &[[-25.0, 0.0], [25.0, 0.0]],
+        &[[0.0, -25.0], [0.0, 25.0]],
+        &[[-20.0, -20.0], [20.0, 20.0]],
+        &[[-25.0, 12.5], [12.5, -25.0]],
+    ];
+    let three: [&[[f64; 2]]; 2] =
+        [&[[-25.0, -20.0], [25.0, -20.0], [0.0, 25.0]], &[[-28.0, 0.0], [22.0, 22.0], [22.0, -22.0]]];
+    let mut bench = Bench::new()?;
+    let (mut rows, mut panels) = (Vec::new(), Vec::new());
+    for (cases, published, name) in
+        [(&two[..], PUBLISHED[1], "two touches"), (&three[..], PUBLISHED[2], "three touches")]
+    {
+        let mut scores = Scores::new();
+        let (mut counted, mut worst) = (0, 0.0_f64);
+        for (case, places) in cases.iter().enumerate() {
+            let indenters: Vec<Indenter> = places.iter().map(|place| indenter(*place, DIAMETERS_MM[0])).collect();
+            let seen = bench.see(&indenters)?;
+            counted += usize::from(seen.contacts.len() == places.len());
+            for pressed in &indenters {
+                let distance = |contact: &dermis_touch::Contact| distance_mm(contact.centroid_m, pressed.centre_m);
+                worst = worst.max(seen.contacts.iter().map(distance).fold(f64::INFINITY, f64::min));
+            }
+            scores.add(&bench, &format!("{name}, case {}", case + 1), &indenters, &seen)?;
+        }
+        rows.extend(scores.rows(published, name));
+        let all = cases.len() as f64;
+        rows.push(row(
+            format!("{name}: cases where all are found"),
+            "",
+            Some(all),
+            f64::from(counted as u32),
+            Kind::Algorithm,
+        ));
+        rows.push(row(format!("{name}: largest position error"), "mm", None, worst, Kind::Algorithm));
+        panels.extend(scores.panels);
+    }
+    let title = "H3: two and three touches".into();
+    let figures = vec![Figure::Images { name: "several", title, columns: bench.rig.columns(), panels }];
+    let notes = vec!["The paper's text does not say where its several touches lie; these are spread alike.".into()];
+    Ok(Report { id: "H3", title: EXPERIMENTS[2].title, rows, figures, notes })
+}

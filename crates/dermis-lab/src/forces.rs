@@ -1,0 +1,183 @@
+//! Force calibrations of skins: presses of known force, on a twin or from frames of hardware, to a file that live and
+//! offline runs read forces by. The signal is the height of the touch's peak in the image; where several places were
+//! pressed, a gain over the surface makes them alike (the single calibration line of paper I).
+
+use dermis_live::imager::Imager;
+use dermis_live::reference::Reference;
+use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample, GainMap};
+use dermis_twin::mechanics::{Indenter, Load, Shape};
+
+use crate::Error;
+use crate::twin_bench::Rig;
+use dermis_live::calibration::{LoadQuantity, Pokes};
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::check_frames;
+use dermis_live::stages::touches::TouchStage;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
+
+/// Frames averaged for one press of a twin.
+const FRAMES: usize = 10;
+/// Places that a smooth gain map needs.
+const SMOOTH_GAIN: usize = 6;
+
+/// Presses of a twin: the same forces at several places.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PressPlan {
+    /// Diameter of the round indenter, metres.
+    pub indenter_m: f64,
+    /// Largest force, newtons.
+    pub most_n: f64,
+    /// Forces at each place, evenly from a share of the largest on.
+    pub steps: usize,
+}
+
+impl PressPlan {
+    /// What the twin's sliders begin with: the indenter, and half as much force again.
+    ///
+    /// # Errors
+    /// A skin without twin.
+    pub fn of(skin: &Skin) -> Result<Self, Error> {
+        let press = TwinKit::of(skin)?.press;
+        let area_m2 = std::f64::consts::PI * press.initial_radius_m.powi(2);
+        Ok(Self {
+            indenter_m: 2.0 * press.initial_radius_m,
+            most_n: 1.5 * press.initial_pressure_pa * area_m2,
+            steps: 8,
+        })
+    }
+}
+
+/// Presses the twin of a skin in the middle and on two rings around it (nine places), and reads the strongest touch of each
+/// image. Presses that are not seen are left out. `progress` gets presses done and presses in all.
+///
+/// # Errors
+/// A skin without twin, forces or an indenter that make no sense, presses none of which is seen.
+pub fn press_twin(
+    skin: &Skin,
+    plan: &PressPlan,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Vec<ForceSample>, Error> {
+    let positive = |field: &str, value: f64| {
+        let refused = || Error::Frames { what: field.into(), expected: "above 0".into(), got: value.to_string() };
+        if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refused()) }
+    };
+    positive("indenter diameter (m)", plan.indenter_m)?;
+    positive("largest force (N)", plan.most_n)?;
+    positive("forces at a place", plan.steps as f64)?;
+    let (frontend, instrument, _) = TwinKit::of(skin)?.twin.into_parts();
+    let mut rig = Rig::from_parts(skin.clone(), frontend, instrument)?;
+    let places = places(rig.prepared().half_width_m());
+    let all = places.len() * plan.steps;
+    let mut samples = Vec::with_capacity(all);
+    for (k, place) in places.iter().enumerate() {
+        for step in 1..=plan.steps {
+            let force_n = plan.most_n * step as f64 / plan.steps as f64;
+            let shape = Shape::Disc { radius_m: 0.5 * plan.indenter_m };
+            let frame = rig.mean_frame(&[Indenter { centre_m: *place, shape, load: Load::ForceN(force_n) }], FRAMES)?;
+            let image = rig.image(&frame)?;
+            let strongest = rig.touches(&image)?.first().map(|contact| contact.peak_value);
+            samples.extend(strongest.map(|signal| ForceSample { position_m: *place, force_n, signal }));
+            progress(k * plan.steps + step, all);
+        }
+    }
+    seen(samples, all)
+}
+
+/// The middle, and eight places on two rings turned against each other.
+fn places(half_width_m: f64) -> Vec<[f64; 2]> {
+    let ring = |radius: f64, first: f64| {
+        (0..4).map(move |k| {
+            let angle = first + f64::from(k) * std::f64::consts::FRAC_PI_2;
+            [radius * half_width_m * angle.cos(), radius * half_width_m * angle.sin()]
+        })
+    };
+    std::iter::once([0.0, 0.0]).chain(ring(0.3, 0.3)).chain(ring(0.6, 0.3 + std::f64::consts::FRAC_PI_4)).collect()
+}
+
+/// Signals of pokes of known force: the strongest touch of each frame's image. `baselines` has one frame for all pokes
+/// or one for each; frames in the protocol's order.
+///
+/// # Errors
+/// Pokes without forces, counts that disagree, frames in none of which a touch is seen.
+pub fn force_samples(
+    prepared: &Prepared,
+    baselines: &[Vec<f64>],
+    frames: &[Vec<f64>],
+    pokes: &Pokes,
+) -> Result<Vec<ForceSample>, Error> {
+    check_frames("poke", frames, prepared.channels())?;
+    let Some((LoadQuantity::ForceN, forces)) = &pokes.loads else {
+        return Err(Error::Frames {
+            what: "loads of the pokes".into(),
+            expected: "forces (a column force_n)".into(),
+            got: if pokes.loads.is_some() { "depths".into() } else { "none".into() },
+        });
+    };
+    if forces.len() != frames.len() {
+        let (expected, got) = (format!("{}, one a frame", frames.len()), forces.len().to_string());
+        return Err(Error::Frames { what: "forces of pokes".into(), expected, got });
+    }
+    let reference = Reference::of(prepared, baselines)?;
+    let paired = baselines.len() == frames.len() && frames.len() > 1;
+    let own = |index: usize| paired.then(|| baselines[index].as_slice());
+    let differences: Vec<Vec<f64>> =
+        frames.iter().enumerate().map(|(k, frame)| reference.difference(frame, own(k))).collect();
+    let mut imager = Imager::new(prepared, &reference, &differences)?;
+    let mut stage = TouchStage::new(prepared, imager.noise_image())?;
+    let mut image = vec![f32::NAN; prepared.map.grid().len()];
+    let mut samples = Vec::with_capacity(frames.len());
+    for (k, difference) in differences.iter().enumerate() {
+        imager.image(difference, &mut image)?;
+        let time_ns = k as u64 * 1_000_000_000;
+        stage.forget(time_ns);
+        stage.process(time_ns, &image, None)?;
+        let (position_m, force_n) = (pokes.positions_m[k], forces[k]);
+        let strongest = stage.contacts().first().map(|contact| contact.peak_value);
+        samples.extend(strongest.map(|signal| ForceSample { position_m, force_n, signal }));
+    }
+    seen(samples, frames.len())
+}
+
+fn seen(samples: Vec<ForceSample>, presses: usize) -> Result<Vec<ForceSample>, Error> {
+    if samples.is_empty() {
+        return Err(Error::Frames {
+            what: format!("touches in the images of {presses} presses"),
+            expected: "at least two".into(),
+            got: "none: presses are too weak for the skin file's thresholds".into(),
+        });
+    }
+    Ok(samples)
+}
+
+/// Fits a calibration; with presses at several places also the gain over the surface: smooth from six places on, else
+/// interpolated. A place's gain is the slope of its signals through the origin.
+///
+/// # Errors
+/// Too few samples for the curve, or a curve that does not rise.
+pub fn fit_forces(
+    samples: &[ForceSample],
+    kind: CurveKind,
+    scope: CalibrationScope,
+) -> Result<ForceCalibration, Error> {
+    let mut slopes: Vec<([f64; 2], f64, f64)> = Vec::new();
+    for sample in samples {
+        let known = slopes.iter().position(|(place, ..)| *place == sample.position_m).unwrap_or(slopes.len());
+        if known == slopes.len() {
+            slopes.push((sample.position_m, 0.0, 0.0));
+        }
+        slopes[known].1 += sample.signal * sample.force_n;
+        slopes[known].2 += sample.force_n.powi(2);
+    }
+    let (positions, gains): (Vec<[f64; 2]>, Vec<f64>) =
+        slopes.iter().map(|(place, product, square)| (*place, product / square)).unzip();
+    let gain = match positions.len() {
+        0 | 1 => None,
+        // Places on one conic leave the smooth map undetermined.
+        SMOOTH_GAIN.. => {
+            Some(GainMap::quadratic(&positions, &gains).or_else(|_| GainMap::inverse_distance(&positions, &gains))?)
+        }
+        _ => Some(GainMap::inverse_distance(&positions, &gains)?),
+    };
+    Ok(ForceCalibration::fit(kind, samples, gain, scope)?)
+}

@@ -1,0 +1,194 @@
+//! What solves a scene for the voltages of a simulated skin: one sheet whose conductivity inclusions change, or, for
+//! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches are
+//! joined through the shortcut, which no change of the sheet's conductivity can imitate.
+
+use dermis_learn::scene::{Figure, RAISED, Scene};
+use dermis_tomo::eit::{ForwardModel, Protocol};
+use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
+use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
+use rand::Rng;
+use rand::rngs::StdRng;
+
+use crate::Error;
+use dermis_skin::Skin;
+
+/// Contact conductance of the faintest and the firmest touch, S/m^2: with a sheet of 5 mS current turns into the shortcut
+/// within 13 and 1.3 mm.
+const CONTACT_S_PER_M2: [f64; 2] = [30.0, 3000.0];
+/// Width over which a touch fades at its rim, metres, and the exponent with which it does: pressure spreads on its way
+/// through the layers, and contact follows it by a power law.
+const FADE_M: [f64; 2] = [0.5e-3, 4e-3];
+const FADE_EXPONENT: [f64; 2] = [1.0, 2.5];
+/// Width of a cut as a share of the stroke that it is labelled with, and the decades by which it conducts less.
+const CUT_WIDTH: [f64; 2] = [0.02, 0.3];
+const CUT_DECADES: f64 = 3.0;
+/// Factors on the conductivity between which a scene's touches are drawn.
+const FACTORS: [f64; 2] = [1.2, 5.0];
+
+/// Solves scenes on one body; each thread has its own.
+pub(super) enum Solver {
+    /// Inclusions change the conductivity.
+    OneSheet { model: Box<ForwardModel>, elements: Elements, conductance_s: f64 },
+    /// Touches are contacts with a floating shortcut, cuts are cut.
+    TwoSheets {
+        sheets: Box<TwoSheets>,
+        paths: Box<SlitPaths>,
+        protocol: Protocol,
+        triangles: Vec<[[f64; 2]; 3]>,
+        conductance_s: f64,
+    },
+}
+
+impl Solver {
+    /// Whether scenes on a skin are solved with a shortcut sheet: in sandwiches with pads.
+    pub(super) fn is_sandwich(skin: &Skin, body: &ElectrodedMesh) -> bool {
+        let pads = body.electrodes.iter().all(|electrode| matches!(electrode.contact, Contact::Area(_)));
+        matches!(skin.frontend.layer, dermis_skin::Layer::Sandwich(_)) && pads
+    }
+
+    /// Prepares the body.
+    ///
+    /// # Errors
+    /// A body that cannot be solved.
+    pub(super) fn new(skin: &Skin, body: &ElectrodedMesh, protocol: &Protocol) -> Result<Self, Error> {
+        let conductance_s = skin.sheet_conductance_s();
+        if !Self::is_sandwich(skin, body) {
+            let model = ForwardModel::new(body.clone(), protocol.clone())?;
+            let elements = Elements::new(&model.body().mesh);
+            return Ok(Self::OneSheet { model: Box::new(model), elements, conductance_s });
+        }
+        let sheets =
+            TwoSheets::new(body, conductance_s, Shortcut::Equipotential).map_err(dermis_twin::TwinError::from)?;
+        let positions = sheets.positions_m();
+        let corners = |cell: &[u32]| [0, 1, 2].map(|k| positions[cell[k] as usize]);
+        let triangles = body.mesh.elements().map(corners).collect();
+        let paths = SlitPaths::new(body).map_err(dermis_twin::TwinError::from)?;
+        let (sheets, paths, protocol) = (Box::new(sheets), Box::new(paths), protocol.clone());
+        Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s })
+    }
+
+    /// Voltages of the protocol's channels. How firm touches are and how wide cuts gape is drawn where the scene leaves it
+    /// open.
+    ///
+    /// # Errors
+    /// A problem that cannot be solved, as when a cut isolates an electrode.
+    pub(super) fn voltages(&mut self, scene: &Scene, random: &mut StdRng) -> Result<Vec<f64>, Error> {
+        match self {
+            Self::OneSheet { model, elements, conductance_s } => {
+                Ok(model.voltages(&elements.conductivity(scene, *conductance_s))?)
+            }
+            Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s } => {
+                let (slits, sensing) = damaged(scene, paths, triangles, *conductance_s, random);
+                let contact = contact(scene, sheets.positions_m(), random);
+                sheets.set_sensing_elements(&sensing).map_err(dermis_twin::TwinError::from)?;
+                sheets.set_slit_paths(&slits).map_err(dermis_twin::TwinError::from)?;
+                let impedance = sheets.impedance(&contact).map_err(dermis_twin::TwinError::from)?;
+                let voltage = |channel: &dermis_tomo::eit::Measurement| {
+                    let pattern = &protocol.patterns()[channel.pattern as usize];
+                    let drive = &protocol.stimulations()[channel.stimulation as usize];
+                    let pairs = pattern.entries().iter().flat_map(|a| drive.entries().iter().map(move |b| (a, b)));
+                    pairs.map(|(&(e, w), &(d, i))| w * i * impedance[(e as usize, d as usize)]).sum()
+                };
+                Ok(protocol.measurements().iter().map(voltage).collect())
+            }
+        }
+    }
+}
+
+/// What lowers the sheet's conductance: strokes are cuts, which slit it where its edges can follow them and are blocked where
+/// not; other figures conduct a share.
+fn damaged(
+    scene: &Scene,
+    paths: &SlitPaths,
+    triangles: &[[[f64; 2]; 3]],
+    rest_s: f64,
+    random: &mut StdRng,
+) -> (Vec<SlitPath>, Vec<SheetConductance>) {
+    let mut slits = Vec::new();
+    let mut cuts = Vec::new();
+    let mut holes = Vec::new();
+    for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class != RAISED) {
+        match &inclusion.figure {
+            Figure::Stroke(chain, width) => {
+                let width_m = width * random.random_range(CUT_WIDTH[0]..CUT_WIDTH[1]);
+                let residual = inclusion.factor * 10_f64.powf(-CUT_DECADES * random.random::<f64>());
+                let cut = |ends: &[[f64; 2]]| Cut { from_m: ends[0], to_m: ends[1], width_m, residual };
+                let joined_per_m = chain.windows(2).next().map_or(0.0, |ends| cut(ends).joining_per_m());
+                match paths.along(chain, &slits, rest_s * joined_per_m) {
+                    Some(path) => slits.push(path),
+                    None => cuts.extend(chain.windows(2).map(cut)),
+                }
+            }
+            figure => holes.push((figure, inclusion.factor)),
+        }
+    }
+    let of_triangle = |corners: &[[f64; 2]; 3]| {
+        let middle = [0, 1].map(|axis| corners.iter().map(|p| p[axis]).sum::<f64>() / 3.0);
+        let reach = corners.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1])).fold(0.0, f64::max);
+        let lowered = holes.iter().filter(|(figure, _)| figure.contains(middle)).map(|(_, factor)| factor);
+        let own_s = rest_s * lowered.product::<f64>();
+        let near = |cut: &&Cut| {
+            let stroke = Figure::Stroke(vec![cut.from_m, cut.to_m], cut.width_m);
+            stroke.depth_m(middle) > -reach
+        };
+        let near: Vec<Cut> = cuts.iter().filter(near).copied().collect();
+        if near.is_empty() { SheetConductance::isotropic(own_s) } else { damaged_conductance(own_s, &near, *corners) }
+    };
+    (slits, triangles.iter().map(of_triangle).collect())
+}
+
+/// Contact conductance at each node, S/m^2: that of a touch in its middle, falling to nothing at its rim.
+fn contact(scene: &Scene, positions_m: &[[f64; 2]], random: &mut StdRng) -> Vec<f64> {
+    let mut contact = vec![0.0; positions_m.len()];
+    for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class == RAISED) {
+        let [least, most] = FACTORS.map(|factor| (factor - 1.0).ln());
+        let along = (((inclusion.factor - 1.0).ln() - least) / (most - least)).clamp(0.0, 1.0);
+        let firm = CONTACT_S_PER_M2[0] * (CONTACT_S_PER_M2[1] / CONTACT_S_PER_M2[0]).powf(along);
+        let fade_m = random.random_range(FADE_M[0]..FADE_M[1]);
+        let exponent = random.random_range(FADE_EXPONENT[0]..FADE_EXPONENT[1]);
+        let (low, high) = inclusion.figure.bounds();
+        for (g, p) in contact.iter_mut().zip(positions_m) {
+            if (0..2).all(|axis| p[axis] > low[axis] - fade_m && p[axis] < high[axis] + fade_m) {
+                // Half of the pressure at the rim itself.
+                let share = (0.5 + inclusion.figure.depth_m(*p) / fade_m).clamp(0.0, 1.0);
+                *g += firm * (share * share * (3.0 - 2.0 * share)).powf(exponent);
+            }
+        }
+    }
+    contact
+}
+
+/// Where elements are asked for their conductivity.
+pub(super) struct Elements {
+    /// Centroid and the points halfway from it to the corners.
+    samples: Vec<[[f64; 2]; 4]>,
+}
+
+impl Elements {
+    fn new(mesh: &Mesh) -> Self {
+        let samples = mesh
+            .elements()
+            .enumerate()
+            .map(|(element, corners)| {
+                let [x, y, _] = mesh.centroid(element);
+                let mut points = [[x, y]; 4];
+                for (point, &node) in points[1..].iter_mut().zip(corners) {
+                    let corner = mesh.nodes()[node as usize];
+                    *point = [0.5 * (x + corner[0]), 0.5 * (y + corner[1])];
+                }
+                points
+            })
+            .collect();
+        Self { samples }
+    }
+
+    /// Geometric means over each element's points.
+    fn conductivity(&self, scene: &Scene, rest: f64) -> Vec<f64> {
+        let lookup = scene.lookup();
+        let of_element = |points: &[[f64; 2]; 4]| {
+            let product: f64 = points.iter().map(|p| lookup.at(*p).1).product();
+            if product == 1.0 { rest } else { rest * product.sqrt().sqrt() }
+        };
+        self.samples.iter().map(of_element).collect()
+    }
+}

@@ -1,0 +1,64 @@
+//! A skin's protocol as instruments are told it over the wire: for each channel four electrodes, those of the current and
+//! those of the voltage.
+
+use dermis_tomo::eit::{Pattern, Protocol};
+use dermis_wire::NO_ELECTRODE;
+
+/// The channels of a protocol in order, each as the electrode where the current enters, where it leaves, where the voltage is
+/// taken, against which; [`NO_ELECTRODE`] where there is none. A channel that reads an electrode against itself reads the sink
+/// against itself.
+///
+/// `None` for protocols that four electrodes do not describe: currents or voltages of more than two electrodes, weights that
+/// are not opposite, electrodes beyond 254.
+pub fn measured_list(protocol: &Protocol) -> Option<Vec<[u8; 4]>> {
+    let quadruple = |channel: usize| {
+        let [source, sink] = ends(protocol.stimulation_of(channel))?;
+        let pattern = protocol.pattern_of(channel);
+        let [positive, negative] = if pattern.entries().is_empty() { [sink, sink] } else { ends(pattern)? };
+        Some([source, sink, positive, negative])
+    };
+    (0..protocol.channel_count()).map(quadruple).collect()
+}
+
+/// The positive and the negative electrode of a pattern.
+fn ends(pattern: &Pattern) -> Option<[u8; 2]> {
+    let electrode = |electrode: u32| u8::try_from(electrode).ok().filter(|electrode| *electrode != NO_ELECTRODE);
+    match *pattern.entries() {
+        [(one, weight)] if weight > 0.0 => Some([electrode(one)?, NO_ELECTRODE]),
+        [(one, weight), (other, opposite)] if weight == -opposite => {
+            let (positive, negative) = if weight > 0.0 { (one, other) } else { (other, one) };
+            Some([electrode(positive)?, electrode(negative)?])
+        }
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::{BUILTIN_NAMES, Skin};
+
+    #[test]
+    fn four_electrodes_describe_the_channels_of_the_built_in_skins() {
+        let list = |name: &str| measured_list(&Skin::open(name).unwrap().protocol().unwrap());
+        let piezo = list("piezo-disc").unwrap();
+        // As in EIDORS, the current enters at the second of two neighbours.
+        assert_eq!((piezo.len(), piezo[0], piezo[1], piezo[64]), (4096, [1, 0, 0, 0], [1, 0, 1, 0], [2, 1, 0, 1]));
+        assert_eq!(piezo[4095], [0, 63, 63, 63]);
+        let healing = list("healing-square").unwrap();
+        assert_eq!((healing.len(), healing[0][..2].to_vec()), (208, vec![7, 0]));
+        assert_eq!(
+            list("em-8").unwrap()[..2],
+            [[0, NO_ELECTRODE, 1, NO_ELECTRODE], [0, NO_ELECTRODE, 2, NO_ELECTRODE]]
+        );
+        let described = BUILTIN_NAMES.iter().filter(|name| list(name).is_some()).count();
+        assert!(described >= 9, "{described} of {} built-in skins", BUILTIN_NAMES.len());
+    }
+
+    #[test]
+    fn a_current_of_three_electrodes_is_not_described() {
+        let stimulations = vec![Pattern::new(vec![(0, 1e-3), (1, -0.5e-3), (2, -0.5e-3)])];
+        let protocol = Protocol::from_patterns(4, stimulations, vec![(Pattern::pair(2, 3, 1.0), 0)]);
+        assert_eq!(measured_list(&protocol.unwrap()), None);
+    }
+}

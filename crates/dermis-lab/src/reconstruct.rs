@@ -1,0 +1,190 @@
+//! Recorded frames to images and touches, offline: what `dermis reconstruct` does.
+
+use dermis_live::imager::Refiner;
+use std::path::PathBuf;
+
+use dermis_device::{FileSpec, Format};
+use dermis_tomo::eit::OrderReport;
+use dermis_touch::health::Health;
+use dermis_touch::{Observation, Touch};
+
+use crate::Error;
+use dermis_live::calibration::{CalibratedImager, Calibration};
+use dermis_live::channels::ChannelReader;
+use dermis_live::forces::load_forces;
+use dermis_live::output::Output;
+use dermis_live::prepare::Prepared;
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::reference::Reference;
+use dermis_live::stages::refinement::Refinement;
+use dermis_record::sink::{ImageStack, Sink, TouchTable};
+use dermis_skin::{HyperparameterChoice, Skin};
+
+/// What to reconstruct and where to put it.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// The skin.
+    pub skin: Skin,
+    /// Baseline frames: one or more, or as many as there are frames (then each frame has its own, and frames have nothing
+    /// to do with each other).
+    pub baseline: FileSpec,
+    /// The frames.
+    pub frames: FileSpec,
+    /// Format of both files; detected where `None`.
+    pub format: Option<Format>,
+    /// A calibration of the skin.
+    pub calibration: Option<PathBuf>,
+    /// A force calibration of the skin.
+    pub forces: Option<PathBuf>,
+    /// lambda, in place of the skin file's rule.
+    pub hyperparameter: Option<f64>,
+    /// Where the table of touches goes: columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm; a
+    /// frame without touch has no row.
+    pub touches: Option<PathBuf>,
+    /// Where the images go: NPY, frames x rows x columns, f32, row 0 at the top, NaN outside.
+    pub images: Option<PathBuf>,
+}
+
+/// How it went.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Frames reconstructed.
+    pub frames: usize,
+    /// Rows of the table of touches.
+    pub touch_rows: usize,
+    /// lambda.
+    pub hyperparameter: f64,
+    /// Frames in which channels were missing.
+    pub frames_with_missing: usize,
+    /// True where the channel noise was measured from the baseline, false where it was assumed.
+    pub noise_measured: bool,
+    /// Does the baseline look like the skin's model?
+    pub order: OrderReport,
+}
+
+/// Rate at which frames without times are taken to come, where the skin file gives none.
+const DEFAULT_FRAMES_PER_S: f64 = 20.0;
+
+/// Reconstructs all frames; `progress` is told how much is done and how much there is in all: frames, or Gauss-Newton
+/// steps where the skin file asks for them.
+///
+/// # Errors
+/// Files that cannot be read or do not fit the skin, a calibration of another skin, outputs that cannot be written. No
+/// partial file is left under its final name.
+pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) -> Result<Report, Error> {
+    let mut skin = request.skin.clone();
+    if let Some(lambda) = request.hyperparameter {
+        skin.imaging.hyperparameter = HyperparameterChoice::Number(lambda);
+    }
+    // Offline every frame counts at once: a touch need not be seen twice before it is reported.
+    skin.touch.least_frames = 1;
+    let baseline_table = dermis_device::read(&request.baseline, request.format)?;
+    let frame_table = dermis_device::read(&request.frames, request.format)?;
+    let calibration = request.calibration.as_deref().map(Calibration::load).transpose()?;
+    let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
+    let prepared = Prepared::new(skin)?;
+    let reads = prepared.skin.backend.reads;
+    let reader = |table: &dermis_device::FrameTable| {
+        ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
+    };
+    let mut baseline_reader = reader(&baseline_table)?;
+    let baselines = baseline_reader.read_table(&baseline_table)?;
+    let mut frame_reader = reader(&frame_table)?;
+    frame_reader.share_phase_of(&baseline_reader);
+    let frames = frame_reader.read_table(&frame_table)?;
+    let paired = frames.len() > 1 && baselines.len() == frames.len();
+    let reference = Reference::of(&prepared, &baselines)?;
+    let own = |index: usize| paired.then(|| baselines[index].as_slice());
+    let differences_to = |reference: &Reference| -> Vec<Vec<f64>> {
+        frames.iter().enumerate().map(|(index, frame)| reference.difference(frame, own(index))).collect()
+    };
+    let data = differences_to(&reference);
+    let CalibratedImager { imager, reference, placement } =
+        CalibratedImager::new(&prepared, calibration.as_ref(), reference, &data)?;
+    // A calibration may have scaled the channels anew.
+    let differences = differences_to(&reference);
+    let refinement = prepared.skin.imaging.refinement.filter(|_| calibration.is_none());
+    let refined = match &refinement {
+        Some(refinement) => {
+            let (mut done, all) = (0, refinement.steps * frames.len());
+            Refiner::new(&prepared, refinement, &reference, imager.hyperparameter())?.images(&differences, || {
+                done += 1;
+                progress(done, all);
+            })?
+        }
+        None => Vec::new(),
+    };
+    let hyperparameter = imager.hyperparameter();
+    let is_refined = Refinement::is_wanted(&prepared, calibration.is_some());
+    let refinement_of_touches =
+        if is_refined { Refinement::new(&prepared, &reference.noise)? } else { Refinement::none() };
+    let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
+    reconstructor.touches.set_forces(forces.clone());
+    let grid = prepared.map.grid();
+    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    if let Some(path) = &request.touches {
+        sinks.push(Box::new(TouchTable::create(path, forces.is_some())?));
+    }
+    if let Some(path) = &request.images {
+        sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
+    }
+    let rate = prepared.skin.backend.frames_per_s.unwrap_or(DEFAULT_FRAMES_PER_S);
+    let mut image = vec![f32::NAN; grid.len()];
+    let rim = prepared.rim_pixels();
+    let mut touches: Vec<Touch> = Vec::new();
+    let mut touch_rows = 0;
+    for (index, difference) in differences.iter().enumerate() {
+        let seconds = frame_table.times_s().map_or(index as f64 / rate, |times| times[index] - times[0]);
+        let time_ns = (seconds.max(0.0) * 1e9) as u64;
+        reconstructor.image(difference, &mut image)?;
+        if let Some(refined) = refined.get(index) {
+            image.copy_from_slice(refined);
+        }
+        let placement = reconstructor.place(difference)?;
+        if paired {
+            reconstructor.forget(time_ns);
+        }
+        reconstructor.follow_touches(time_ns, &image, placement)?;
+        if let Some(refinement) = &refinement {
+            refinement.threshold(&mut image);
+        }
+        // Files show a value wherever there is skin; touches were found without those repeated values.
+        rim.iter().for_each(|&(pixel, nearest)| image[pixel] = image[nearest]);
+        touches.clear();
+        touches.extend(
+            reconstructor.touches.touches().iter().filter(|touch| touch.observation != Observation::Missed).copied(),
+        );
+        touch_rows += touches.len();
+        let output = Output {
+            sequence: index as u64,
+            time_ns,
+            wall_ns: 0,
+            raw: &frames[index],
+            compensated: difference,
+            image: &image,
+            columns: grid.columns,
+            rows: grid.rows,
+            touches: &touches,
+            events: reconstructor.touches.events(),
+            classes: None,
+            health: Health::default(),
+            damage: dermis_live::stages::damage::DamageView::default(),
+            anomalies: dermis_live::clock::FrameAnomalies::default(),
+        };
+        sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
+        if refinement.is_none() {
+            progress(index + 1, frames.len());
+        }
+    }
+    for sink in &mut sinks {
+        sink.finish()?;
+    }
+    Ok(Report {
+        frames: frames.len(),
+        touch_rows,
+        hyperparameter,
+        frames_with_missing: differences.iter().filter(|d| d.iter().any(|v| !v.is_finite())).count(),
+        noise_measured: reference.noise_measured,
+        order: reference.order,
+    })
+}

@@ -1,0 +1,136 @@
+//! A twin behind the real wire: on a socket or a pseudo-terminal it answers and streams as an instrument with firmware does, so
+//! that everything between port and picture is tried without hardware. One host at a time; frames that a slow host does not
+//! take are skipped and show in the sequence numbers.
+
+mod background;
+mod commands;
+mod listener;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
+use dermis_device::{Frame, HostStamp, Source, SourceEvent};
+use dermis_twin::instrument::Fault;
+use dermis_wire::Status;
+
+use crate::Error;
+use crate::twin_source::TwinSource;
+use dermis_skin::{Reads, Skin};
+
+pub use background::Background;
+pub use commands::{WORDS, command_of};
+pub use listener::Door;
+use listener::Host;
+
+/// Time between two looks at the port.
+const NAP: Duration = Duration::from_millis(2);
+/// Bytes that may wait for a host before frames are skipped.
+const MOST_WAITING: usize = 256 * 1024;
+/// Rate of a twin whose skin file gives none.
+const FRAMES_PER_S: f64 = 50.0;
+
+/// What became of a served twin's frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Served {
+    /// Frames taken, sent or not.
+    pub frames: u64,
+    /// Frames skipped because the host was too slow.
+    pub skipped: u64,
+    /// Hosts that connected.
+    pub hosts: u64,
+}
+
+/// What a twin says of itself on the wire. Every call gives another boot number.
+///
+/// # Errors
+/// A skin whose electrodes or protocol cannot be made, or with more channels than a frame can hold.
+pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
+    let protocol = skin.protocol()?;
+    let count = |what: &str, count: usize| {
+        u16::try_from(count).map_err(|_| Error::Frames {
+            what: what.to_string(),
+            expected: "at most 65535".to_string(),
+            got: count.to_string(),
+        })
+    };
+    let short = |text: &str| text.chars().take(60).collect::<String>();
+    let wall_ns = HostStamp::now().wall_ns;
+    Ok(DeviceInfo {
+        device: format!("dermis twin of {}", short(&skin.name)),
+        serial: "twin".to_string(),
+        firmware: env!("CARGO_PKG_VERSION").to_string(),
+        protocol: "as the skin file's".to_string(),
+        boot: ((wall_ns ^ (wall_ns >> 32)) as u32).max(1),
+        electrodes: count("electrodes", protocol.electrode_count())?,
+        channels: count("channels", protocol.channel_count())?,
+        frames_per_s: skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S) as f32,
+        amplitude_a: (skin.backend.current_ma * 1e-3) as f32,
+        frequency_hz: skin.backend.frequency_khz.map_or(0.0, |khz| (khz * 1e3) as f32),
+        magnitude: skin.backend.reads == Reads::Magnitude,
+    })
+}
+
+/// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a host
+/// first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it goes on,
+/// host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument, to an impedance
+/// check with the impedances of its electrodes' contacts, NaN where one is open.
+///
+/// # Errors
+/// When the twin cannot go on, or the door fails.
+pub fn serve(
+    door: &mut Door,
+    mut twin: TwinSource,
+    info: DeviceInfo,
+    most: Option<u64>,
+    stop: &AtomicBool,
+) -> Result<Served, Error> {
+    let failed = |source| Error::Io { file: "port of the served twin".into(), source };
+    let mut device = WireDevice::new(info);
+    let mut faults: Option<Vec<Fault>> = None;
+    let mut host: Option<Host> = None;
+    let mut frame = Frame::default();
+    let mut served = Served::default();
+    let mut measuring = most.is_some();
+    let mut overrun = false;
+    while !stop.load(Ordering::Relaxed) && most.is_none_or(|most| served.frames < most) {
+        if faults.as_deref() != Some(twin.acting_faults()) {
+            let acting = twin.acting_faults().to_vec();
+            device.set_measured(&[acting.len() as f32], &twin.contacts_ohm());
+            faults = Some(acting);
+        }
+        if let Some(new) = door.knock(host.is_some()).map_err(failed)? {
+            device.reset_link();
+            twin.calm()?;
+            served.hosts += 1;
+            host = Some(new);
+        }
+        if let Some(talking) = &mut host
+            && !talking.serve(door, &mut device)
+        {
+            host = None;
+            device.reset_link();
+        }
+        measuring |= device.wants_frames();
+        if !measuring {
+            std::thread::sleep(NAP);
+            continue;
+        }
+        match twin.next_frame(&mut frame, NAP)? {
+            SourceEvent::Idle => {}
+            SourceEvent::End => break,
+            SourceEvent::Frame => {
+                served.frames += 1;
+                let Some(host) = &mut host else { continue };
+                if host.waiting() > MOST_WAITING {
+                    served.skipped += 1;
+                    overrun = true;
+                    continue;
+                }
+                let status = if std::mem::take(&mut overrun) { Status::OVERRUN } else { Status::default() };
+                host.send(door, |waiting| device.frame(&frame, status, waiting));
+            }
+        }
+    }
+    Ok(served)
+}

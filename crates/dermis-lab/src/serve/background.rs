@@ -1,0 +1,61 @@
+//! A twin that is served to this very process, for commands that talk to instruments and are given a twin.
+
+use std::net::{Ipv4Addr, TcpListener};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+
+use dermis_device::{Instrument, SourceSelector};
+
+use super::{Door, device_info, serve};
+use crate::Error;
+use crate::twin_source::TwinSource;
+use dermis_skin::Skin;
+
+/// A twin behind a loopback socket, until this is dropped.
+#[derive(Debug)]
+pub struct Background {
+    selector: SourceSelector,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Background {
+    /// Serves the twin of a skin.
+    ///
+    /// # Errors
+    /// A skin without twin, or a socket that the system refuses.
+    pub fn start(skin: &Skin) -> Result<Self, Error> {
+        let failed = |source| Error::Io { file: "loopback socket".into(), source };
+        let (twin, _) = TwinSource::new(skin)?;
+        let info = device_info(skin)?;
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map_err(failed)?;
+        let port = listener.local_addr().map_err(failed)?.port();
+        let mut door = Door::tcp(listener).map_err(failed)?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = thread::spawn(move || {
+            if let Err(error) = serve(&mut door, twin, info, None, &stopped) {
+                tracing::error!("{error}");
+            }
+        });
+        let host = Ipv4Addr::LOCALHOST.to_string();
+        let selector = SourceSelector::Tcp { host, port, instrument: Instrument::Wire };
+        Ok(Self { selector, stop, thread: Some(thread) })
+    }
+
+    /// Where it is.
+    pub fn selector(&self) -> &SourceSelector {
+        &self.selector
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // Its panic has been printed by the runtime.
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! Where a skin is pressed: evenly over what lies inside 85 % of its outline, in the order of a Halton sequence.
+
+use dermis_tomo::mesh::Outline;
+
+use super::electrodes::to_rim;
+use crate::Error;
+
+/// Share of the way from the rim to the middle that is not pressed.
+const MARGIN: f64 = 0.15;
+/// Points of the sequence looked at for each place wanted.
+const LOOKED_AT: usize = 400;
+
+/// So many places from a point of the sequence on, metres.
+///
+/// # Errors
+/// A skin with hardly any inside.
+pub(super) fn pressed(outline: &Outline, count: usize, from: usize) -> Result<Vec<[f64; 2]>, Error> {
+    let (low, high) = outline.bounds_m();
+    let at = |k: usize| {
+        let share = [halton(k + 1, 2), halton(k + 1, 3)];
+        [0, 1].map(|axis| low[axis] + share[axis] * (high[axis] - low[axis]))
+    };
+    let deepest = (0..2000).map(|k| to_rim(outline, at(k))).fold(0.0, f64::max);
+    let inside = |place: &[f64; 2]| to_rim(outline, *place) >= MARGIN * deepest;
+    let places: Vec<[f64; 2]> = (from..from + LOOKED_AT * count).map(at).filter(inside).take(count).collect();
+    if places.len() < count {
+        return Err(Error::Frames {
+            what: "places to press".into(),
+            expected: format!("{count} inside 85 % of the outline"),
+            got: places.len().to_string(),
+        });
+    }
+    Ok(places)
+}
+
+/// The radical inverse of a number in a base.
+fn halton(mut k: usize, base: usize) -> f64 {
+    let (mut value, mut digit) = (0.0, 1.0);
+    while k > 0 {
+        digit /= base as f64;
+        value += digit * (k % base) as f64;
+        k /= base;
+    }
+    value
+}

@@ -1,0 +1,332 @@
+//! Samples of every kind, and what they come to.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use dermis_skin::Skin;
+use dermis_tomo::mesh::PixelGrid;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::bench::{Bench, Press, Reader};
+use super::electrodes::to_rim;
+use super::workshop::Dice;
+use super::{Cause, Tolerances};
+use crate::Error;
+
+/// Places over the skin that samples are pressed at; each sample takes some of them.
+const PLACES: usize = 64;
+/// Pixels along the longer side of the map.
+const MAP: usize = 32;
+/// Most samples of rows with calibrations, where there are more samples than [`ALL_CALIBRATED`]: a share of them.
+const CALIBRATED_SHARE: usize = 10;
+/// So many samples are all calibrated.
+const ALL_CALIBRATED: usize = 20;
+/// Sample number of the nominal twin that amplitudes are compared with.
+const NOMINAL: u64 = u64::MAX;
+/// Purpose of the random numbers that choose places.
+const PLACES_DICE: u64 = 1000;
+
+/// How much is tried.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// Samples of every row, 1 to 10,000.
+    pub samples: usize,
+    /// Presses of every sample, 1 to 64.
+    pub presses: usize,
+    /// Numbers of pokes to calibrate with, 3 to 1000 each; none for no such rows.
+    pub pokes: Vec<usize>,
+    /// Seed of everything.
+    pub seed: u64,
+}
+
+impl Default for Extent {
+    fn default() -> Self {
+        Self { samples: 200, presses: 12, pokes: vec![20, 50, 200], seed: 1 }
+    }
+}
+
+impl Extent {
+    fn check(&self) -> Result<(), Error> {
+        let within = |what: &str, value: usize, [least, most]: [usize; 2]| {
+            let expected = format!("{least} to {most}");
+            if (least..=most).contains(&value) {
+                return Ok(());
+            }
+            Err(Error::Frames { what: what.into(), expected, got: value.to_string() })
+        };
+        within("samples", self.samples, [1, 10_000])?;
+        within("presses of a sample", self.presses, [1, PLACES])?;
+        within("numbers of pokes", self.pokes.len(), [0, 8])?;
+        self.pokes.iter().try_for_each(|count| within("pokes", *count, [3, 1000]))
+    }
+}
+
+/// What one kind of error comes to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ToleranceRow {
+    /// What goes wrong.
+    pub name: String,
+    /// Samples behind it.
+    pub samples: usize,
+    /// Presses behind it.
+    pub presses: usize,
+    /// Position error of presses that were seen: median and 90th percentile, millimetres; NaN where none was.
+    pub position_mm: [f64; 2],
+    /// Error of their amplitude relative to the nominal twin's at the same place, read the same way: median and 90th
+    /// percentile, percent.
+    pub amplitude_percent: [f64; 2],
+    /// Presses without a touch within a quarter of the shorter side, percent.
+    pub misses_percent: f64,
+    /// Touches that nobody made, per press.
+    pub false_per_press: f64,
+    /// Mean position error, a miss counted as a quarter of the shorter side, millimetres: what rows are compared by.
+    pub mean_mm: f64,
+}
+
+/// Position error at one place.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PlaceError {
+    /// Where, metres.
+    pub place_m: [f64; 2],
+    /// Presses there, over all samples.
+    pub presses: usize,
+    /// Their median position error, a miss counted as a quarter of the shorter side, millimetres; NaN without presses.
+    pub median_mm: f64,
+    /// Presses that were missed.
+    pub misses: usize,
+}
+
+/// What workshop errors come to.
+#[derive(Clone, Debug)]
+pub struct ToleranceReport {
+    /// Name of the skin.
+    pub skin: String,
+    /// What was tried.
+    pub extent: Extent,
+    /// The skin as drawn.
+    pub nominal: ToleranceRow,
+    /// Each cause alone.
+    pub causes: Vec<ToleranceRow>,
+    /// All causes together.
+    pub together: ToleranceRow,
+    /// All causes together, each sample calibrated by pokes.
+    pub calibrated: Vec<ToleranceRow>,
+    /// Position error over the skin, all causes together.
+    pub places: Vec<PlaceError>,
+    /// The grid of the map.
+    pub grid: PixelGrid,
+    /// The map, row by row from the top, millimetres, NaN off the skin.
+    pub map_mm: Vec<f32>,
+}
+
+impl ToleranceReport {
+    /// All rows, in the order of a table.
+    pub fn rows(&self) -> impl Iterator<Item = &ToleranceRow> {
+        let alone = std::iter::once(&self.nominal).chain(&self.causes);
+        alone.chain(std::iter::once(&self.together)).chain(&self.calibrated)
+    }
+
+    /// What costs most, in a few sentences.
+    pub fn verdict(&self) -> String {
+        let own = self.nominal.mean_mm;
+        let worst = |key: fn(&ToleranceRow) -> f64| self.causes.iter().max_by(|a, b| key(a).total_cmp(&key(b)));
+        let mut said = match worst(|row| row.mean_mm) {
+            Some(row) if row.mean_mm > 1.1 * own => format!(
+                "For positions, {} costs most: {:.2} mm on average against {own:.2} mm as drawn. Build this carefully.",
+                row.name, row.mean_mm
+            ),
+            _ => format!("No cause alone costs a tenth of the {own:.2} mm that the skin has as drawn."),
+        };
+        said += &format!(" All together cost {:.2} mm.", self.together.mean_mm);
+        if let Some(row) = worst(|row| row.amplitude_percent[0]).filter(|row| row.amplitude_percent[0].is_finite()) {
+            said += &format!(" For amplitudes it is {}: {:.1} % (median).", row.name, row.amplitude_percent[0]);
+        }
+        let best = self.calibrated.iter().min_by(|a, b| a.mean_mm.total_cmp(&b.mean_mm));
+        match best {
+            Some(row) if row.mean_mm < 0.9 * self.together.mean_mm => {
+                said += &format!(" Calibration helps: {:.2} mm with {}.", row.mean_mm, row.name);
+            }
+            Some(_) => said += " Calibration by pokes places touches no better.",
+            None => {}
+        }
+        said
+    }
+}
+
+/// One row of samples to be tried.
+struct Task {
+    name: String,
+    causes: Vec<Cause>,
+    reader: Reader,
+    samples: usize,
+}
+
+/// Tries a skin with these tolerances. `progress` is told how many samples are done and how many there are.
+///
+/// # Errors
+/// Numbers out of range, a skin that cannot be meshed or solved.
+pub fn run(
+    skin: &Skin,
+    tolerances: &Tolerances,
+    extent: &Extent,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<ToleranceReport, Error> {
+    extent.check()?;
+    let bench = Bench::new(skin, PLACES)?;
+    let causes = tolerances.causes(&bench.skin);
+    let tasks = tasks(&causes, extent);
+    let all: usize = tasks.iter().map(|task| task.samples).sum();
+    let done = AtomicUsize::new(0);
+    let every: Vec<usize> = (0..PLACES).collect();
+    let readers: Vec<Reader> =
+        std::iter::once(Reader::Model).chain(extent.pokes.iter().map(|count| Reader::Pokes(*count))).collect();
+    let nominal: Vec<Vec<Press>> = readers
+        .par_iter()
+        .map(|reader| {
+            let seeds = [extent.seed, NOMINAL];
+            bench.press(&bench.build(tolerances, &[], seeds)?, *reader, &every, seeds, true)
+        })
+        .collect::<Result<_, Error>>()?;
+    let jobs: Vec<(usize, u64)> = tasks
+        .iter()
+        .enumerate()
+        .flat_map(|(k, task)| (0..task.samples as u64).map(move |sample| (k, sample)))
+        .collect();
+    let pressed: Vec<Vec<Press>> = jobs
+        .par_iter()
+        .with_max_len(1)
+        .map(|&(k, sample)| {
+            let (task, seeds) = (&tasks[k], [extent.seed, sample]);
+            let built = bench.build(tolerances, &task.causes, seeds)?;
+            let presses = bench.press(&built, task.reader, &some_places(extent, sample), seeds, false);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
+            presses
+        })
+        .collect::<Result<_, Error>>()?;
+    let of_task = |k: usize| jobs.iter().zip(&pressed).filter(move |(job, _)| job.0 == k).flat_map(|(_, p)| p.iter());
+    let near_mm = bench.near_mm();
+    let mut rows = tasks.iter().enumerate().map(|(k, task)| {
+        let reader = readers.iter().position(|reader| *reader == task.reader).unwrap_or(0);
+        row(task, &of_task(k).copied().collect::<Vec<_>>(), &nominal[reader], near_mm)
+    });
+    let nominal_row = rows.next();
+    let mut causes_alone: Vec<ToleranceRow> = rows.by_ref().take(causes.len() + 1).collect();
+    let (Some(nominal), Some(together)) = (nominal_row, causes_alone.pop()) else {
+        return Err(Error::Frames { what: "rows".into(), expected: "at least two".into(), got: "fewer".into() });
+    };
+    let calibrated: Vec<ToleranceRow> = rows.collect();
+    let together_presses: Vec<Press> = of_task(causes.len() + 1).copied().collect();
+    let places = by_place(&bench, &together_presses);
+    let (grid, map_mm) = map(&bench, &places)?;
+    Ok(ToleranceReport {
+        skin: bench.skin.name.clone(),
+        extent: extent.clone(),
+        nominal,
+        causes: causes_alone,
+        together,
+        calibrated,
+        places,
+        grid,
+        map_mm,
+    })
+}
+
+fn tasks(causes: &[Cause], extent: &Extent) -> Vec<Task> {
+    let row = |name: &str, causes: &[Cause]| Task {
+        name: name.to_string(),
+        causes: causes.to_vec(),
+        reader: Reader::Model,
+        samples: extent.samples,
+    };
+    let mut tasks = vec![row("as drawn", &[])];
+    tasks.extend(causes.iter().map(|cause| row(cause.name(), &[*cause])));
+    tasks.push(row("all together", causes));
+    let fewer = (extent.samples / CALIBRATED_SHARE).max(ALL_CALIBRATED).min(extent.samples);
+    tasks.extend(extent.pokes.iter().map(|count| Task {
+        reader: Reader::Pokes(*count),
+        samples: fewer,
+        ..row(&format!("all, calibrated by {count} pokes"), causes)
+    }));
+    tasks
+}
+
+/// The places that a sample is pressed at: the same in every row.
+fn some_places(extent: &Extent, sample: u64) -> Vec<usize> {
+    let mut dice = Dice::new(extent.seed, sample, PLACES_DICE);
+    let mut places: Vec<usize> = (0..PLACES).collect();
+    for k in 0..extent.presses {
+        let other = k + dice.below(PLACES - k);
+        places.swap(k, other);
+    }
+    places.truncate(extent.presses);
+    places
+}
+
+fn row(task: &Task, presses: &[Press], nominal: &[Press], near_mm: f64) -> ToleranceRow {
+    let errors: Vec<f64> = presses.iter().filter_map(|press| press.error_mm).collect();
+    let amplitude = |press: &Press| {
+        let (seen, drawn) = (press.amplitude?, nominal[press.place].amplitude?);
+        Some(100.0 * (seen / drawn - 1.0).abs())
+    };
+    let count = presses.len() as f64;
+    let misses = presses.iter().filter(|press| press.error_mm.is_none()).count();
+    ToleranceRow {
+        name: task.name.clone(),
+        samples: task.samples,
+        presses: presses.len(),
+        position_mm: median_and_p90(errors),
+        amplitude_percent: median_and_p90(presses.iter().filter_map(amplitude).collect()),
+        misses_percent: 100.0 * misses as f64 / count,
+        false_per_press: presses.iter().map(|press| press.false_touches).sum::<usize>() as f64 / count,
+        mean_mm: presses.iter().map(|press| press.error_mm.unwrap_or(near_mm)).sum::<f64>() / count,
+    }
+}
+
+fn median_and_p90(mut values: Vec<f64>) -> [f64; 2] {
+    values.sort_by(f64::total_cmp);
+    let at = |share: f64| match values.len() {
+        0 => f64::NAN,
+        count => values[(share * (count - 1) as f64).round() as usize],
+    };
+    [at(0.5), at(0.9)]
+}
+
+fn by_place(bench: &Bench, presses: &[Press]) -> Vec<PlaceError> {
+    let place = |(index, place_m): (usize, &[f64; 2])| {
+        let here = || presses.iter().filter(|press| press.place == index);
+        let errors = here().map(|press| press.error_mm.unwrap_or(bench.near_mm())).collect();
+        PlaceError {
+            place_m: *place_m,
+            presses: here().count(),
+            median_mm: median_and_p90(errors)[0],
+            misses: here().filter(|press| press.error_mm.is_none()).count(),
+        }
+    };
+    bench.places_m.iter().enumerate().map(place).collect()
+}
+
+/// Errors between places: means weighted with a Gaussian of the places' distance.
+fn map(bench: &Bench, places: &[PlaceError]) -> Result<(PixelGrid, Vec<f32>), Error> {
+    let outline = bench.skin.outline();
+    let (low, high) = outline.bounds_m();
+    let grid =
+        PixelGrid::covering(low, high, MAP).map_err(|source| Error::Mesh { skin: bench.skin.name.clone(), source })?;
+    let width_m = 0.6 * (outline.area_m2() / PLACES as f64).sqrt();
+    let seen: Vec<&PlaceError> = places.iter().filter(|place| place.median_mm.is_finite()).collect();
+    let at = |pixel: usize| {
+        let [x, y] = grid.centre_m(pixel);
+        if to_rim(&outline, [x, y]) < 0.0 {
+            return f32::NAN;
+        }
+        let squares = |place: &PlaceError| (place.place_m[0] - x).powi(2) + (place.place_m[1] - y).powi(2);
+        // Relative to the nearest: weights do not vanish far from all places.
+        let nearest = seen.iter().map(|place| squares(place)).fold(f64::INFINITY, f64::min);
+        let (sum, total) = seen.iter().fold((0.0, 0.0), |(sum, total), place| {
+            let weight = (-0.5 * (squares(place) - nearest) / (width_m * width_m)).exp();
+            (sum + weight * place.median_mm, total + weight)
+        });
+        (sum / total) as f32
+    };
+    let values = (0..grid.len()).map(at).collect();
+    Ok((grid, values))
+}

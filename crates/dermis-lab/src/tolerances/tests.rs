@@ -1,0 +1,73 @@
+use super::*;
+
+fn extent(samples: usize) -> Extent {
+    Extent { samples, presses: 6, pokes: Vec::new(), seed: 3 }
+}
+
+fn tried(name: &str, tolerances: &Tolerances, extent: &Extent) -> ToleranceReport {
+    run(&Skin::open(name).unwrap(), tolerances, extent, &|_, _| {}).unwrap()
+}
+
+fn same(a: &ToleranceRow, b: &ToleranceRow) -> bool {
+    let name = a.name.clone();
+    *a == ToleranceRow { name, ..b.clone() }
+}
+
+#[test]
+fn without_errors_every_row_is_the_nominal_one() {
+    let report = tried("healing-square", &Tolerances::none(), &extent(2));
+    for row in report.rows() {
+        assert!(same(row, &report.nominal), "{row:?} against {:?}", report.nominal);
+    }
+    assert_eq!(report.nominal.misses_percent, 0.0, "{:?}", report.nominal);
+}
+
+#[test]
+fn larger_errors_are_not_better() {
+    let large = Tolerances { electrode_place_mm: 3.0, conductivity_percent: 40.0, ..Tolerances::default() };
+    let (usual, large) =
+        (tried("healing-square", &Tolerances::default(), &extent(6)), tried("healing-square", &large, &extent(6)));
+    assert!(usual.together.mean_mm > usual.nominal.mean_mm, "{:?}", usual.together);
+    assert!(large.together.mean_mm > usual.together.mean_mm, "{:?} {:?}", large.together, usual.together);
+    assert!(large.verdict().contains("costs most"), "{}", large.verdict());
+}
+
+#[test]
+fn seeds_decide_and_threads_do_not() {
+    let on = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let extent = Extent { seed, ..extent(3) };
+        pool.install(|| tried("healing-square", &Tolerances::default(), &extent))
+    };
+    let (one, three, other) = (on(1, 5), on(3, 5), on(1, 6));
+    assert!(one.rows().eq(three.rows()));
+    assert_ne!(one.together, other.together);
+}
+
+#[test]
+fn what_is_wrong_with_a_file_is_said_with_key_and_value() {
+    let said = |text: &str| Tolerances::parse(text, Path::new("shop.toml")).unwrap_err().to_string();
+    let message = said("thickness_percent = 99");
+    assert!(
+        message.contains("shop.toml") && message.contains("thickness_percent") && message.contains("99"),
+        "{message}"
+    );
+    let message = said("electrode_place = 1.0");
+    assert!(message.contains("electrode_place") && message.contains("electrode_place_mm"), "{message}");
+    let message = said("bad_electrode = 3");
+    assert!(message.contains("bad_electrode = 3"), "{message}");
+    let message = said("gain_percent = nan");
+    assert!(message.contains("gain_percent") && message.contains("NaN"), "{message}");
+    let read = Tolerances::parse("gain_percent = 2.0", Path::new("shop.toml")).unwrap();
+    assert_eq!(read, Tolerances { gain_percent: 2.0, ..Tolerances::default() });
+}
+
+#[test]
+fn nonsense_extents_are_refused() {
+    let skin = Skin::open("healing-square").unwrap();
+    for extent in
+        [extent(0), extent(10_001), Extent { presses: 0, ..extent(1) }, Extent { pokes: vec![2], ..extent(1) }]
+    {
+        assert!(run(&skin, &Tolerances::none(), &extent, &|_, _| {}).is_err(), "{extent:?}");
+    }
+}

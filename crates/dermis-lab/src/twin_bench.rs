@@ -1,0 +1,268 @@
+//! A twin on the bench: pressed with known forces, read with noise, imaged as its skin file says.
+
+use dermis_mit::LiftOffFit;
+use dermis_tomo::mesh::Surface;
+use dermis_touch::force::ForceCalibration;
+use dermis_touch::{Contact, Observation};
+use dermis_twin::Frontend;
+use dermis_twin::instrument::Instrument;
+use dermis_twin::mechanics::{Indenter, Load, Shape};
+
+use crate::Error;
+use crate::report::ImagePanel;
+use dermis_live::imager::Imager;
+use dermis_live::prepare::Prepared;
+use dermis_live::reconstructor::Reconstructor;
+use dermis_live::reference::Reference;
+use dermis_live::stages::refinement::Refinement;
+use dermis_skin::Skin;
+use dermis_twin::TwinKit;
+
+/// Standard gravity, m/s^2.
+const GRAVITY: f64 = 9.806_65;
+
+/// Weight of a mass in newtons.
+pub fn grams_n(grams: f64) -> f64 {
+    grams * 1e-3 * GRAVITY
+}
+
+/// Frames of the resting skin behind a baseline.
+const BASELINE_FRAMES: usize = 100;
+
+/// A twin, its instrument and what makes images of its readings.
+#[derive(Debug)]
+pub struct Rig {
+    prepared: Prepared,
+    frontend: Box<dyn Frontend>,
+    instrument: Instrument,
+    frame_s: f64,
+    reference: Reference,
+    reconstructor: Reconstructor,
+    frames: u64,
+}
+
+impl Rig {
+    /// The twin of a built-in skin, with a baseline of 100 frames at rest.
+    ///
+    /// # Errors
+    /// A skin without twin, or one that cannot be made.
+    pub fn new(skin_name: &str) -> Result<Self, Error> {
+        Self::of(Skin::open(skin_name)?)
+    }
+
+    /// As [`Rig::new`], of a skin of one's own.
+    ///
+    /// # Errors
+    /// As [`Rig::new`].
+    pub fn of(skin: Skin) -> Result<Self, Error> {
+        let kit = TwinKit::of(&skin)?;
+        let (frontend, instrument, _) = kit.twin.into_parts();
+        Self::from_parts(skin, frontend, instrument)
+    }
+
+    /// From a frontend and an instrument of one's own.
+    ///
+    /// # Errors
+    /// As [`Rig::new`].
+    pub fn from_parts(
+        mut skin: Skin,
+        mut frontend: Box<dyn Frontend>,
+        mut instrument: Instrument,
+    ) -> Result<Self, Error> {
+        // Every frame counts at once: presses are held still and averaged here.
+        skin.touch.least_frames = 1;
+        let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(20.0);
+        let prepared = Prepared::new(skin)?;
+        let rest = read(&mut frontend, &mut instrument, &[], BASELINE_FRAMES, frame_s)?;
+        let reference = Reference::of(&prepared, &rest)?;
+        let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
+        let imager = Imager::new(&prepared, &reference, &data)?;
+        let is_refined = Refinement::is_wanted(&prepared, false);
+        let refinement = if is_refined { Refinement::new(&prepared, &reference.noise)? } else { Refinement::none() };
+        let reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
+        Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
+    }
+
+    /// The skin's model.
+    pub fn prepared(&self) -> &Prepared {
+        &self.prepared
+    }
+
+    /// What differences are taken against.
+    pub fn reference(&self) -> &Reference {
+        &self.reference
+    }
+
+    /// Image noise of each pixel.
+    pub fn noise_image(&self) -> Vec<f32> {
+        self.reconstructor.imager.noise_image()
+    }
+
+    /// Seconds between frames.
+    pub fn frame_s(&self) -> f64 {
+        self.frame_s
+    }
+
+    /// Readings under these indenters, one frame after the other.
+    ///
+    /// # Errors
+    /// Loads off the skin or larger than it; fields that cannot be solved.
+    pub fn frames(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<Vec<f64>>, Error> {
+        read(&mut self.frontend, &mut self.instrument, indenters, count, self.frame_s)
+    }
+
+    /// Mean of so many frames under these indenters, after one that lets the mechanics settle.
+    ///
+    /// # Errors
+    /// As [`Rig::frames`].
+    pub fn mean_frame(&mut self, indenters: &[Indenter], count: usize) -> Result<Vec<f64>, Error> {
+        let frames = self.frames(indenters, count)?;
+        let channels = self.prepared.channels();
+        Ok((0..channels).map(|c| frames.iter().map(|frame| frame[c]).sum::<f64>() / count as f64).collect())
+    }
+
+    /// Takes frames under these indenters as the new baseline: the user's choice of what is not to be seen.
+    ///
+    /// # Errors
+    /// As [`Rig::frames`].
+    pub fn tare(&mut self, indenters: &[Indenter]) -> Result<(), Error> {
+        let frames = self.frames(indenters, BASELINE_FRAMES)?;
+        self.reference = Reference::of(&self.prepared, &frames)?;
+        Ok(())
+    }
+
+    /// The image of a frame: row-major, NaN outside.
+    ///
+    /// # Errors
+    /// A frame of another length.
+    pub fn image(&mut self, frame: &[f64]) -> Result<Vec<f32>, Error> {
+        let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
+        self.reconstructor.image(&self.reference.difference(frame, None), &mut image)?;
+        Ok(image)
+    }
+
+    /// Travel of the elements in the image made last, where these are solved for.
+    pub fn heights(&self) -> Option<&LiftOffFit> {
+        self.reconstructor.imager.heights()
+    }
+
+    /// Takes differences against another reference from now on.
+    pub fn set_reference(&mut self, reference: Reference) {
+        self.reference = reference;
+    }
+
+    /// How far from a place an image has its values: root mean square distance weighted with their squares, millimetres.
+    pub fn spread_mm(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
+        let columns = self.columns();
+        let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());
+        let (moment, total) = finite.fold((0.0, 0.0), |(moment, total), (index, value)| {
+            let (at, weight) = (self.pixel_m(index, columns), f64::from(*value).powi(2));
+            (moment + weight * ((at[0] - x).powi(2) + (at[1] - y).powi(2)), total + weight)
+        });
+        1e3 * (moment / total).sqrt()
+    }
+
+    /// Touches of the image made last ([`Rig::image`]), which has nothing to do with the one before, strongest first.
+    ///
+    /// # Errors
+    /// An image of another size.
+    pub fn touches(&mut self, image: &[f32]) -> Result<Vec<Contact>, Error> {
+        self.frames += 1;
+        let time_ns = self.frames * 1_000_000_000;
+        self.reconstructor.forget(time_ns);
+        self.reconstructor.follow_touches(time_ns, image, None)?;
+        let stage = &self.reconstructor.touches;
+        let begun = stage.touches().iter().filter(|touch| touch.observation != Observation::Missed).count();
+        Ok(stage.contacts().iter().take(begun).copied().collect())
+    }
+
+    /// Reads the forces of touches by a calibration from now on.
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
+        self.reconstructor.touches.set_forces(forces);
+    }
+
+    /// Image, with the indenters' places marked.
+    pub fn panel(&self, name: impl Into<String>, values: &[f32], places_m: &[[f64; 2]]) -> ImagePanel {
+        panel_of(&self.prepared, name, values, places_m)
+    }
+
+    /// Pixels in a row of an image.
+    pub fn columns(&self) -> usize {
+        self.prepared.map.grid().columns
+    }
+
+    /// Position and value of the largest pixel.
+    pub fn peak(&self, image: &[f32]) -> ([f64; 2], f64) {
+        let grid = self.prepared.map.grid();
+        let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());
+        let (index, value) = finite.max_by(|a, b| a.1.total_cmp(b.1)).map_or((0, 0.0), |(k, v)| (k, f64::from(*v)));
+        (self.pixel_m(index, grid.columns), value)
+    }
+
+    fn pixel_m(&self, index: usize, columns: usize) -> [f64; 2] {
+        let grid = self.prepared.map.grid();
+        let (column, row) = ((index % columns) as f64 + 0.5, (index / columns) as f64 + 0.5);
+        [grid.left_m + column * grid.pixel_m, grid.top_m - row * grid.pixel_m]
+    }
+
+    /// Mean of the image over the pixels (3 x 3 of them, less at a rim) around a place.
+    pub fn mean_around(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
+        let grid = self.prepared.map.grid();
+        let column = ((x - grid.left_m) / grid.pixel_m).floor() as i64;
+        let row = ((grid.top_m - y) / grid.pixel_m).floor() as i64;
+        let mut values = Vec::with_capacity(9);
+        for (r, c) in (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| (r, c))) {
+            if (0..grid.rows as i64).contains(&r) && (0..grid.columns as i64).contains(&c) {
+                values.extend(Some(image[r as usize * grid.columns + c as usize]).filter(|v| v.is_finite()));
+            }
+        }
+        values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len().max(1) as f64
+    }
+}
+
+/// Image of a skin, with places marked.
+pub(super) fn panel_of(
+    prepared: &Prepared,
+    name: impl Into<String>,
+    values: &[f32],
+    places_m: &[[f64; 2]],
+) -> ImagePanel {
+    let grid = prepared.map.grid();
+    let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
+    let share = |p: &[f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
+    let bend = match prepared.skin.surface() {
+        Surface::Cylinder { radius_m } => Some(radius_m / width),
+        Surface::Flat => None,
+    };
+    let marks = places_m.iter().map(share).collect();
+    ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
+}
+
+/// A round weight or indenter.
+pub(super) fn disc(centre_m: [f64; 2], diameter_mm: f64, force_n: f64) -> Indenter {
+    Indenter { centre_m, shape: Shape::Disc { radius_m: 0.5e-3 * diameter_mm }, load: Load::ForceN(force_n) }
+}
+
+/// Distance of two places in millimetres.
+pub(super) fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
+    1e3 * (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+fn read(
+    frontend: &mut Box<dyn Frontend>,
+    instrument: &mut Instrument,
+    indenters: &[Indenter],
+    count: usize,
+    frame_s: f64,
+) -> Result<Vec<Vec<f64>>, Error> {
+    // A load that the skin cannot bear would be dropped in silence, and the experiment be one of nothing.
+    indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
+    let mut frames = Vec::with_capacity(count);
+    for _ in 0..count {
+        let mut frame = vec![0.0; frontend.channel_count()];
+        frontend.voltages(indenters, frame_s, &mut frame)?;
+        instrument.read(frame_s, &mut frame);
+        frames.push(frame);
+    }
+    Ok(frames)
+}

@@ -1,0 +1,49 @@
+//! The matched filter that places touches of a skin calibrated without labels.
+
+use dermis_tomo::inverse::SelfCalibration;
+
+use crate::Error;
+use crate::stages::placement::Placement;
+
+/// Below this correlation with the best place's signature, a frame is doubted to be a single touch.
+const LEAST_SCORE: f64 = 0.5;
+
+/// The matched filter and what it needs to read difference data.
+#[derive(Clone, Debug)]
+pub struct MatchedFinder {
+    calibration: SelfCalibration,
+    relative: Vec<f64>,
+    noise: Vec<f64>,
+    smallest_amplitude: f64,
+    variance_m2: f64,
+}
+
+impl MatchedFinder {
+    /// Frames whose root mean square in units of `noise` (model volts) is below `smallest_amplitude` show no touch.
+    pub(super) fn new(
+        calibration: SelfCalibration,
+        noise: Vec<f64>,
+        smallest_amplitude: f64,
+        variance_m2: f64,
+    ) -> Self {
+        Self { calibration, relative: Vec::new(), noise, smallest_amplitude, variance_m2 }
+    }
+
+    pub(super) fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        // Root mean square of the frame in units of its noise: is there a touch at all?
+        let in_noise = difference.iter().zip(&self.noise).filter(|(d, noise)| d.is_finite() && **noise > 0.0);
+        let (count, sum) = in_noise.fold((0, 0.0), |(n, sum), (d, noise)| (n + 1, sum + (d / noise).powi(2)));
+        if count == 0 || (sum / f64::from(count)).sqrt() < self.smallest_amplitude {
+            return Ok(None);
+        }
+        self.relative.clear();
+        self.relative.extend(difference.iter().zip(self.calibration.data_scale()).map(|(d, scale)| d * scale));
+        let touch = self.calibration.locate(&self.relative)?;
+        let covariance_m2 = [[self.variance_m2, 0.0], [0.0, self.variance_m2]];
+        Ok(touch.map(|touch| Placement {
+            position_m: touch.position_m,
+            covariance_m2,
+            doubtful: touch.score < LEAST_SCORE,
+        }))
+    }
+}

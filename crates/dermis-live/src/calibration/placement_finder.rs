@@ -1,0 +1,63 @@
+//! What places the single touch of a frame in a calibrated skin.
+
+use dermis_touch::locator::{Locator, LocatorScratch};
+
+use super::matched::MatchedFinder;
+use crate::Error;
+use crate::stages::placement::Placement;
+
+/// Above this novelty a frame is doubted to be a single touch, and several contacts of the image stand against it.
+const MOST_NOVELTY: f64 = 3.0;
+
+/// Finds the place of the single touch of a frame.
+#[derive(Clone, Debug)]
+pub enum PlacementFinder {
+    /// A locator learnt from pokes.
+    Learnt(Box<LearntFinder>),
+    /// The matched filter of a skin calibrated without labels.
+    Matched(Box<MatchedFinder>),
+}
+
+/// A locator with its memory.
+#[derive(Clone, Debug)]
+pub struct LearntFinder {
+    locator: Locator,
+    scratch: LocatorScratch,
+    /// Root mean square of the noise-weighted frame below which there is no touch.
+    smallest_amplitude: f64,
+}
+
+impl PlacementFinder {
+    /// Where the single touch of a frame is, `None` where the frame is too weak.
+    ///
+    /// # Errors
+    /// A frame of another length, or without enough channels.
+    pub fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        match self {
+            PlacementFinder::Learnt(finder) => finder.place(difference),
+            PlacementFinder::Matched(finder) => finder.place(difference),
+        }
+    }
+}
+
+impl LearntFinder {
+    /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
+    pub(super) fn new(locator: &Locator, smallest_amplitude: f64) -> Self {
+        Self { scratch: locator.scratch(), locator: locator.clone(), smallest_amplitude }
+    }
+
+    fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        let located = self.locator.predict_into(difference, &mut self.scratch)?;
+        if located.amplitude < self.smallest_amplitude {
+            return Ok(None);
+        }
+        Ok(Some(Placement {
+            doubtful: located.novelty > MOST_NOVELTY,
+            position_m: [located.x_m, located.y_m],
+            covariance_m2: [
+                [located.sigma_x_m.powi(2), located.covariance_xy_m2],
+                [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
+            ],
+        }))
+    }
+}

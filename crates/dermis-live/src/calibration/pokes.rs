@@ -1,0 +1,65 @@
+//! Pokes at known positions, and their table in a file.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::Error;
+
+/// What a poke's load was measured as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoadQuantity {
+    /// Depth of indentation, metres.
+    DepthM,
+    /// Force, newtons.
+    ForceN,
+}
+
+/// Pokes at known positions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pokes {
+    /// Where, metres.
+    pub positions_m: Vec<[f64; 2]>,
+    /// How hard, if it was measured.
+    pub loads: Option<(LoadQuantity, Vec<f64>)>,
+}
+
+/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header; without one, metres
+/// of depth).
+///
+/// # Errors
+/// A file that is no table of numbers, other columns, or values that are missing.
+pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
+    let table = dermis_device::instruments::csv::read_numbers(path)?;
+    let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
+    let column = |name: &str, otherwise: usize| match &table.header {
+        Some(_) => table.column_index(name),
+        None => (otherwise < table.columns).then_some(otherwise),
+    };
+    let (Some(x), Some(y)) = (column("x_m", 0), column("y_m", 1)) else {
+        return Err(content("columns".into(), "expected x_m, y_m and optionally depth_m or force_n".into()));
+    };
+    let load = column("force_n", usize::MAX)
+        .map(|index| (LoadQuantity::ForceN, index))
+        .or_else(|| column("depth_m", 2).map(|index| (LoadQuantity::DepthM, index)));
+    let mut pokes = Pokes::default();
+    let mut loads = Vec::new();
+    for row in 0..table.rows() {
+        let values = table.row(row).unwrap_or_default();
+        let value = |index: usize| values.get(index).copied().unwrap_or(f64::NAN);
+        let position = [value(x), value(y)];
+        if position.iter().any(|v| !v.is_finite()) {
+            return Err(content(format!("row {row}"), format!("position {position:?} is not finite")));
+        }
+        pokes.positions_m.push(position);
+        loads.extend(load.map(|(_, index)| value(index)));
+    }
+    if let Some((quantity, _)) = load {
+        if let Some(row) = loads.iter().position(|l| !(l.is_finite() && *l > 0.0)) {
+            return Err(content(format!("row {row}"), format!("load {} is not a positive number", loads[row])));
+        }
+        pokes.loads = Some((quantity, loads));
+    }
+    Ok(pokes)
+}

@@ -1,0 +1,94 @@
+//! Skins whose readout circuit is known only in kind: the sign and the weight of every channel are found from frames
+//! without labels, best from the drift between successive baselines, where nothing was pressed at all.
+
+use dermis_skin::{HyperparameterChoice, Polarity};
+use dermis_tomo::inverse::{
+    CalibrationOptions, Hyperparameter, LinearProblem, SelfCalibration, TouchEffect, TouchTemplates,
+};
+
+use super::matched::MatchedFinder;
+use crate::Error;
+use crate::imager::Imager;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+
+/// From so many differences of successive baselines, no pressed frame is looked at.
+const ENOUGH_BASELINES: usize = 60;
+/// Fewest frames to calibrate on.
+const FEWEST: usize = 20;
+/// Touches are looked for at least this far from the rim, in sizes of a touch: nearer, model and skin part.
+const RIM_SIZES: f64 = 1.2;
+
+/// What a skin has calibrated itself to.
+pub(super) struct SelfCalibrated {
+    pub imager: Imager,
+    /// The reference with the signs and weights that were found.
+    pub reference: Reference,
+    pub finder: MatchedFinder,
+}
+
+impl SelfCalibrated {
+    /// The imager of a skin with a readout circuit, calibrated without labels; `None` for other skins, and where there are
+    /// too few frames to calibrate on. `data` are difference data made with `reference`.
+    pub fn fit(prepared: &Prepared, reference: &Reference, data: &[Vec<f64>]) -> Result<Option<Self>, Error> {
+        let relative = |frame: &Vec<f64>, unscale: bool| -> Vec<f64> {
+            let factor = |c: usize| if unscale { reference.scale[c] } else { 1.0 } * reference.baseline[c];
+            frame.iter().enumerate().map(|(c, value)| value / factor(c)).collect()
+        };
+        let frames: Vec<Vec<f64>> = if reference.successive.len() >= ENOUGH_BASELINES {
+            reference.successive.iter().map(|frame| relative(frame, false)).collect()
+        } else {
+            data.iter().map(|frame| relative(frame, true)).collect()
+        };
+        if prepared.skin.backend.circuit.is_none() || frames.len() < FEWEST {
+            return Ok(None);
+        }
+        let pixels = prepared.map.inside_centres_m();
+        let size = prepared.skin.touch.relative_size * prepared.half_width_m();
+        let places = places_off_the_rim(prepared, RIM_SIZES * size);
+        let templates = TouchTemplates::blurred(prepared.jacobian.as_mat(), &pixels, &places, size)?;
+        let effect = match prepared.skin.imaging.polarity {
+            Polarity::LowersConductivity => TouchEffect::LowersConductivity,
+            Polarity::RaisesConductivity => TouchEffect::RaisesConductivity,
+        };
+        let options = CalibrationOptions { effect, ..CalibrationOptions::default() };
+        let calibration = SelfCalibration::fit(&templates, &prepared.voltages, &frames, options)?;
+        let mut reference = reference.clone();
+        for channel in 0..prepared.channels() {
+            let scale = 1.0 / (reference.baseline[channel] * calibration.data_scale()[channel]);
+            let old = reference.scale[channel].abs();
+            let scale = if scale.is_finite() { scale } else { 0.0 };
+            reference.noise[channel] *= if old > 0.0 { scale.abs() / old } else { 0.0 };
+            reference.scale[channel] = scale;
+        }
+        let rows = calibration.calibrated_rows(prepared.jacobian.as_mat())?;
+        let prior = prepared.prior().matrix(rows.as_ref(), &calibration.weighting(), &prepared.basis)?;
+        let problem = LinearProblem::new(rows.as_ref(), calibration.weighting(), prior)?;
+        let rule = match &prepared.skin.imaging.hyperparameter {
+            HyperparameterChoice::Number(value) => Hyperparameter::Number(*value),
+            HyperparameterChoice::Relative(factor) => Hyperparameter::Relative(*factor),
+            _ => Hyperparameter::Relative(10.0),
+        };
+        let lambda = problem.choose(&rule, &[])?;
+        let imager =
+            Imager::from_problem(prepared, problem, lambda, &reference.noise, prepared.skin.imaging.polarity.sign())?;
+        let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
+        let smallest_amplitude = prepared.skin.touch.hold_sigma;
+        let finder = MatchedFinder::new(calibration, reference.noise.clone(), smallest_amplitude, variance_m2);
+        Ok(Some(Self { imager, reference, finder }))
+    }
+}
+
+/// Inside pixels with no outside pixel, and no edge of the grid, within `margin_m`.
+fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<[f64; 2]> {
+    let grid = prepared.map.grid();
+    let mask = prepared.map.inside_mask();
+    let outside: Vec<[f64; 2]> = (0..grid.len()).filter(|&p| !mask[p]).map(|p| grid.centre_m(p)).collect();
+    let right = grid.left_m + grid.columns as f64 * grid.pixel_m;
+    let bottom = grid.top_m - grid.rows as f64 * grid.pixel_m;
+    let far = |p: &[f64; 2]| {
+        let edge = (p[0] - grid.left_m).min(right - p[0]).min(grid.top_m - p[1]).min(p[1] - bottom);
+        edge >= margin_m && outside.iter().all(|q| (p[0] - q[0]).hypot(p[1] - q[1]) >= margin_m)
+    };
+    prepared.map.inside_centres_m().into_iter().filter(far).collect()
+}

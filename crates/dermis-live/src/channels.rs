@@ -1,0 +1,229 @@
+//! From what an instrument delivers (single-ended potentials, full matrices, channels; real or complex) to the channels
+//! of a skin's protocol, in their order, as real numbers.
+
+use dermis_device::{FrameTable, Layout};
+use dermis_tomo::eit::Protocol;
+
+use crate::Error;
+use dermis_skin::Reads;
+
+/// How to make the protocol's channels out of a source's values: a sparse linear map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ChannelLayout {
+    inputs: usize,
+    /// For each channel the inputs that it adds up, with weights.
+    terms: Vec<Vec<(u32, f64)>>,
+}
+
+impl ChannelLayout {
+    /// Finds the protocol's channels in a layout.
+    ///
+    /// # Errors
+    /// A layout that does not hold them: another number of channels or electrodes, or a drive that is missing.
+    pub fn new(layout: &Layout, protocol: &Protocol, name: &str) -> Result<Self, Error> {
+        let refuse = |expected: String, got: String| Error::Frames { what: format!("frames of {name}"), expected, got };
+        let inputs = layout.channels();
+        let terms = match layout {
+            Layout::Channels { count } if *count == protocol.channel_count() => {
+                (0..*count as u32).map(|channel| vec![(channel, 1.0)]).collect()
+            }
+            Layout::Channels { count } => {
+                let electrodes = protocol.electrode_count();
+                if *count == electrodes * electrodes {
+                    full_matrix(protocol, electrodes).ok_or_else(|| {
+                        refuse(format!("{} channels", protocol.channel_count()), format!("{count} channels"))
+                    })?
+                } else {
+                    return Err(refuse(format!("{} channels", protocol.channel_count()), format!("{count} channels")));
+                }
+            }
+            Layout::FullMatrix { electrodes } if *electrodes == protocol.electrode_count() => {
+                full_matrix(protocol, *electrodes).ok_or_else(|| {
+                    refuse("a protocol of one pair per electrode".into(), "other drive or measuring patterns".into())
+                })?
+            }
+            Layout::SingleEnded { electrodes, stimulations } if *electrodes == protocol.electrode_count() => {
+                single_ended(protocol, *electrodes, stimulations)
+                    .map_err(|label| refuse(format!("the drive of channel {label}"), "no such injection".into()))?
+            }
+            Layout::FullMatrix { electrodes } | Layout::SingleEnded { electrodes, .. } => {
+                return Err(refuse(
+                    format!("{} electrodes", protocol.electrode_count()),
+                    format!("{electrodes} electrodes"),
+                ));
+            }
+        };
+        Ok(Self { inputs, terms })
+    }
+
+    /// Values a frame of the source has.
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// Number of channels of the protocol.
+    pub fn channels(&self) -> usize {
+        self.terms.len()
+    }
+
+    /// Fills `channels` from one frame of the source.
+    pub fn apply(&self, values: &[f64], channels: &mut Vec<f64>) {
+        channels.clear();
+        channels.extend(
+            self.terms.iter().map(|terms| terms.iter().map(|&(input, w)| w * values[input as usize]).sum::<f64>()),
+        );
+    }
+}
+
+/// Channel (drive pair k, measuring pair j) of a drive-major matrix whose rows and columns begin at those electrodes.
+fn full_matrix(protocol: &Protocol, electrodes: usize) -> Option<Vec<Vec<(u32, f64)>>> {
+    (0..protocol.channel_count())
+        .map(|channel| {
+            let drive = extreme(protocol.stimulation_of(channel), -1.0)?;
+            let read = extreme(protocol.pattern_of(channel), 1.0)?;
+            Some(vec![((drive as usize * electrodes + read as usize) as u32, 1.0)])
+        })
+        .collect()
+}
+
+/// The electrode with the largest weight of the given sign.
+fn extreme(pattern: &dermis_tomo::eit::Pattern, sign: f64) -> Option<u32> {
+    pattern.entries().iter().max_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1))).map(|entry| entry.0)
+}
+
+fn single_ended(
+    protocol: &Protocol,
+    electrodes: usize,
+    stimulations: &[(usize, usize)],
+) -> Result<Vec<Vec<(u32, f64)>>, String> {
+    (0..protocol.channel_count())
+        .map(|channel| {
+            let stimulation = protocol.stimulation_of(channel);
+            let (source, sink) = (extreme(stimulation, 1.0), extreme(stimulation, -1.0));
+            let position = |from: Option<u32>, to: Option<u32>| {
+                let (from, to) = (from? as usize, to? as usize);
+                stimulations.iter().position(|pair| *pair == (from, to))
+            };
+            // The current enters at the first electrode of an injection pair.
+            let (row, sign) = match (position(source, sink), position(sink, source)) {
+                (Some(row), _) => (row, 1.0),
+                (None, Some(row)) => (row, -1.0),
+                (None, None) => return Err(protocol.channel_label(channel)),
+            };
+            let entries = protocol.pattern_of(channel).entries().iter();
+            Ok(entries.map(|&(e, w)| ((row * electrodes + e as usize) as u32, sign * w)).collect())
+        })
+        .collect()
+}
+
+/// Turns an instrument's frames into channels of a protocol, as real numbers.
+///
+/// Complex readings become their component along one common phase, that of the first frame read (the instrument's phase,
+/// not the body's), so that baselines and frames must go through the same reader, baseline first.
+#[derive(Clone, Debug)]
+pub struct ChannelReader {
+    layout: ChannelLayout,
+    complex: bool,
+    phase: Option<(f64, f64)>,
+    imaginary: Vec<f64>,
+}
+
+impl ChannelReader {
+    /// A reader for frames of this layout; `name` is the source's, for errors.
+    ///
+    /// # Errors
+    /// A layout that does not hold the protocol's channels.
+    pub fn new(layout: &Layout, protocol: &Protocol, reads: Reads, name: &str) -> Result<Self, Error> {
+        let layout = ChannelLayout::new(layout, protocol, name)?;
+        Ok(Self { layout, complex: reads == Reads::Complex, phase: None, imaginary: Vec::new() })
+    }
+
+    /// Takes over the phase that another reader found (a baseline's, for the frames that go with it).
+    pub fn share_phase_of(&mut self, other: &Self) {
+        self.phase = other.phase;
+    }
+
+    /// Fills `channels` from one frame; `imaginary` is empty for real instruments.
+    ///
+    /// # Errors
+    /// A frame of another length than the layout's.
+    pub fn read(&mut self, values: &[f64], imaginary: &[f64], channels: &mut Vec<f64>) -> Result<(), Error> {
+        if values.len() != self.layout.inputs() {
+            return Err(Error::Frames {
+                what: "values of a frame".into(),
+                expected: self.layout.inputs().to_string(),
+                got: values.len().to_string(),
+            });
+        }
+        self.layout.apply(values, channels);
+        if self.complex && imaginary.len() == values.len() {
+            self.layout.apply(imaginary, &mut self.imaginary);
+            let (cosine, sine) = *self.phase.get_or_insert_with(|| common_phase(channels, &self.imaginary));
+            channels.iter_mut().zip(&self.imaginary).for_each(|(re, im)| *re = *re * cosine + im * sine);
+        }
+        Ok(())
+    }
+
+    /// All frames of a table.
+    ///
+    /// # Errors
+    /// As [`ChannelReader::read`].
+    pub fn read_table(&mut self, table: &FrameTable) -> Result<Vec<Vec<f64>>, Error> {
+        (0..table.frames())
+            .map(|index| {
+                let mut channels = Vec::new();
+                let row = table.row(index).unwrap_or_default();
+                self.read(row, table.imaginary_row(index).unwrap_or_default(), &mut channels)?;
+                Ok(channels)
+            })
+            .collect()
+    }
+}
+
+/// Direction (cos, sin) of the principal axis of complex channels, toward positive real parts: half the angle of the sum
+/// of squares.
+fn common_phase(real: &[f64], imaginary: &[f64]) -> (f64, f64) {
+    let finite = || real.iter().zip(imaginary).filter(|(re, im)| re.is_finite() && im.is_finite());
+    let sum_real: f64 = finite().map(|(re, im)| re * re - im * im).sum();
+    let sum_imaginary: f64 = finite().map(|(re, im)| 2.0 * re * im).sum();
+    let angle = 0.5 * sum_imaginary.atan2(sum_real);
+    (angle.cos(), angle.sin())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+
+    #[test]
+    fn matrices_and_potentials_give_the_same_channels() {
+        let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
+        let potential = |row: usize, electrode: usize| ((row * 31 + electrode * electrode * 7) % 97) as f64;
+        let pairs: Vec<(usize, usize)> = (0..16).map(|k| ((k + 1) % 16, k)).collect();
+        let single: Vec<f64> = (0..16).flat_map(|row| (0..16).map(move |e| potential(row, e))).collect();
+        let full: Vec<f64> =
+            (0..16).flat_map(|row| (0..16).map(move |j| potential(row, j) - potential(row, (j + 1) % 16))).collect();
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        let layout = Layout::SingleEnded { electrodes: 16, stimulations: pairs };
+        ChannelLayout::new(&layout, &protocol, "a").unwrap().apply(&single, &mut a);
+        ChannelLayout::new(&Layout::FullMatrix { electrodes: 16 }, &protocol, "b").unwrap().apply(&full, &mut b);
+        assert_eq!(a, b);
+    }
+
+    #[test]
+    fn a_wrong_count_says_both_numbers() {
+        let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
+        let error = ChannelLayout::new(&Layout::Channels { count: 207 }, &protocol, "x.csv").unwrap_err();
+        assert_eq!(error.to_string(), "frames of x.csv: expected 208 channels, got 207 channels");
+    }
+
+    #[test]
+    fn the_common_phase_is_that_of_the_instrument() {
+        let values = [1.0, -2.0, 0.5];
+        let angle: f64 = 0.4;
+        let real: Vec<f64> = values.iter().map(|v| v * angle.cos()).collect();
+        let imaginary: Vec<f64> = values.iter().map(|v| v * angle.sin()).collect();
+        let (cosine, sine) = common_phase(&real, &imaginary);
+        assert!((cosine - angle.cos()).abs() < 1e-12 && (sine - angle.sin()).abs() < 1e-12);
+    }
+}

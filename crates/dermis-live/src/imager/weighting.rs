@@ -1,0 +1,90 @@
+//! What the operator is made of beside the Jacobian: the weights of channels, the prior of pixels, and whether either has
+//! to wait for measurements.
+
+use dermis_skin::{HyperparameterChoice, WeightChoice};
+use dermis_tomo::inverse::{PriorMatrix, Weighting};
+use faer::MatRef;
+
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+
+/// True where neither weights nor hyperparameter are taken from measurements, so that the operator can be built before
+/// there are any.
+pub fn operator_needs_no_baseline(prepared: &Prepared) -> bool {
+    let rule = matches!(
+        prepared.skin.imaging.hyperparameter,
+        HyperparameterChoice::Number(_) | HyperparameterChoice::Relative(_) | HyperparameterChoice::NoiseFigure(_)
+    );
+    weights_need_no_baseline(prepared) && rule && prepared.skin.backend.circuit.is_none()
+}
+
+/// True where weights, and with them the whole problem but for its hyperparameter, follow from the skin file.
+pub(crate) fn weights_need_no_baseline(prepared: &Prepared) -> bool {
+    matches!(prepared.skin.imaging.weights, WeightChoice::Identity | WeightChoice::FloorAndShare { .. })
+}
+
+/// The weights of the skin file, from this reference where they are measured.
+pub(crate) fn weighting(prepared: &Prepared, reference: &Reference) -> Result<Weighting, Error> {
+    let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
+    let from_variances = |variances: Vec<f64>| Weighting::Diagonal(variances.iter().map(|v| 1.0 / v).collect());
+    Ok(match &prepared.skin.imaging.weights {
+        WeightChoice::Identity => Weighting::Identity,
+        WeightChoice::FloorAndShare { floor, share } => {
+            let variance = |v: &f64| (floor * largest).powi(2) + (share * v).powi(2);
+            from_variances(prepared.voltages.iter().map(variance).collect())
+        }
+        WeightChoice::Measured { floor } => {
+            let variance = |sigma: &f64| sigma * sigma + (floor * largest).powi(2);
+            from_variances(reference.noise.iter().map(variance).collect())
+        }
+        WeightChoice::MeasuredFull => match &reference.covariance {
+            Some(matrix) => {
+                let size = prepared.channels();
+                Weighting::from_covariance(MatRef::from_row_major_slice(matrix, size, size))?
+            }
+            None => {
+                return Err(Error::Frames {
+                    what: "baseline for imaging.weights = \"measured-full\"".into(),
+                    expected: "at least 16 frames without missing values".into(),
+                    got: "fewer, or some values missing".into(),
+                });
+            }
+        },
+        WeightChoice::Reciprocity { floor } => {
+            let volts: Vec<f64> = reference.baseline.iter().zip(&reference.scale).map(|(b, s)| b * s).collect();
+            Weighting::from_reciprocity(&volts, &prepared.protocol.reciprocal_channels(), floor * largest)?
+        }
+    })
+}
+
+/// The prior of the skin file. Priors that look at the sensitivity of pixels are shown that of a small spot: the pixel
+/// and those beside it, per area. A single pixel may be cut by the rim or lie under an electrode, where no channel
+/// sees anything; it must not be allowed larger values for that.
+pub(crate) fn prior_matrix(prepared: &Prepared, weighting: &Weighting) -> Result<PriorMatrix, Error> {
+    let (jacobian, areas) = (prepared.jacobian.as_mat(), prepared.map.pixel_measures());
+    let (mut spots, mut spot_areas) = (jacobian.to_owned(), areas.to_vec());
+    for &[a, b] in &prepared.basis.neighbours {
+        for (pixel, beside) in [(a as usize, b as usize), (b as usize, a as usize)] {
+            spot_areas[pixel] += areas[beside];
+            spots.col_mut(pixel).iter_mut().zip(jacobian.col(beside).iter()).for_each(|(sum, j)| *sum += j);
+        }
+    }
+    let pixel_area = prepared.map.grid().pixel_m.powi(2);
+    for (spot, area) in spots.col_iter_mut().zip(&spot_areas) {
+        spot.iter_mut().for_each(|value| *value *= pixel_area / area);
+    }
+    Ok(prepared.prior().matrix(spots.as_ref(), weighting, &prepared.basis)?)
+}
+
+/// Difference data of a small touch in the middle of the skin, for the noise figure.
+pub(crate) fn central_touch(prepared: &Prepared) -> Vec<f64> {
+    let (low, high) = prepared.body.outline.bounds_m();
+    let middle = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
+    let radius = 0.05 * (high[0] - low[0]).min(high[1] - low[1]);
+    let touched: Vec<bool> =
+        prepared.basis.positions.iter().map(|p| (p[0] - middle[0]).hypot(p[1] - middle[1]) <= radius).collect();
+    (0..prepared.channels())
+        .map(|c| prepared.jacobian.row(c).iter().zip(&touched).map(|(j, t)| if *t { 0.1 * j } else { 0.0 }).sum())
+        .collect()
+}

@@ -1,0 +1,16 @@
+//! The second step of imaging: what a network is shown of a frame ([`FirstStep`]), and the classes of live frames
+//! ([`Classifier`]).
+
+mod built_in;
+mod classes;
+mod classifier;
+mod fingerprint;
+mod masks;
+mod network_input;
+
+pub use built_in::built_in;
+pub use classes::{CLASSES, Classes, UNLIKE};
+pub use classifier::{Classifier, Seen};
+pub use fingerprint::imaging_sha256;
+pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
+pub use network_input::{BATCH, FirstStep, InputImage};

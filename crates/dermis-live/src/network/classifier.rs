@@ -1,0 +1,173 @@
+//! The second step live: difference data in, the class of every pixel out, with probabilities, a novelty score, and a
+//! fall-back to thresholds on the first-step image where a frame is unlike those that the network was trained on.
+//! Allocates nothing per frame while the set of missing channels stays the same.
+
+use dermis_learn::metrics::most_likely;
+use dermis_learn::scene::BACKGROUND;
+use dermis_learn::{Model, Network, Novelty};
+use rayon::prelude::*;
+
+use super::classes::{CLASSES, Classes, UNLIKE};
+use super::fingerprint::imaging_sha256;
+use super::masks::{MaskRule, label_image};
+use super::network_input::{BATCH, FirstStep, InputImage};
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+
+/// Of a batch of frames: probabilities, and novelty where the model knows it.
+pub type Seen = (Vec<f32>, Option<f32>);
+
+/// A network with what it is shown, for one skin.
+#[derive(Debug)]
+pub struct Classifier {
+    first_step: FirstStep,
+    network: Network,
+    novelty: Option<Novelty>,
+    scale: Vec<f32>,
+    temperature: f32,
+    /// The image that thresholds fall back to, its place among the inputs, and the sign that makes it of conductivity.
+    step: usize,
+    polarity: f32,
+    rule: MaskRule,
+    outside: Vec<u32>,
+    input: Vec<f32>,
+    probabilities: Vec<f32>,
+}
+
+impl Classifier {
+    /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a measured
+    /// baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
+    ///
+    /// # Errors
+    /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time for.
+    pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
+        let refined = InputImage::Refined.to_string();
+        if model.card.inputs.contains(&refined) {
+            let (expected, got) = ("inputs that a live frame has time for".into(), refined);
+            return Err(Error::Frames { what: "model".into(), expected, got });
+        }
+        let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
+        Self::with_reference(prepared, &reference, model)
+    }
+
+    /// With operators for one reference.
+    ///
+    /// # Errors
+    /// A model of another skin, or whose inputs, classes or image size do not fit it.
+    pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
+        model.check_skin(&prepared.skin.name, &imaging_sha256(&prepared.skin))?;
+        let card = &model.card;
+        let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
+        let inputs: Vec<InputImage> = card
+            .inputs
+            .iter()
+            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
+            .collect::<Result<_, Error>>()?;
+        let Some(step) = inputs.iter().position(|input| matches!(input, InputImage::Step(_))) else {
+            return Err(refuse("an image among the inputs".into(), card.inputs.join(", ")));
+        };
+        if card.classes != CLASSES {
+            return Err(refuse(format!("classes {}", CLASSES.join(", ")), card.classes.join(", ")));
+        }
+        let grid = prepared.map.grid();
+        if (card.rows, card.columns) != (grid.rows, grid.columns) {
+            let expected = format!("images of {} x {}", grid.rows, grid.columns);
+            return Err(refuse(expected, format!("{} x {}", card.rows, card.columns)));
+        }
+        let inside = prepared.map.inside_mask();
+        Ok(Self {
+            first_step: FirstStep::new(prepared, reference, &inputs)?,
+            network: model.network()?,
+            novelty: model.novelty(),
+            scale: card.input_scale.clone(),
+            temperature: card.temperature,
+            step,
+            polarity: prepared.skin.imaging.polarity.sign() as f32,
+            rule: MaskRule::linear(prepared.skin.touch.smallest_amplitude),
+            outside: (0..grid.len() as u32).filter(|&pixel| !inside[pixel as usize]).collect(),
+            input: vec![0.0; inputs.len() * grid.len()],
+            probabilities: vec![0.0; card.classes.len() * grid.len()],
+        })
+    }
+
+    /// Rows and columns of the images.
+    pub fn image_size(&self) -> (usize, usize) {
+        self.network.image_size()
+    }
+
+    /// Classes of one frame of difference data (model volts, `NaN` where missing), as `Reference::difference` gives it.
+    /// `out` takes the size of the images where it has another.
+    ///
+    /// # Errors
+    /// A frame of another length or without any channel.
+    pub fn classify(&mut self, difference: &[f64], out: &mut Classes) -> Result<(), Error> {
+        let (rows, columns) = self.image_size();
+        if (out.rows, out.columns) != (rows, columns) || out.probabilities.len() != self.probabilities.len() {
+            *out = Classes::new(rows, columns);
+        }
+        out.novelty = self.run(difference)?;
+        out.falls_back = out.novelty.is_some_and(|novelty| novelty > UNLIKE);
+        let pixels = rows * columns;
+        if out.falls_back {
+            let image = &self.input[self.step * pixels..(self.step + 1) * pixels];
+            // Multiplied by the network's scale; thresholds are of the image itself.
+            label_image(image, self.polarity / self.scale[self.step], &self.rule, &mut out.labels);
+            for (class, probabilities) in out.probabilities.chunks_exact_mut(pixels).enumerate() {
+                for (probability, label) in probabilities.iter_mut().zip(&out.labels) {
+                    *probability = f32::from(u8::from(usize::from(*label) == class));
+                }
+            }
+        } else {
+            out.probabilities.copy_from_slice(&self.probabilities);
+            for &pixel in &self.outside {
+                for (class, probabilities) in out.probabilities.chunks_exact_mut(pixels).enumerate() {
+                    probabilities[pixel as usize] = f32::from(u8::from(class == usize::from(BACKGROUND)));
+                }
+            }
+            most_likely(&out.probabilities, CLASSES.len(), &mut out.labels);
+        }
+        Ok(())
+    }
+
+    /// The network's probabilities, outside the skin too, are left in `self.probabilities`; the novelty score.
+    fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
+        self.first_step.images_of(difference, &mut self.input)?;
+        rescale(&mut self.input, &self.scale);
+        self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
+        Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
+    }
+
+    /// The network's probabilities (classes x rows x columns, outside the skin too) and novelty scores of many frames, on all
+    /// threads; `done` is told after each batch how many frames it had.
+    ///
+    /// # Errors
+    /// As [`Classifier::classify`].
+    pub fn run_all(&mut self, differences: &[Vec<f64>], mut done: impl FnMut(usize)) -> Result<Vec<Seen>, Error> {
+        let mut all = Vec::with_capacity(differences.len());
+        let mut inputs = Vec::new();
+        for batch in differences.chunks(BATCH) {
+            self.first_step.images_of_all(batch, &mut inputs)?;
+            let (values, count) = (self.input.len(), self.probabilities.len());
+            let of_frame = |network: &mut Network, input: &mut [f32]| {
+                rescale(input, &self.scale);
+                let mut probabilities = vec![0.0; count];
+                network.probabilities(input, self.temperature, &mut probabilities)?;
+                Ok((probabilities, self.novelty.as_ref().map(|novelty| novelty.score(network.features()))))
+            };
+            let frames = inputs.par_chunks_exact_mut(values);
+            let found: Result<Vec<Seen>, Error> = frames.map_init(|| self.network.clone(), of_frame).collect();
+            all.extend(found?);
+            done(batch.len());
+        }
+        Ok(all)
+    }
+}
+
+/// Images times the factors that the network was trained with.
+fn rescale(input: &mut [f32], scale: &[f32]) {
+    let pixels = input.len() / scale.len();
+    for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
+        image.iter_mut().for_each(|value| *value *= factor);
+    }
+}

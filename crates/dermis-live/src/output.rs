@@ -1,0 +1,41 @@
+//! What the pipeline says of one frame.
+
+use dermis_touch::health::Health;
+use dermis_touch::{Touch, TouchEvent};
+
+use crate::clock::FrameAnomalies;
+use crate::stages::classes::SeenClasses;
+use crate::stages::damage::DamageView;
+
+/// Everything known about one frame once the pipeline is through with it.
+#[derive(Debug, Clone, Copy)]
+pub struct Output<'a> {
+    /// The device's frame number. Gaps are lost frames.
+    pub sequence: u64,
+    /// Time of the frame on the host's monotonic clock, nanoseconds.
+    pub time_ns: u64,
+    /// Time of the frame on the host's wall clock, nanoseconds since 1970-01-01 UTC.
+    pub wall_ns: u64,
+    /// Readings in the skin's channel order and the instrument's unit; NaN where missing.
+    pub raw: &'a [f64],
+    /// Readings minus baseline, in the same order.
+    pub compensated: &'a [f64],
+    /// The image, row-major, `rows * columns` values, row 0 at the top (+y); NaN outside the skin.
+    pub image: &'a [f32],
+    /// Pixels in a row of the image.
+    pub columns: usize,
+    /// Rows of the image.
+    pub rows: usize,
+    /// Touches on the skin in this frame; those that ended in it stand only in `events`.
+    pub touches: &'a [Touch],
+    /// What happened to each touch.
+    pub events: &'a [TouchEvent],
+    /// What a network makes of the frame, or made of one shortly before, where there is one.
+    pub classes: Option<SeenClasses<'a>>,
+    /// Channels left out, and electrodes blamed.
+    pub health: Health<'a>,
+    /// Damage, baselines and proposals, where damage is watched.
+    pub damage: DamageView<'a>,
+    /// What is odd about the frame's number or time.
+    pub anomalies: FrameAnomalies,
+}

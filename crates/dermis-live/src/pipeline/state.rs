@@ -1,0 +1,79 @@
+//! What the pipeline is made of before and after its first baseline.
+
+use dermis_touch::force::ForceCalibration;
+
+use crate::Error;
+use crate::calibration::{CalibratedImager, Calibration};
+use crate::imager::{Imager, operator_needs_no_baseline};
+use crate::prepare::Prepared;
+use crate::reconstructor::Reconstructor;
+use crate::reference::Reference;
+use crate::stages::refinement::Refinement;
+
+/// Where the pipeline is in its life.
+#[derive(Debug)]
+pub(super) enum State {
+    /// Frames make the first baseline.
+    Starting(Box<Starting>),
+    /// Frames are compared with a baseline.
+    Running(Box<Running>),
+}
+
+/// What is made before any frame has to wait for it.
+#[derive(Debug)]
+pub(super) struct Starting {
+    /// The operator, where it does not depend on the baseline.
+    imager: Option<Imager>,
+    refinement: Refinement,
+}
+
+/// What frames are compared with and made into touches by.
+#[derive(Debug)]
+pub(super) struct Running {
+    pub reference: Reference,
+    pub reconstructor: Reconstructor,
+}
+
+/// What the user has chosen beside the skin file.
+#[derive(Debug, Default)]
+pub(super) struct Choices {
+    pub calibration: Option<Calibration>,
+    pub hyperparameter: Option<f64>,
+    pub forces: Option<ForceCalibration>,
+}
+
+impl Starting {
+    pub fn new(prepared: &Prepared, calibration: Option<&Calibration>) -> Result<Self, Error> {
+        let imager = if calibration.is_none() && operator_needs_no_baseline(prepared) {
+            Some(Imager::new(prepared, &Reference::from_baseline(prepared, &prepared.voltages, None)?, &[])?)
+        } else {
+            None
+        };
+        let refinement = if Refinement::is_wanted(prepared, calibration.is_some()) {
+            Refinement::without_noise(prepared)?
+        } else {
+            Refinement::none()
+        };
+        Ok(Self { imager, refinement })
+    }
+
+    /// What follows the first baseline.
+    pub fn run(&mut self, prepared: &Prepared, choices: &Choices, reference: Reference) -> Result<Running, Error> {
+        let CalibratedImager { mut imager, reference, placement } = match self.imager.take() {
+            Some(mut imager) => {
+                imager.set_noise(&reference.noise)?;
+                CalibratedImager { imager, reference, placement: None }
+            }
+            None => CalibratedImager::new(prepared, choices.calibration.as_ref(), reference, &[])?,
+        };
+        if let Some(lambda) = choices.hyperparameter {
+            imager.set_hyperparameter(lambda, &reference.noise)?;
+        }
+        let refinement = std::mem::replace(&mut self.refinement, Refinement::none());
+        let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
+        reconstructor.touches.set_forces(choices.forces.clone());
+        reconstructor.refinement.set_noise(&reference.noise);
+        reconstructor.refinement.leave_out(prepared, &[], &reference.noise)?;
+        Ok(Running { reference, reconstructor })
+    }
+}

@@ -1,0 +1,194 @@
+//! From a skin file to its forward model on the image grid: done once per skin, before any frame is seen.
+
+use std::sync::{Arc, OnceLock};
+
+use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
+use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior};
+use dermis_tomo::mesh::PixelMap;
+
+use crate::Error;
+use crate::magnetic_model::MagneticModel;
+use dermis_skin::{MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
+
+/// Below this share of a pixel there is no skin to speak of.
+const LEAST_RIM_COVERAGE: f64 = 5e-3;
+
+/// A skin's forward model at rest, on the grid that its images live on. Its parts belong together: where one of them is
+/// changed, imagers made before and after may not fit it.
+#[derive(Debug)]
+pub struct Prepared {
+    /// The skin file.
+    pub skin: Skin,
+    /// Outline, electrodes, mesh.
+    pub body: SkinBody,
+    /// Stimulation and measurement.
+    pub protocol: Protocol,
+    /// Mesh to pixels.
+    pub map: PixelMap,
+    /// Voltages of the resting skin, volts, signed.
+    pub voltages: Vec<f64>,
+    /// Channels x inside pixels: volts per relative change of conductivity; of magnetic induction, of readings per share of
+    /// the elements' full travel.
+    pub jacobian: Jacobian,
+    /// The inside pixels as unknowns.
+    pub basis: ImageBasis,
+    /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and imagers
+    /// that differ in lambda alone share it.
+    problem: OnceLock<Arc<LinearProblem>>,
+}
+
+impl Prepared {
+    /// Meshes the skin and solves it at rest.
+    ///
+    /// # Errors
+    /// Shapes, electrodes or patterns that do not work out; see [`Error`].
+    pub fn new(skin: Skin) -> Result<Self, Error> {
+        let body = skin.body()?;
+        let protocol = skin.protocol()?;
+        let mesh_error = |source| Error::Mesh { skin: skin.name.clone(), source };
+        let map = PixelMap::new(skin.grid()?, &body.mesh.mesh).map_err(mesh_error)?;
+        if skin.modality == Modality::Mit {
+            let (voltages, jacobian) =
+                MagneticModel::of(&skin)?.linearised(&map.inside_centres_m(), map.grid().pixel_m)?;
+            let basis = pixel_basis(&map);
+            return Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() });
+        }
+        let conductance = skin.sheet_conductance_s();
+        let sigma = vec![conductance; body.mesh.mesh.element_count()];
+        let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
+        let solution = model.solve(&sigma)?;
+        let (voltages, mut jacobian) = match &skin.backend.circuit {
+            None => (solution.voltages(), solution.jacobian_to_pixels(&map)),
+            Some(circuit) => {
+                let response = circuit.readout().response(&solution, conductance)?;
+                let effective = ForwardModel::new(body.mesh.clone(), response.effective)?;
+                (response.voltages, effective.solve(&sigma)?.jacobian_to_pixels(&map))
+            }
+        };
+        jacobian.values.iter_mut().for_each(|value| *value *= conductance);
+        let basis = pixel_basis(&map);
+        Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() })
+    }
+
+    /// Number of channels of a frame.
+    pub fn channels(&self) -> usize {
+        self.voltages.len()
+    }
+
+    /// Pixels that the skin covers only a little of, which images leave out, each with the inside pixel nearest to it (both
+    /// row-major): an image that is to have a value wherever there is skin takes it from there.
+    pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
+        let grid = self.map.grid();
+        let distance = |a: usize, b: usize| {
+            let (p, q) = (grid.centre_m(a), grid.centre_m(b));
+            (p[0] - q[0]).hypot(p[1] - q[1])
+        };
+        let mask = self.map.inside_mask();
+        let on_rim = (0..grid.len()).filter(|&pixel| !mask[pixel] && self.map.coverage()[pixel] > LEAST_RIM_COVERAGE);
+        on_rim
+            .filter_map(|pixel| {
+                let inside = self.map.inside_pixels().iter().map(|&p| p as usize);
+                let nearest = inside.min_by(|&a, &b| distance(pixel, a).total_cmp(&distance(pixel, b)))?;
+                Some((pixel, nearest))
+            })
+            .collect()
+    }
+
+    /// Does a measured baseline (channels in the protocol's order) look like this skin at rest, and if not, is it in
+    /// another order or of the other sign?
+    pub fn diagnose(&self, baseline: &[f64]) -> OrderReport {
+        diagnose_order(&self.protocol, &self.voltages, baseline, self.skin.backend.reads == Reads::Magnitude)
+    }
+
+    /// Half the shorter side of the skin, metres.
+    pub fn half_width_m(&self) -> f64 {
+        let (low, high) = self.body.outline.bounds_m();
+        0.5 * (high[0] - low[0]).min(high[1] - low[1])
+    }
+
+    /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data in
+    /// model volts for a relative change of 1 at the middle, polarity included.
+    pub fn signatures(&self, positions_m: &[[f64; 2]]) -> Vec<f64> {
+        let sigma = self.skin.touch.relative_size * self.half_width_m();
+        let polarity = self.skin.imaging.polarity.sign();
+        let mut rows = Vec::with_capacity(positions_m.len() * self.channels());
+        for p in positions_m {
+            let weights: Vec<(usize, f64)> = self
+                .basis
+                .positions
+                .iter()
+                .map(|q| ((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)) / (sigma * sigma))
+                .enumerate()
+                .filter(|(_, distance)| *distance < 16.0)
+                .map(|(pixel, distance)| (pixel, polarity * (-0.5 * distance).exp()))
+                .collect();
+            rows.extend((0..self.channels()).map(|channel| {
+                let row = self.jacobian.row(channel);
+                weights.iter().map(|&(pixel, weight)| weight * row[pixel]).sum::<f64>()
+            }));
+        }
+        rows
+    }
+
+    /// The problem in use, or that which `build` makes, kept if `lasts`.
+    pub(crate) fn problem(
+        &self,
+        lasts: bool,
+        build: impl FnOnce() -> Result<LinearProblem, Error>,
+    ) -> Result<Arc<LinearProblem>, Error> {
+        if let Some(problem) = self.problem.get().filter(|_| lasts) {
+            return Ok(problem.clone());
+        }
+        let problem = Arc::new(build()?);
+        if lasts {
+            // Where another thread was faster, both are the same.
+            let _ = self.problem.set(problem.clone());
+        }
+        Ok(problem)
+    }
+
+    /// The prior of the skin file in metres.
+    pub fn prior(&self) -> Prior {
+        prior_of(&self.skin.imaging.prior, self.half_width_m())
+    }
+}
+
+fn prior_of(choice: &PriorChoice, half_width_m: f64) -> Prior {
+    match choice {
+        PriorChoice::Identity => Prior::Identity,
+        PriorChoice::Laplace => Prior::Laplace,
+        PriorChoice::Noser(exponent) => Prior::Noser { exponent: *exponent },
+        PriorChoice::GaussianMm(length) => Prior::Gaussian { correlation_length_m: length * 1e-3 },
+        PriorChoice::Balanced { relative_length, exponent } => {
+            Prior::GaussianNoser { correlation_length_m: relative_length * half_width_m, exponent: *exponent }
+        }
+        PriorChoice::Mixture(parts) => {
+            let part = |MixturePart { weight, prior }: &MixturePart| (*weight, prior_of(prior, half_width_m));
+            Prior::Mixture(parts.iter().map(part).collect())
+        }
+    }
+}
+
+/// Inside pixels as unknowns: centres, and neighbours that share a side.
+fn pixel_basis(map: &PixelMap) -> ImageBasis {
+    let grid = map.grid();
+    let mut number = vec![u32::MAX; grid.len()];
+    for (unknown, &pixel) in map.inside_pixels().iter().enumerate() {
+        number[pixel as usize] = unknown as u32;
+    }
+    let mut neighbours = Vec::new();
+    for row in 0..grid.rows {
+        for column in 0..grid.columns {
+            let here = number[row * grid.columns + column];
+            let right = (column + 1 < grid.columns).then(|| number[row * grid.columns + column + 1]);
+            let below = (row + 1 < grid.rows).then(|| number[(row + 1) * grid.columns + column]);
+            for other in [right, below].into_iter().flatten() {
+                if here != u32::MAX && other != u32::MAX {
+                    neighbours.push([here, other]);
+                }
+            }
+        }
+    }
+    let positions = map.inside_centres_m().into_iter().map(|p| [p[0], p[1], 0.0]).collect();
+    ImageBasis { positions, neighbours }
+}

@@ -1,0 +1,99 @@
+//! From difference data to touches: image, contacts, refinement, tracks. Live frames and frames at a desk share it.
+
+use crate::Error;
+use crate::calibration::PlacementFinder;
+use crate::imager::Imager;
+use crate::prepare::Prepared;
+use crate::stages::element_contacts::ElementContacts;
+use crate::stages::placement::Placement;
+use crate::stages::refinement::Refinement;
+use crate::stages::touches::TouchStage;
+
+/// Makes images of difference data and touches of images.
+#[derive(Debug)]
+pub struct Reconstructor {
+    /// Difference data to images.
+    pub imager: Imager,
+    /// What places single touches in a calibrated skin.
+    pub placement: Option<PlacementFinder>,
+    /// What places contacts by the forward model.
+    pub refinement: Refinement,
+    /// What joins the contacts of elements that one press moves, where images are solved for elements.
+    elements: Option<ElementContacts>,
+    /// Images to touches.
+    pub touches: TouchStage,
+}
+
+impl Reconstructor {
+    /// Of a prepared skin, with what makes its images, and what refines its touches.
+    ///
+    /// # Errors
+    /// Thresholds in the skin file that are out of range.
+    pub fn new(
+        prepared: &Prepared,
+        imager: Imager,
+        placement: Option<PlacementFinder>,
+        refinement: Refinement,
+    ) -> Result<Self, Error> {
+        let touches = TouchStage::new(prepared, imager.noise_image())?;
+        Ok(Self { imager, placement, refinement, elements: ElementContacts::new(prepared), touches })
+    }
+
+    /// Images one frame of difference data: see [`Imager::image`].
+    ///
+    /// # Errors
+    /// As [`Imager::image`].
+    pub fn image(&mut self, difference: &[f64], image: &mut [f32]) -> Result<(), Error> {
+        self.imager.image(difference, image)
+    }
+
+    /// Where a calibration puts the single touch of a frame of difference data.
+    ///
+    /// # Errors
+    /// As [`PlacementFinder::place`].
+    pub fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        self.placement.as_mut().map_or(Ok(None), |finder| finder.place(difference))
+    }
+
+    /// Follows the touches of an image of the frame imaged last.
+    ///
+    /// # Errors
+    /// An image of another size, a time before the last one, or a sheet with new cuts that cannot be solved.
+    pub fn follow_touches(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
+        self.touches.find_contacts(image, placement)?;
+        if let (None, Some(elements), Some(fit)) = (placement, &mut self.elements, self.imager.heights()) {
+            elements.place(fit, self.touches.contacts_mut());
+        }
+        if placement.is_none() {
+            self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;
+        }
+        self.touches.track_contacts(time_ns)
+    }
+
+    /// Goes on without these channels, at this noise of the others (model volts); with an empty list with all channels.
+    ///
+    /// # Errors
+    /// A channel that does not exist, or all of them.
+    pub fn leave_out(&mut self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<(), Error> {
+        self.imager.leave_out(channels, noise)?;
+        self.touches.set_noise(self.imager.noise_image());
+        self.refinement.leave_out(prepared, channels, noise)
+    }
+
+    /// True while anything lies on the skin, contacts not yet confirmed and frames not yet explained included.
+    pub fn is_loaded(&self) -> bool {
+        self.touches.is_loaded() || self.refinement.is_seeking()
+    }
+
+    /// The stream was interrupted before the next frame: see [`TouchStage::interrupt`].
+    pub fn interrupt(&mut self, time_ns: u64) {
+        self.refinement.forget();
+        self.touches.interrupt(time_ns);
+    }
+
+    /// Ends all touches: the next frame has nothing to do with this one.
+    pub fn forget(&mut self, time_ns: u64) {
+        self.refinement.forget();
+        self.touches.forget(time_ns);
+    }
+}

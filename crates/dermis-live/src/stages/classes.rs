@@ -1,0 +1,224 @@
+//! The network's word beside the live image: classes of the pixels. A network takes some milliseconds, which touches must not
+//! wait for; so it works on a thread of its own, at most so many times a second, and its classes come a little after their
+//! frame.
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use dermis_learn::Model;
+
+use crate::Error;
+use crate::network::{Classes, Classifier};
+use crate::prepare::Prepared;
+
+/// When a network is asked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClassPace {
+    /// In every frame, which waits for it.
+    EveryFrame,
+    /// Beside the frames, at most 25 times a second of theirs: a frame's classes are seen some frames later.
+    Background,
+}
+
+/// What a network made of a frame.
+#[derive(Clone, Copy, Debug)]
+pub struct SeenClasses<'a> {
+    /// Classes of the pixels.
+    pub classes: &'a Classes,
+    /// Number of the frame that they are of: the present one, or one a little before.
+    pub sequence: u64,
+}
+
+/// Least time between two frames that are looked at beside the others, nanoseconds.
+const INTERVAL_NS: u64 = 40_000_000;
+
+/// A network with the classes that it saw last.
+#[derive(Debug)]
+pub(crate) struct ClassStage {
+    worker: Worker,
+    classes: Classes,
+    /// The frame that they are of.
+    sequence: Option<u64>,
+}
+
+#[derive(Debug)]
+enum Worker {
+    Inline(Box<Classifier>),
+    Background(Background),
+}
+
+#[derive(Debug)]
+struct Background {
+    mailbox: Arc<Mailbox>,
+    thread: Option<JoinHandle<()>>,
+    /// When a frame was last handed over.
+    asked_ns: Option<u64>,
+    /// Results for frames before this one are discarded.
+    from_sequence: u64,
+}
+
+/// Where frames are left for the network, and its classes for the pipeline.
+#[derive(Debug)]
+struct Mailbox {
+    slot: Mutex<Slot>,
+    arrived: Condvar,
+}
+
+#[derive(Debug)]
+struct Slot {
+    difference: Vec<f64>,
+    sequence: u64,
+    state: State,
+    classes: Classes,
+    failed: Option<Error>,
+    ended: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
+    /// Nothing to do.
+    Idle,
+    /// A frame is waiting.
+    Asked,
+    /// The network works on it.
+    Busy,
+    /// Its classes are ready.
+    Done,
+}
+
+impl Mailbox {
+    /// Nothing panics while holding the slot; if something did, its contents would be as good as before.
+    fn slot(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Looks at one frame after the other.
+    fn work(&self, mut classifier: Classifier) {
+        let (mut difference, mut classes) = (Vec::new(), Classes::new(0, 0));
+        loop {
+            let mut slot = self.slot();
+            while slot.state != State::Asked && !slot.ended {
+                slot = self.arrived.wait(slot).unwrap_or_else(PoisonError::into_inner);
+            }
+            if slot.ended {
+                return;
+            }
+            std::mem::swap(&mut difference, &mut slot.difference);
+            slot.state = State::Busy;
+            drop(slot);
+            let seen = classifier.classify(&difference, &mut classes);
+            let mut slot = self.slot();
+            match seen {
+                Ok(()) => std::mem::swap(&mut classes, &mut slot.classes),
+                Err(error) => slot.failed = Some(error),
+            }
+            slot.state = State::Done;
+        }
+    }
+}
+
+impl Drop for Background {
+    fn drop(&mut self) {
+        self.mailbox.slot().ended = true;
+        self.mailbox.arrived.notify_one();
+        if let Some(thread) = self.thread.take() {
+            // A panic there was reported by its own thread.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl ClassStage {
+    pub(crate) fn new(prepared: &Prepared, model: &Model, pace: ClassPace) -> Result<Self, Error> {
+        let grid = prepared.map.grid();
+        let classes = Classes::new(grid.rows, grid.columns);
+        let classifier = Classifier::new(prepared, model)?;
+        let worker = match pace {
+            ClassPace::EveryFrame => Worker::Inline(Box::new(classifier)),
+            ClassPace::Background => Worker::Background(Background::new(classifier, classes.clone())?),
+        };
+        Ok(Self { worker, classes, sequence: None })
+    }
+
+    /// Classifies difference data (model volts, `NaN` where missing) of a frame at a time on the skin's clock.
+    pub(crate) fn classify(&mut self, sequence: u64, time_ns: u64, difference: &[f64]) -> Result<(), Error> {
+        let anything = difference.iter().any(|value| value.is_finite());
+        match &mut self.worker {
+            Worker::Inline(classifier) => {
+                self.sequence = None;
+                if anything {
+                    classifier.classify(difference, &mut self.classes)?;
+                    self.sequence = Some(sequence);
+                }
+            }
+            Worker::Background(background) => {
+                if !anything {
+                    self.forget(sequence);
+                } else if let Some(sequence) = background.exchange(sequence, time_ns, difference, &mut self.classes)? {
+                    self.sequence = Some(sequence);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Nothing was seen in this frame.
+    pub(crate) fn forget(&mut self, sequence: u64) {
+        self.sequence = None;
+        if let Worker::Background(background) = &mut self.worker {
+            background.from_sequence = sequence.saturating_add(1);
+        }
+    }
+
+    /// The latest classes.
+    pub(crate) fn seen(&self) -> Option<SeenClasses<'_>> {
+        self.sequence.map(|sequence| SeenClasses { classes: &self.classes, sequence })
+    }
+}
+
+impl Background {
+    fn new(classifier: Classifier, classes: Classes) -> Result<Self, Error> {
+        let slot =
+            Slot { difference: Vec::new(), sequence: 0, state: State::Idle, classes, failed: None, ended: false };
+        let mailbox = Arc::new(Mailbox { slot: Mutex::new(slot), arrived: Condvar::new() });
+        let worker = Arc::clone(&mailbox);
+        let thread = std::thread::Builder::new()
+            .name("classes".into())
+            .spawn(move || worker.work(classifier))
+            .map_err(|source| Error::Thread { what: "classes", source })?;
+        Ok(Self { mailbox, thread: Some(thread), asked_ns: None, from_sequence: 0 })
+    }
+
+    /// Takes what the network is done with, and leaves it this frame if it is free; the number of the frame whose classes
+    /// were put into `classes`.
+    fn exchange(
+        &mut self,
+        sequence: u64,
+        time_ns: u64,
+        difference: &[f64],
+        classes: &mut Classes,
+    ) -> Result<Option<u64>, Error> {
+        // Never waits: the network holds the slot for a moment at a time, and the next frame comes soon.
+        let Ok(mut slot) = self.mailbox.slot.try_lock() else { return Ok(None) };
+        if let Some(error) = slot.failed.take() {
+            return Err(error);
+        }
+        let mut taken = None;
+        if slot.state == State::Done {
+            slot.state = State::Idle;
+            if slot.sequence >= self.from_sequence {
+                std::mem::swap(classes, &mut slot.classes);
+                taken = Some(slot.sequence);
+            }
+        }
+        let due = self.asked_ns.is_none_or(|asked_ns| time_ns.saturating_sub(asked_ns) >= INTERVAL_NS);
+        if slot.state == State::Idle && due {
+            slot.difference.clear();
+            slot.difference.extend_from_slice(difference);
+            (slot.sequence, slot.state) = (sequence, State::Asked);
+            self.asked_ns = Some(time_ns);
+            self.mailbox.arrived.notify_one();
+        }
+        Ok(taken)
+    }
+}

@@ -1,0 +1,178 @@
+//! The cuts that are known by their fit: what they make of the channels and of the image, how far they have healed, and the
+//! scars that they leave.
+
+use dermis_touch::damage::{Damage, DamageShape, DamageState};
+
+use super::crack::{Crack, CrackModel, CrackScratch};
+use super::fit::estimate_cut;
+use super::healing::{Healing, HealingMonitor};
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::stages::sandwich_contacts::SheetCut;
+
+/// A fit that explains less of the data's energy is not believed: what is damaged is no cut.
+const LEAST_EXPLAINED: f64 = 0.7;
+
+/// Fitted cuts, and scars.
+#[derive(Debug)]
+pub(super) struct KnownCuts {
+    /// What cuts do, where the skin is a sheet that is read by electrodes.
+    model: Option<CrackModel>,
+    scratch: CrackScratch,
+    /// Fitted cuts by the damage's identity.
+    fitted: Vec<(u64, Crack)>,
+    /// What healed cuts have left in the sheet, as joined as they were when they became part of the intact reference.
+    scars: Vec<SheetCut>,
+    healing: HealingMonitor,
+    /// Joining of a healed scar, 1/m.
+    healed_per_m: f64,
+    /// What the fitted cuts make of the channels and of the image, as far as they are open; stale after any has changed.
+    response: Vec<f64>,
+    present: Vec<f64>,
+    image: Vec<f32>,
+    is_stale: bool,
+}
+
+impl KnownCuts {
+    pub fn new(prepared: &Prepared) -> Result<Self, Error> {
+        let channels = prepared.channels();
+        Ok(Self {
+            model: CrackModel::applies_to(prepared).then(|| CrackModel::new(prepared)).transpose()?,
+            scratch: CrackScratch::default(),
+            fitted: Vec::new(),
+            scars: Vec::new(),
+            healing: HealingMonitor::default(),
+            healed_per_m: 1e3 / prepared.skin.damage.healed_scar_mm,
+            response: vec![0.0; channels],
+            present: Vec::new(),
+            image: vec![0.0; prepared.map.grid().len()],
+            is_stale: false,
+        })
+    }
+
+    /// What cuts do to this skin, if that is known.
+    pub fn model(&self) -> Option<&CrackModel> {
+        self.model.as_ref()
+    }
+
+    /// Response of all fitted cuts together, each as far as it is still open, model volts.
+    pub fn response(&self) -> &[f64] {
+        &self.response
+    }
+
+    /// Its image, where there is any cut.
+    pub fn image(&self) -> Option<&[f32]> {
+        (!self.fitted.is_empty()).then_some(&self.image)
+    }
+
+    /// How far the fitted cuts have healed.
+    pub fn healing(&self) -> &[Healing] {
+        self.healing.states()
+    }
+
+    /// The largest sum of squares of an open cut's response; `None` where no healing is followed.
+    pub fn open_square(&self) -> Option<f64> {
+        (!self.healing.states().is_empty()).then(|| self.healing.open_square())
+    }
+
+    /// Another operator makes images from now on.
+    pub fn invalidate_image(&mut self) {
+        self.is_stale = true;
+    }
+
+    /// Brings the response up to date: what is to be imaged, without the channels that `difference` lacks, and where to.
+    /// `None` where the image is still that of the response.
+    pub fn update_response(&mut self, difference: &[f64]) -> Option<(&[f64], &mut [f32])> {
+        if !std::mem::take(&mut self.is_stale) {
+            return None;
+        }
+        let model = self.model.as_ref()?;
+        add_responses(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.response);
+        self.present.clear();
+        let present = self.response.iter().zip(difference);
+        self.present.extend(present.map(|(known, d)| if d.is_nan() { f64::NAN } else { *known }));
+        Some((&self.present, &mut self.image))
+    }
+
+    /// Whether another cut than that of a damage is known.
+    pub fn knows_others(&self, damage: u64) -> bool {
+        self.fitted.iter().any(|(id, _)| *id != damage)
+    }
+
+    /// Fits a cut to a new damage. `change` (model volts) holds what all other cuts make of the channels, as modelled, where
+    /// `with_others`. The shape found.
+    pub fn fit(
+        &mut self,
+        damage: &Damage,
+        mut change: Vec<f64>,
+        with_others: bool,
+        noise: &[f64],
+        prepared: &Prepared,
+    ) -> Result<Option<DamageShape>, Error> {
+        let Some(model) = &self.model else { return Ok(None) };
+        self.fitted.retain(|(id, _)| *id != damage.id);
+        self.is_stale = true;
+        if with_others {
+            add_responses(model, &self.fitted, &self.healing, &mut self.scratch, &mut self.response);
+            change.iter_mut().zip(&self.response).for_each(|(sum, known)| *sum -= known);
+        }
+        let estimate = estimate_cut(prepared, model, &change, noise, &damage.shape)?;
+        let Some(estimate) = estimate.filter(|estimate| estimate.explained >= LEAST_EXPLAINED) else {
+            return Ok(None);
+        };
+        self.fitted.push((damage.id, estimate.crack));
+        self.healing.follow(damage.id, &estimate.crack, model, prepared);
+        Ok(Some(estimate.shape()))
+    }
+
+    /// Estimates how far the cuts have healed from a change against the intact skin, model volts.
+    pub fn estimate_healing(&mut self, time_ns: u64, change: &[f64], noise: &[f64], rest: &[f64]) {
+        self.healing.estimate(time_ns, change, noise, rest, self.healed_per_m);
+        self.is_stale = true;
+    }
+
+    /// What is healed leaves the record with a new intact reference, and stays in the sheet as a scar.
+    pub fn keep_scars(&mut self, damages: &[Damage]) {
+        for damage in damages.iter().filter(|damage| damage.state == DamageState::Healed) {
+            let is_fitted = self.fitted.iter().any(|(id, _)| *id == damage.id);
+            let state = self.healing.states().iter().find(|state| state.id == damage.id && is_fitted);
+            self.scars.extend(state.map(|state| SheetCut {
+                ends_m: damage.shape.ends_m(),
+                joined_per_m: state.joined * self.healed_per_m,
+            }));
+        }
+    }
+
+    /// Forgets the cuts of all other damages.
+    pub fn retain(&mut self, damages: &[Damage]) {
+        let stands = |id: u64| damages.iter().any(|damage| damage.id == id);
+        self.fitted.retain(|(id, _)| stands(*id));
+        self.healing.retain(stands);
+        self.is_stale = true;
+    }
+
+    /// The cuts and scars that the baseline of touches includes.
+    pub fn in_sheet(&self, damages: &[Damage]) -> Vec<SheetCut> {
+        let open = damages.iter().filter(|damage| damage.is_open() && damage.shape.length_m > 0.0);
+        let open = open.map(|damage| SheetCut { ends_m: damage.shape.ends_m(), joined_per_m: 0.0 });
+        open.chain(self.scars.iter().copied()).collect()
+    }
+}
+
+/// Response of all fitted cuts together, each as far as it is still open.
+fn add_responses(
+    model: &CrackModel,
+    fitted: &[(u64, Crack)],
+    healing: &HealingMonitor,
+    scratch: &mut CrackScratch,
+    known: &mut [f64],
+) {
+    known.fill(0.0);
+    let mut response = vec![0.0; known.len()];
+    for (id, crack) in fitted {
+        let left = healing.states().iter().find(|state| state.id == *id).map_or(1.0, |state| state.left);
+        if model.respond(crack, scratch, &mut response) {
+            known.iter_mut().zip(&response).for_each(|(sum, change)| *sum += left * change);
+        }
+    }
+}

@@ -1,0 +1,324 @@
+//! A cut's place, direction and length from difference data: the response of [`CrackModel`] fitted by damped least squares
+//! ([`dermis_tomo::least_squares`]), from several starts, with a change of the whole sheet beside it.
+
+use dermis_tomo::least_squares::{
+    Acceptance, Control, Damping, Error as StepError, NormalEquations, Params, Problem, Scratch, Tolerances, Trial,
+    minimise,
+};
+
+use dermis_touch::damage::DamageShape;
+
+use super::crack::{Crack, CrackModel, CrackScratch};
+use crate::Error;
+use crate::prepare::Prepared;
+
+/// Middle x, middle y, direction, logarithm of the length.
+const UNKNOWNS: usize = 4;
+/// Error of the model beside the noise, as a share of the data's root mean square: meshes, contact, the rim's answer.
+const MODEL_ERROR: f64 = 0.03;
+/// Rules of the fit.
+const PARAMS: Params = Params {
+    control: Control::Damping(Damping {
+        start: 1e-2,
+        least: 1e-9,
+        most: f64::INFINITY,
+        decrease: 0.3,
+        increase: 5.0,
+        least_after_rejection: 0.0,
+        refused: Some(5.0),
+    }),
+    acceptance: Acceptance::Lower,
+    tolerances: Tolerances { moved: None, gain: Some(1e-6), predicted: None, agreement: None },
+    most_trials: usize::MAX,
+    most_linearisations: 25,
+    most_rejections: 6,
+};
+/// Starts that are followed to the end.
+const BEST: usize = 4;
+/// Lengths that a fit may reach, metres.
+const LENGTHS_M: [f64; 2] = [1e-3, 0.12];
+
+/// A fitted cut.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutEstimate {
+    /// The cut.
+    pub crack: Crack,
+    /// Covariance of middle x and y (m), direction (rad) and length (m).
+    pub covariance: [[f64; UNKNOWNS]; UNKNOWNS],
+    /// Share of the data's energy that it explains, together with the change of the whole sheet: 1 is all.
+    pub explained: f64,
+    /// Change of all voltages beside it, a share of the resting ones.
+    pub uniform: f64,
+}
+
+impl CutEstimate {
+    /// Standard deviations of middle x and y, length (m) and direction (rad).
+    pub fn deviations(&self) -> [f64; 4] {
+        let deviation = |k: usize| self.covariance[k][k].max(0.0).sqrt();
+        [deviation(0), deviation(1), deviation(3), deviation(2)]
+    }
+
+    /// Its shape.
+    pub fn shape(&self) -> DamageShape {
+        let Crack { centre_m, length_m, direction_rad, .. } = self.crack;
+        DamageShape { centre_m, length_m, width_m: 0.0, direction_rad, deviations: Some(self.deviations()) }
+    }
+}
+
+/// Fits a cut to difference data against the intact skin (model volts, NaN where missing, of standard deviations `noise`):
+/// its middle, direction and length with their covariance. `start` is where the image has it. None where none fits.
+///
+/// # Errors
+/// Data or noise of another length than the skin's channels.
+pub fn estimate_cut(
+    prepared: &Prepared,
+    model: &CrackModel,
+    difference: &[f64],
+    noise: &[f64],
+    start: &DamageShape,
+) -> Result<Option<CutEstimate>, Error> {
+    let channels = prepared.channels();
+    for (what, values) in [("difference data", difference), ("noise", noise)] {
+        if values.len() != channels {
+            let (expected, got) = (format!("{channels} values"), values.len().to_string());
+            return Err(Error::Frames { what: what.into(), expected, got });
+        }
+    }
+    let data = CutData { model, difference, noise, rest: &prepared.voltages };
+    // The image's middle is off by up to half a cut's length and some.
+    Ok(fit(&data, start.centre_m, 0.4 * prepared.half_width_m(), 0.0))
+}
+
+/// Difference data with what is needed to judge a fit.
+struct CutData<'a> {
+    pub model: &'a CrackModel,
+    /// Model volts; NaN where missing.
+    pub difference: &'a [f64],
+    /// Standard deviations of the data, model volts.
+    pub noise: &'a [f64],
+    /// Resting voltages of the model.
+    pub rest: &'a [f64],
+}
+
+/// One evaluation.
+#[derive(Clone, Copy)]
+struct Misfit {
+    cost: f64,
+    uniform: f64,
+}
+
+struct Fitter<'a> {
+    data: &'a CutData<'a>,
+    weights: Vec<f64>,
+    scratch: CrackScratch,
+    energy: f64,
+}
+
+impl Fitter<'_> {
+    /// Whitened residual of a cut with the best uniform change taken out, into `residual`.
+    fn residual(&mut self, crack: &Crack, residual: &mut Vec<f64>) -> Option<Misfit> {
+        residual.resize(self.data.difference.len(), 0.0);
+        if !self.data.model.respond(crack, &mut self.scratch, residual) {
+            return None;
+        }
+        let (mut cross, mut square) = (0.0, 0.0);
+        for (channel, value) in residual.iter_mut().enumerate() {
+            let weight = self.weights[channel];
+            *value = if weight > 0.0 { weight * (self.data.difference[channel] - *value) } else { 0.0 };
+            let rest = weight * self.data.rest[channel];
+            cross += *value * rest;
+            square += rest * rest;
+        }
+        let uniform = if square > 0.0 { cross / square } else { 0.0 };
+        let mut cost = 0.0;
+        for (channel, value) in residual.iter_mut().enumerate() {
+            *value -= uniform * self.weights[channel] * self.data.rest[channel];
+            cost += *value * *value;
+        }
+        Some(Misfit { cost, uniform })
+    }
+
+    /// Derivatives of the residual by central differences.
+    fn jacobian(&mut self, crack: &Crack) -> Option<[Vec<f64>; UNKNOWNS]> {
+        let steps = [1e-4, 1e-4, 1e-2, 1e-2];
+        let mut columns: [Vec<f64>; UNKNOWNS] = Default::default();
+        let mut behind = Vec::new();
+        for (unknown, column) in columns.iter_mut().enumerate() {
+            let mut step = [0.0; UNKNOWNS];
+            step[unknown] = steps[unknown];
+            self.residual(&moved(crack, step), column)?;
+            step[unknown] = -steps[unknown];
+            self.residual(&moved(crack, step), &mut behind)?;
+            column.iter_mut().zip(&behind).for_each(|(a, b)| *a = (*a - b) / (2.0 * steps[unknown]));
+        }
+        Some(columns)
+    }
+
+    fn follow(&mut self, start: Crack) -> Option<(Crack, Misfit)> {
+        let mut residual = Vec::new();
+        let at = (start, self.residual(&start, &mut residual)?);
+        let mut way = FitUnderWay { fitter: self, at, tried: at, residual };
+        minimise(&mut way, &PARAMS, &mut Scratch::default()).ok()?;
+        Some(way.at)
+    }
+
+    fn estimate(&mut self, crack: Crack, misfit: Misfit) -> Option<CutEstimate> {
+        let mut residual = Vec::new();
+        self.residual(&crack, &mut residual)?;
+        let columns = self.jacobian(&crack)?;
+        let (normal, _) = normal_equations(&columns, &residual);
+        let freedom = (self.weights.iter().filter(|w| **w > 0.0).count() as f64 - UNKNOWNS as f64 - 1.0).max(1.0);
+        let scale = (misfit.cost / freedom).max(1.0);
+        let mut covariance = inverse(normal)?;
+        covariance.iter_mut().flatten().for_each(|value| *value *= scale);
+        // From the logarithm of the length to the length.
+        for k in 0..UNKNOWNS {
+            covariance[k][3] *= crack.length_m;
+            covariance[3][k] *= crack.length_m;
+        }
+        let explained = 1.0 - misfit.cost / self.energy;
+        Some(CutEstimate { crack, covariance, explained, uniform: misfit.uniform })
+    }
+}
+
+/// A fit while it goes on.
+struct FitUnderWay<'a, 'b> {
+    fitter: &'a mut Fitter<'b>,
+    at: (Crack, Misfit),
+    tried: (Crack, Misfit),
+    residual: Vec<f64>,
+}
+
+impl Problem for FitUnderWay<'_, '_> {
+    type Error = StepError;
+
+    fn unknowns(&self) -> usize {
+        UNKNOWNS
+    }
+
+    fn cost(&mut self) -> Result<f64, StepError> {
+        Ok(self.at.1.cost)
+    }
+
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, StepError> {
+        let crack = self.at.0;
+        if self.fitter.residual(&crack, &mut self.residual).is_none() {
+            return Ok(false);
+        }
+        let Some(columns) = self.fitter.jacobian(&crack) else { return Ok(false) };
+        let (normal, slope) = normal_equations(&columns, &self.residual);
+        equations.normal.copy_from_slice(normal.as_flattened());
+        equations.right.iter_mut().zip(slope).for_each(|(right, slope)| *right = -slope);
+        Ok(true)
+    }
+
+    fn solve(&mut self, equations: &NormalEquations, damping: f64, _factor: &mut [f64], step: &mut [f64]) -> bool {
+        let mut damped: [[f64; UNKNOWNS]; UNKNOWNS] =
+            std::array::from_fn(|row| std::array::from_fn(|column| equations.normal[row * UNKNOWNS + column]));
+        (0..UNKNOWNS).for_each(|k| damped[k][k] *= 1.0 + damping);
+        let Some(inverse) = inverse(damped) else { return false };
+        step.iter_mut().zip(&inverse).for_each(|(step, row)| *step = dot(row, &equations.right));
+        true
+    }
+
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, StepError> {
+        let next = moved(&self.at.0, limited(std::array::from_fn(|k| step[k])));
+        let Some(misfit) = self.fitter.residual(&next, &mut self.residual) else { return Ok(None) };
+        self.tried = (next, misfit);
+        Ok(Some(Trial { cost: misfit.cost, moved: 0.0 }))
+    }
+
+    fn accept(&mut self) {
+        self.at = self.tried;
+    }
+}
+
+/// Fits a cut of the given joining (0: open) to the data, near a place that the image gives, metres, and within `reach_m` of
+/// it at the start. None where no cut fits at all.
+fn fit(data: &CutData<'_>, near_m: [f64; 2], reach_m: f64, joined_per_m: f64) -> Option<CutEstimate> {
+    let present = |v: &&f64| v.is_finite();
+    let energy: f64 = data.difference.iter().filter(present).map(|v| v * v).sum();
+    let count = data.difference.iter().filter(present).count();
+    let floor = MODEL_ERROR * (energy / count.max(1) as f64).sqrt();
+    let weight = |(d, sigma): (&f64, &f64)| if d.is_finite() { 1.0 / sigma.hypot(floor).max(1e-300) } else { 0.0 };
+    let weights: Vec<f64> = data.difference.iter().zip(data.noise).map(weight).collect();
+    let energy =
+        data.difference.iter().zip(&weights).filter(|(d, _)| d.is_finite()).map(|(d, w)| (d * w).powi(2)).sum();
+    let mut fitter = Fitter { data, weights, scratch: CrackScratch::default(), energy };
+    let mut starts = Vec::new();
+    let mut residual = Vec::new();
+    for row in -3..=3 {
+        for column in -3..=3 {
+            for turn in 0..6 {
+                for length_m in [8e-3, 20e-3] {
+                    let centre_m =
+                        [near_m[0] + reach_m * f64::from(column) / 3.0, near_m[1] + reach_m * f64::from(row) / 3.0];
+                    let direction_rad = std::f64::consts::PI * f64::from(turn) / 6.0;
+                    let crack = Crack { centre_m, length_m, direction_rad, joined_per_m };
+                    if let Some(misfit) = fitter.residual(&crack, &mut residual) {
+                        starts.push((misfit.cost, crack));
+                    }
+                }
+            }
+        }
+    }
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let ends = starts.iter().take(BEST).filter_map(|(_, crack)| fitter.follow(*crack));
+    let (crack, misfit) = ends.collect::<Vec<_>>().into_iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost))?;
+    fitter.estimate(crack, misfit)
+}
+
+fn moved(crack: &Crack, [x, y, turn, longer]: [f64; UNKNOWNS]) -> Crack {
+    let turned = crack.direction_rad + turn;
+    // Within a half turn, above -pi/2.
+    let direction_rad = turned - std::f64::consts::PI * ((turned / std::f64::consts::PI) - 0.5).ceil();
+    Crack {
+        centre_m: [crack.centre_m[0] + x, crack.centre_m[1] + y],
+        direction_rad,
+        length_m: (crack.length_m * longer.exp()).clamp(LENGTHS_M[0], LENGTHS_M[1]),
+        ..*crack
+    }
+}
+
+/// No farther than 10 mm, half a radian and a factor of 1.6 at once.
+fn limited(step: [f64; UNKNOWNS]) -> [f64; UNKNOWNS] {
+    let most = [10e-3, 10e-3, 0.5, 0.5];
+    let excess = step.iter().zip(most).map(|(step, most)| step.abs() / most).fold(1.0, f64::max);
+    step.map(|value| value / excess)
+}
+
+fn normal_equations(
+    columns: &[Vec<f64>; UNKNOWNS],
+    residual: &[f64],
+) -> ([[f64; UNKNOWNS]; UNKNOWNS], [f64; UNKNOWNS]) {
+    let normal = std::array::from_fn(|a| std::array::from_fn(|b| dot(&columns[a], &columns[b])));
+    (normal, std::array::from_fn(|k| dot(&columns[k], residual)))
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The inverse of a small positive matrix, by Gauss and Jordan; none where it is singular.
+fn inverse(mut matrix: [[f64; UNKNOWNS]; UNKNOWNS]) -> Option<[[f64; UNKNOWNS]; UNKNOWNS]> {
+    let mut inverse = [[0.0; UNKNOWNS]; UNKNOWNS];
+    (0..UNKNOWNS).for_each(|k| inverse[k][k] = 1.0);
+    for pivot in 0..UNKNOWNS {
+        let value = matrix[pivot][pivot];
+        if !(value > 0.0 && value.is_finite()) {
+            return None;
+        }
+        for column in 0..UNKNOWNS {
+            matrix[pivot][column] /= value;
+            inverse[pivot][column] /= value;
+        }
+        for row in (0..UNKNOWNS).filter(|row| *row != pivot) {
+            let factor = matrix[row][pivot];
+            for column in 0..UNKNOWNS {
+                matrix[row][column] -= factor * matrix[pivot][column];
+                inverse[row][column] -= factor * inverse[pivot][column];
+            }
+        }
+    }
+    Some(inverse)
+}

@@ -1,0 +1,245 @@
+//! How far a fitted cut has healed, from difference data against the intact skin: what is left of the open cut's response,
+//! beside a rise of conductivity about it (heat heals, and leaves the sheet more conductive) and a change of the whole
+//! sheet. What is left says how well the faces are joined; a healed scar is not the intact sheet, so the length of sheet
+//! that it is worth sets the scale. Once the rise has come to rest, a new baseline is due.
+
+use super::crack::{Crack, CrackModel, CrackScratch};
+use crate::prepare::Prepared;
+
+/// Radii within which the sheet is tried to have risen, metres: from the cut outwards, and of a round pad on its middle.
+const ABOUT_M: [f64; 5] = [6e-3, 10e-3, 14e-3, 18e-3, 25e-3];
+const ROUND_M: [f64; 7] = [10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3];
+/// Joining at which responses are tabulated: from the first to the last by this factor, 1/m.
+const JOININGS: usize = 48;
+const LEAST_JOINED_PER_M: f64 = 1.0;
+const STEP: f64 = 1.2;
+/// Error of the model beside the noise, as a share of the data's root mean square.
+const MODEL_ERROR: f64 = 0.03;
+/// Entries of the history before every second one is dropped.
+const MOST_HISTORY: usize = 512;
+/// The rise has come to rest when it changes by less than this in half of the time since it was at its highest.
+const SETTLED: f64 = 0.02;
+
+/// How far a damage has healed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Healing {
+    /// The damage.
+    pub id: u64,
+    /// Share of the open cut's response that is left. A healed scar keeps some of it.
+    pub left: f64,
+    /// Share of the faces that is joined: conductance across them over that of a healed scar, 0 to about 1.
+    pub joined: f64,
+    /// Relative rise of the conductivity about it.
+    pub rise: f64,
+    /// The rise has come to rest: a baseline taken now stays good.
+    pub settled: bool,
+}
+
+/// One cut with its tabulated responses.
+#[derive(Debug)]
+struct Watched {
+    state: Healing,
+    /// Response of the open cut.
+    open: Vec<f64>,
+    /// Responses to a rise within each radius.
+    rises: Vec<Vec<f64>>,
+    /// Share of the open response that is left at each joining.
+    left_at: Vec<f64>,
+    history: Vec<(u64, f64)>,
+    /// What it makes of the data by the last fit.
+    fitted: Vec<f64>,
+}
+
+/// Follows the healing of fitted cuts.
+#[derive(Debug, Default)]
+pub(super) struct HealingMonitor {
+    watched: Vec<Watched>,
+    states: Vec<Healing>,
+    weights: Vec<f64>,
+    rest_of: Vec<f64>,
+}
+
+impl HealingMonitor {
+    /// The state of every cut that is followed.
+    pub fn states(&self) -> &[Healing] {
+        &self.states
+    }
+
+    /// The largest sum of squares of an open cut's response, of those that are followed.
+    pub fn open_square(&self) -> f64 {
+        self.watched.iter().map(|watched| dot(&watched.open, &watched.open)).fold(0.0, f64::max)
+    }
+
+    /// Follows a cut from now on, in place of what was followed under its identity.
+    pub fn follow(&mut self, id: u64, crack: &Crack, model: &CrackModel, prepared: &Prepared) {
+        self.forget(id);
+        let mut scratch = CrackScratch::default();
+        let mut open = vec![0.0; model.channel_count()];
+        if !model.respond(&Crack { joined_per_m: 0.0, ..*crack }, &mut scratch, &mut open) {
+            return;
+        }
+        let square = dot(&open, &open);
+        let mut response = open.clone();
+        let left_at = (0..JOININGS).map(|step| {
+            let joined_per_m = joining(step as f64);
+            model.respond(&Crack { joined_per_m, ..*crack }, &mut scratch, &mut response);
+            dot(&response, &open) / square
+        });
+        let left_at = left_at.collect();
+        let about = ABOUT_M.iter().map(|radius_m| rise_response(prepared, crack, *radius_m));
+        let middle = Crack { length_m: 0.0, ..*crack };
+        let round = ROUND_M.iter().map(|radius_m| rise_response(prepared, &middle, *radius_m));
+        let rises = about.chain(round).collect();
+        let state = Healing { id, left: 1.0, joined: 0.0, rise: 0.0, settled: true };
+        let fitted = vec![0.0; open.len()];
+        self.watched.push(Watched { state, open, rises, left_at, history: Vec::new(), fitted });
+        self.publish();
+    }
+
+    /// Follows a cut no longer.
+    pub fn forget(&mut self, id: u64) {
+        self.watched.retain(|watched| watched.state.id != id);
+        self.publish();
+    }
+
+    /// Keeps only these.
+    pub fn retain(&mut self, keep: impl Fn(u64) -> bool) {
+        self.watched.retain(|watched| keep(watched.state.id));
+        self.publish();
+    }
+
+    /// Estimates the healing from difference data (model volts, NaN where missing) of a mean over free frames. `healed_per_m`: joining of a
+    /// healed scar, one over the length of sheet that it is worth.
+    pub fn estimate(&mut self, time_ns: u64, difference: &[f64], noise: &[f64], rest: &[f64], healed_per_m: f64) {
+        let energy: f64 = difference.iter().filter(|d| d.is_finite()).map(|d| d * d).sum();
+        let floor = MODEL_ERROR * (energy / difference.len().max(1) as f64).sqrt();
+        self.weights.clear();
+        let weight = |(d, sigma): (&f64, &f64)| if d.is_finite() { 1.0 / sigma.hypot(floor).max(1e-300) } else { 0.0 };
+        self.weights.extend(difference.iter().zip(noise).map(weight));
+        for index in 0..self.watched.len() {
+            self.rest_of.clear();
+            self.rest_of.extend(difference.iter().map(|d| if d.is_finite() { *d } else { 0.0 }));
+            for other in (0..self.watched.len()).filter(|other| *other != index) {
+                self.rest_of.iter_mut().zip(&self.watched[other].fitted).for_each(|(sum, value)| *sum -= value);
+            }
+            let (weights, data) = (&self.weights, &self.rest_of);
+            let watched = &mut self.watched[index];
+            let Some((left, rise, radius)) = watched.fit(data, weights, rest) else { continue };
+            let columns = watched.open.iter().zip(&watched.rises[radius]);
+            watched.fitted.iter_mut().zip(columns).for_each(|(fitted, (o, r))| *fitted = left * o + rise * r);
+            watched.note(time_ns, left, rise, healed_per_m);
+        }
+        self.publish();
+    }
+
+    fn publish(&mut self) {
+        self.states.clear();
+        self.states.extend(self.watched.iter().map(|watched| watched.state));
+    }
+}
+
+impl Watched {
+    /// What is left of the response, the rise and the index of its radius, that fit best; neither is below zero.
+    fn fit(&self, data: &[f64], weights: &[f64], rest: &[f64]) -> Option<(f64, f64, usize)> {
+        let mut best: Option<(f64, (f64, f64, usize))> = None;
+        for (radius, rises) in self.rises.iter().enumerate() {
+            for with_rise in [true, false] {
+                let columns: [&[f64]; 3] = [&self.open, rises, rest];
+                let Some(([left, rise, _], cost)) = least_squares(columns, data, weights, with_rise) else { continue };
+                if rise < 0.0 {
+                    continue;
+                }
+                if best.is_none_or(|(least, _)| cost < least) {
+                    best = Some((cost, (left.max(0.0), rise, radius)));
+                }
+            }
+        }
+        best.map(|(_, found)| found)
+    }
+
+    fn note(&mut self, time_ns: u64, left: f64, rise: f64, healed_per_m: f64) {
+        let joined = self.joining_for(left) / healed_per_m;
+        self.history.push((time_ns, rise));
+        if self.history.len() > MOST_HISTORY {
+            let mut index = 0;
+            self.history.retain(|_| {
+                index += 1;
+                index % 2 == 0
+            });
+        }
+        let highest = self.history.iter().max_by(|a, b| a.1.total_cmp(&b.1)).copied().unwrap_or((time_ns, rise));
+        let half_ns = time_ns - (time_ns - highest.0) / 2;
+        let then = self.history.iter().rev().find(|entry| entry.0 <= half_ns).map_or(rise, |entry| entry.1);
+        let has_risen = highest.1 > SETTLED;
+        let settled = !has_risen || (time_ns > highest.0 && (rise - then).abs() < SETTLED && half_ns < time_ns);
+        self.state = Healing { left, joined, rise, settled, ..self.state };
+    }
+
+    /// The joining at which so much of the response is left, 1/m, linear between the tabulated ones.
+    fn joining_for(&self, left: f64) -> f64 {
+        let Some(above) = self.left_at.iter().position(|at| *at <= left) else { return joining((JOININGS - 1) as f64) };
+        if above == 0 {
+            // Below the least joining the response falls linearly from the open one.
+            return LEAST_JOINED_PER_M * ((1.0 - left) / (1.0 - self.left_at[0])).clamp(0.0, 1.0);
+        }
+        let (before, after) = (self.left_at[above - 1], self.left_at[above]);
+        joining((above - 1) as f64 + (before - left) / (before - after))
+    }
+}
+
+fn joining(step: f64) -> f64 {
+    LEAST_JOINED_PER_M * STEP.powf(step)
+}
+
+/// Change of every channel per relative rise of conductivity within a distance of the cut, model volts.
+fn rise_response(prepared: &Prepared, crack: &Crack, radius_m: f64) -> Vec<f64> {
+    let (sin, cos) = crack.direction_rad.sin_cos();
+    let within: Vec<usize> = (0..prepared.basis.positions.len())
+        .filter(|&pixel| {
+            let [x, y, _] = prepared.basis.positions[pixel];
+            let (dx, dy) = (x - crack.centre_m[0], y - crack.centre_m[1]);
+            let along = ((dx * cos + dy * sin).abs() - 0.5 * crack.length_m).max(0.0);
+            (dy * cos - dx * sin).hypot(along) <= radius_m
+        })
+        .collect();
+    (0..prepared.channels()).map(|c| within.iter().map(|&pixel| prepared.jacobian.row(c)[pixel]).sum()).collect()
+}
+
+/// Weighted least squares in three columns, the second left out where it is not wanted: the factors, and the cost.
+fn least_squares(columns: [&[f64]; 3], data: &[f64], weights: &[f64], second: bool) -> Option<([f64; 3], f64)> {
+    let mut system = [[0.0; 4]; 3];
+    let mut energy = 0.0;
+    for (channel, value) in data.iter().enumerate() {
+        let w2 = weights[channel] * weights[channel];
+        let row: [f64; 3] = std::array::from_fn(|k| if k == 1 && !second { 0.0 } else { columns[k][channel] });
+        for a in 0..3 {
+            (0..3).for_each(|b| system[a][b] += w2 * row[a] * row[b]);
+            system[a][3] += w2 * row[a] * value;
+        }
+        energy += w2 * value * value;
+    }
+    if !second {
+        system[1][1] = 1.0;
+    }
+    let right = system.map(|row| row[3]);
+    for pivot in 0..3 {
+        let diagonal = system[pivot][pivot];
+        if !(diagonal > 0.0 && diagonal.is_finite()) {
+            return None;
+        }
+        let scaled = system[pivot].map(|value| value / diagonal);
+        for row in 0..3 {
+            if row != pivot {
+                let factor = system[row][pivot];
+                (0..4).for_each(|column| system[row][column] -= factor * scaled[column]);
+            }
+        }
+        system[pivot] = scaled;
+    }
+    let found = system.map(|row| row[3]);
+    Some((found, energy - dot(&found, &right)))
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

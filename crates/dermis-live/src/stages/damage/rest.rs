@@ -1,0 +1,122 @@
+//! The skin at rest: a suspicion may be a touch that was in the reference and has gone, and a skin that has rested for long
+//! enough at other values than its baseline's does well to have a new one, which is proposed and never taken.
+
+use dermis_touch::Baseline;
+use dermis_touch::damage::{Damage, DamageMonitor, DamageState};
+
+use super::frame::DamageFrame;
+use super::healing::Healing;
+use super::readings::Readings;
+use super::view::{Proposal, ProposalReason};
+
+/// Rest that a proposal wants, seconds.
+const REST_S: f64 = 30.0;
+/// Readings that moved by less than this many standard deviations (root mean square over the channels, of means) rest.
+const RESTING: f64 = 0.5;
+/// A baseline that is off by less than this is good enough, in the same terms.
+const OFF: f64 = 1.0;
+/// A suspicion is looked at so often, seconds, in the mean of at least so many frames: is it a touch that has gone?
+const RELEASE_S: f64 = 0.6;
+const FEWEST_FOR_RELEASE: usize = 3;
+
+/// The rest that proposals wait for.
+#[derive(Debug)]
+pub(super) struct Rest {
+    /// Readings where the rest began.
+    readings: Vec<f64>,
+    since_ns: Option<u64>,
+    /// When a suspicion began, or was last looked at.
+    looked_ns: u64,
+    /// Since when it is known that the baseline was taken under a touch; the intact reference is then what was read after it.
+    released_ns: Option<u64>,
+    proposal: Option<Proposal>,
+}
+
+impl Rest {
+    pub fn new(channels: usize) -> Self {
+        let readings = Vec::with_capacity(channels);
+        Self { readings, since_ns: None, looked_ns: 0, released_ns: None, proposal: None }
+    }
+
+    /// The baseline that is proposed.
+    pub fn proposal(&self) -> Option<Proposal> {
+        self.proposal
+    }
+
+    /// A new baseline stands: nothing is known against it.
+    pub fn restart(&mut self) {
+        (self.since_ns, self.proposal, self.released_ns) = (None, None, None);
+    }
+
+    /// Something lies on the skin.
+    pub fn interrupt(&mut self) {
+        (self.since_ns, self.proposal) = (None, None);
+    }
+
+    /// A suspicion has just begun, or nothing can be said of it: the next look at it has to wait.
+    pub fn postpone_look(&mut self, time_ns: u64) {
+        self.looked_ns = time_ns;
+    }
+
+    /// Whether to look now for a touch that was in the reference and has gone; if so, the next look has to wait.
+    pub fn is_look_due(&mut self, frame: &DamageFrame<'_>, readings: &Readings, monitor: &DamageMonitor) -> bool {
+        let due = frame.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 >= RELEASE_S;
+        let alone = !monitor.damages().iter().any(Damage::is_open);
+        let seen = alone && readings.frames >= FEWEST_FOR_RELEASE && monitor.is_suspicious();
+        let is_due = due && seen && !frame.loaded && frame.patches.is_some();
+        if is_due {
+            self.looked_ns = frame.time_ns;
+        }
+        is_due
+    }
+
+    /// A touch was in the reference and has gone.
+    pub fn note_release(&mut self, time_ns: u64) {
+        self.released_ns = Some(time_ns);
+    }
+
+    /// Watches the rest that a proposal wants, in a frame of a free skin.
+    pub fn update(
+        &mut self,
+        time_ns: u64,
+        readings: &Readings,
+        baseline: &Baseline,
+        monitor: &DamageMonitor,
+        healing: &[Healing],
+    ) {
+        let moved = |from: &[f64]| deviation(&readings.mean, from, baseline.noise_std());
+        if let Some(since_ns) = self.released_ns {
+            let offset_sigma = moved(baseline.baseline());
+            self.proposal = Some(Proposal { reason: ProposalReason::Touched, since_ns, offset_sigma });
+            return;
+        }
+        let quiet = readings.frames >= 16 && !monitor.is_suspicious() && monitor.events().is_empty();
+        let resting = self.since_ns.filter(|_| quiet && moved(&self.readings) < RESTING);
+        let Some(since_ns) = resting else {
+            self.proposal = None;
+            self.since_ns = quiet.then_some(time_ns);
+            self.readings.clear();
+            self.readings.extend_from_slice(&readings.mean);
+            return;
+        };
+        let offset_sigma = moved(baseline.baseline());
+        let rested = time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= REST_S;
+        let healed = monitor.damages().iter().any(|damage| damage.state == DamageState::Healed);
+        let settled = healing.iter().all(|state| state.settled);
+        let reason = if healed { ProposalReason::Healed } else { ProposalReason::Offset };
+        let useful = offset_sigma >= OFF || healed;
+        self.proposal = (rested && settled && useful).then_some(Proposal { reason, since_ns, offset_sigma });
+    }
+}
+
+/// Root mean square over the channels of how far means are from other readings, in standard deviations.
+fn deviation(means: &[f64], from: &[f64], noise_std: &[f64]) -> f64 {
+    let (mut sum, mut noise) = (0.0, 0.0);
+    for ((mean, from), sigma) in means.iter().zip(from).zip(noise_std) {
+        if (mean + from + sigma).is_finite() {
+            sum += (mean - from).powi(2);
+            noise += sigma * sigma;
+        }
+    }
+    if noise > 0.0 { (sum / noise).sqrt() } else { 0.0 }
+}

@@ -1,0 +1,248 @@
+//! The second look at each frame: against the intact skin. The monitor tells from that image what is damaged; the parts
+//! beside it know the intact skin, the fitted cuts, what no touch explains, the rest and the warmth. None of them changes
+//! another: this stage hands on what they find, and returns what follows for the baseline of touches.
+
+use dermis_touch::damage::{
+    Damage, DamageEvent, DamageFrame as MonitorFrame, DamageMonitor, DamageParams, DamageState,
+};
+use dermis_touch::{Baseline, PixelNoise, ReferenceOrigin};
+
+use super::cuts::KnownCuts;
+use super::frame::{Adoption, DamageDecision, DamageFrame};
+use super::intact::IntactReference;
+use super::readings::{Readings, mean_difference};
+use super::release_test::is_release;
+use super::rest::Rest;
+use super::unexplained::Unexplained;
+use super::view::DamageView;
+use super::warmth::{Look, Warmth};
+use crate::Error;
+use crate::image_cells::image_cells;
+use crate::prepare::Prepared;
+use crate::stages::sandwich_contacts::SheetCut;
+
+/// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes of a
+/// cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
+const LOBE_SHARE: f64 = 0.8;
+/// Fewest frames in a mean that healing is estimated from.
+const FEWEST_FOR_HEALING: usize = 8;
+/// Fewest frames in the mean that becomes the baseline of a damaged skin.
+const FEWEST_FOR_BASELINE: usize = 8;
+
+/// The monitor of a skin, and what it is told about each frame.
+#[derive(Debug)]
+pub(crate) struct DamageStage {
+    monitor: DamageMonitor,
+    intact: IntactReference,
+    cuts: KnownCuts,
+    unexplained: Unexplained,
+    rest: Rest,
+    warmth: Warmth,
+    /// Mean readings over frames of a free skin.
+    readings: Readings,
+    /// Image noise of each pixel.
+    noise: Vec<f32>,
+    suspicious: bool,
+    /// Damage has been confirmed or has grown, and is not in the baseline yet.
+    pending: Option<u64>,
+}
+
+/// Below this, rises of the touch image are lobes of damage that its baseline does not include.
+pub(crate) fn lobe_floor(image: &[f32]) -> f64 {
+    let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0_f32, f32::min);
+    LOBE_SHARE * -f64::from(lowest)
+}
+
+impl DamageStage {
+    pub fn new(prepared: &Prepared) -> Result<Self, Error> {
+        let settings = &prepared.skin.damage;
+        let half_width = prepared.half_width_m();
+        let params = DamageParams {
+            begin_sigma: settings.begin_sigma,
+            smallest_depth: settings.smallest_depth,
+            confirm_s: settings.confirm_s,
+            reach_m: 0.1 * half_width,
+            point_spread_m: 0.12 * half_width,
+            // The last of a scar is hard to tell from the heat that closed it.
+            healed_share: 0.3,
+            ..DamageParams::default()
+        };
+        let (channels, grid) = (prepared.channels(), prepared.map.grid());
+        Ok(Self {
+            monitor: DamageMonitor::new(image_cells(grid), params)?,
+            intact: IntactReference::new(channels, grid.len()),
+            cuts: KnownCuts::new(prepared)?,
+            unexplained: Unexplained::new(),
+            rest: Rest::new(channels),
+            warmth: Warmth::default(),
+            readings: Readings::with_capacity(channels),
+            noise: Vec::new(),
+            suspicious: false,
+            pending: None,
+        })
+    }
+
+    /// A new baseline stands. It becomes the intact reference only where nothing is damaged or suspected: re-zeroing never
+    /// hides damage.
+    pub fn set_baseline(&mut self, baseline: &Baseline, noise: Vec<f32>) {
+        self.noise = noise;
+        let adopted = baseline.records().last().is_some_and(|record| record.origin == ReferenceOrigin::Damage);
+        if !self.intact.stands() || (!adopted && self.monitor.is_intact()) {
+            self.intact.set(baseline);
+            self.cuts.keep_scars(self.monitor.damages());
+            self.monitor.renew();
+            self.cuts.retain(self.monitor.damages());
+        }
+        self.unexplained.clear();
+        self.rest.restart();
+    }
+
+    /// Another operator or other noise is in use.
+    pub fn set_noise(&mut self, noise: Vec<f32>) {
+        self.noise = noise;
+        self.cuts.invalidate_image();
+        self.monitor.restart();
+    }
+
+    /// The cuts and scars that the baseline of touches includes.
+    pub fn cuts(&self) -> Vec<SheetCut> {
+        self.cuts.in_sheet(self.monitor.damages())
+    }
+
+    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to. `difference` and `scale` are
+    /// as in [`DamageFrame`].
+    pub fn compare(&mut self, baseline: &Baseline, difference: &[f64], scale: &[f64]) -> (&[f64], &mut [f32]) {
+        self.intact.compare(baseline, difference, scale)
+    }
+
+    /// What is to be imaged of the known cuts after [`DamageStage::compare`], and where to, where that has changed.
+    pub fn update_known(&mut self) -> Option<(&[f64], &mut [f32])> {
+        self.cuts.update_response(self.intact.difference())
+    }
+
+    /// Looks for damage in a frame whose images were made.
+    ///
+    /// # Errors
+    /// Data of which no cut can be fitted.
+    pub fn process(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) -> Result<DamageDecision, Error> {
+        let lags = self.pending.is_some();
+        // Of a free skin nothing is asked: what was gathered waits for the next frame that is not free.
+        let is_cut = frame.loaded && self.unexplained.is_cut(frame, &self.intact, &self.cuts, lags, prepared)?;
+        let frame = &DamageFrame { loaded: frame.loaded && !is_cut, ..*frame };
+        self.monitor.process(&MonitorFrame {
+            time_ns: frame.time_ns,
+            image: self.intact.image(),
+            noise: PixelNoise::PerPixel(&self.noise),
+            touches: frame.touches,
+            loaded: frame.loaded,
+            known: self.cuts.image(),
+            classes: None,
+        })?;
+        let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
+        if frame.loaded || (self.suspicious && !began) {
+            self.readings.restart();
+            self.rest.postpone_look(frame.time_ns);
+        }
+        self.fit_new_damage(frame, prepared)?;
+        if frame.loaded {
+            self.rest.interrupt();
+        } else {
+            self.readings.add(frame.time_ns, frame.baseline.raw());
+        }
+        self.look_for_release(frame, prepared);
+        self.warmth.gather(frame, self.monitor.damages());
+        let adopt = self.adoption(frame).or_else(|| self.warmth.adoption(frame, self.monitor.damages()));
+        self.estimate_healing(frame, prepared);
+        if !frame.loaded && adopt.is_none() {
+            let healing = self.cuts.healing();
+            self.rest.update(frame.time_ns, &self.readings, frame.baseline, &self.monitor, healing);
+        }
+        let follow_rest = self.pending.is_none() && self.monitor.damages().iter().any(Damage::is_open);
+        Ok(DamageDecision { adopt, hold_drift: self.monitor.is_suspicious(), follow_rest })
+    }
+
+    /// Fits cuts to damage that is new or has grown. Where the baseline of touches has all the others, a new one is what
+    /// differs from it, as measured; otherwise it is what differs from the intact skin with the others as modelled.
+    fn fit_new_damage(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) -> Result<(), Error> {
+        for index in 0..self.monitor.events().len() {
+            let (damage, is_new) = match &self.monitor.events()[index] {
+                DamageEvent::Begin(damage) => (*damage, true),
+                DamageEvent::Update(damage) if damage.state == DamageState::Confirmed => (*damage, false),
+                _ => continue,
+            };
+            let includes = is_new && self.cuts.knows_others(damage.id) && self.pending.is_none();
+            self.pending = Some(damage.id);
+            if self.readings.frames == 0 {
+                continue;
+            }
+            let mean = &self.readings.mean;
+            let change = if includes {
+                mean_difference(mean, frame.baseline.baseline(), frame)
+            } else {
+                self.intact.change_of(mean, frame)
+            };
+            if let Some(shape) = self.cuts.fit(&damage, change, !includes, frame.noise, prepared)? {
+                self.monitor.refine(damage.id, shape, None);
+            }
+        }
+        Ok(())
+    }
+
+    /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from what is
+    /// read now, and a new baseline is proposed, which alone mends the image of touches.
+    fn look_for_release(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
+        if !self.rest.is_look_due(frame, &self.readings, &self.monitor) {
+            return;
+        }
+        let change = self.intact.change_of(&self.readings.mean, frame);
+        if is_release(&change, self.intact.readings(), frame, prepared) {
+            self.intact.set_readings(&self.readings.mean, frame.baseline.drift_factor());
+            self.rest.note_release(frame.time_ns);
+            self.monitor.dismiss();
+        }
+    }
+
+    /// The readings become the baseline of touches once they include a damage that is believed.
+    fn adoption(&mut self, frame: &DamageFrame<'_>) -> Option<Adoption> {
+        let settled = self.readings.frames >= FEWEST_FOR_BASELINE && !self.monitor.is_suspicious();
+        let id = self.pending.take_if(|_| settled && !frame.loaded)?;
+        let readings = self.readings.mean.clone();
+        Some(Adoption { readings, frames: self.readings.frames, reason: format!("includes damage {id}") })
+    }
+
+    /// Estimates, now and then, how far fitted cuts have healed.
+    fn estimate_healing(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
+        let readings = match self.warmth.look(frame, self.intact.difference(), self.cuts.open_square()) {
+            Look::None => return,
+            Look::Free => &self.readings,
+            Look::Course => self.warmth.course(),
+        };
+        if readings.frames < FEWEST_FOR_HEALING {
+            return;
+        }
+        let change = self.intact.change_of(&readings.mean, frame);
+        self.cuts.estimate_healing(frame.time_ns, &change, frame.noise, &prepared.voltages);
+        for state in self.cuts.healing() {
+            let damage = self.monitor.damages().iter().find(|damage| damage.id == state.id && damage.is_open());
+            if let Some(shape) = damage.map(|damage| damage.shape) {
+                self.monitor.refine(state.id, shape, Some(1.0 - state.joined.clamp(0.0, 1.0)));
+            }
+        }
+    }
+
+    /// What is known now.
+    pub fn view<'a>(&'a self, baseline: &'a Baseline) -> DamageView<'a> {
+        DamageView {
+            now_ns: 0,
+            watched: self.intact.stands(),
+            damages: self.monitor.damages(),
+            events: self.monitor.events(),
+            image: self.intact.image(),
+            baselines: baseline.records(),
+            intact: self.intact.record(),
+            healing: self.cuts.healing(),
+            proposal: self.rest.proposal(),
+            drift: baseline.drift_factor() - 1.0,
+        }
+    }
+}

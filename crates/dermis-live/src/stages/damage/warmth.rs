@@ -1,0 +1,166 @@
+//! Warmth about a damage: heat heals, and makes the sheet more conductive, which looks like a touch. What has come on
+//! steadily there, or rests there low, for long, is warmth and belongs into the baseline.
+
+use dermis_touch::Touch;
+use dermis_touch::damage::Damage;
+
+use super::frame::{Adoption, DamageFrame};
+use super::readings::Readings;
+
+/// Healing is estimated so often, seconds.
+const HEALING_S: f64 = 0.5;
+/// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a touch
+/// but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
+const WARM_S: f64 = 20.0;
+const WARM_HEIGHT: f64 = 0.45;
+const WARM_TRAVEL_M: f64 = 3e-3;
+/// It lies within so much of the damage, metres. What lies there for so long and begins no touch at all is warmth too.
+const WARM_REACH_M: f64 = 20e-3;
+/// And so is what came on steadily there, however high and wherever it moves: between two looks ([`HEALING_S`]) the readings
+/// changed by less than this share of the open cut's response. A press comes on within one.
+const STEADY: f64 = 0.25;
+
+/// What the next estimate of healing is made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Look {
+    /// There is none in this frame.
+    None,
+    /// The mean readings of the free skin.
+    Free,
+    /// Those of what came on steadily about the damage: [`Warmth::course`].
+    Course,
+}
+
+/// Something that rests on a damage.
+#[derive(Debug)]
+struct Resting {
+    at_m: [f64; 2],
+    since_ns: u64,
+    readings: Readings,
+}
+
+/// What has come on steadily about a damage.
+#[derive(Debug, Default)]
+struct Course {
+    since_ns: u64,
+    readings: Readings,
+    /// Change against the intact skin at the last look, model volts.
+    last: Vec<f64>,
+    /// It went on otherwise than steadily, or elsewhere.
+    broken: bool,
+}
+
+impl Course {
+    /// What is on the skin now begins a new one.
+    fn restart(&mut self, time_ns: u64) {
+        (self.since_ns, self.readings.frames, self.broken) = (time_ns, 0, false);
+    }
+
+    /// Whether a change is near that of the last look, `square` being that of the size to compare with.
+    fn goes_on(&self, change: &[f64], square: f64) -> bool {
+        if self.last.len() != change.len() {
+            return false;
+        }
+        let both = change.iter().zip(&self.last).map(|(now, last)| now - last);
+        let moved: f64 = both.filter(|moved| moved.is_finite()).map(|moved| moved * moved).sum();
+        moved <= STEADY * STEADY * square
+    }
+}
+
+/// Watches for warmth.
+#[derive(Debug, Default)]
+pub(super) struct Warmth {
+    resting: Option<Resting>,
+    course: Course,
+    looked_ns: u64,
+}
+
+impl Warmth {
+    /// Gathers what is read while something lies on damage and nowhere else.
+    pub fn gather(&mut self, frame: &DamageFrame<'_>, damages: &[Damage]) {
+        if !frame.loaded {
+            self.course.restart(frame.time_ns);
+            return;
+        }
+        let places = frame.touches.iter().map(|touch| touch.position_m);
+        let mut places = places.chain(frame.contacts.iter().map(|contact| contact.centroid_m));
+        self.course.broken |= !places.all(|at_m| lies_on_damage(damages, at_m));
+        self.course.readings.add(frame.time_ns, frame.baseline.raw());
+    }
+
+    /// What to adopt as a baseline: warmth about a damage that is no touch.
+    pub fn adoption(&mut self, frame: &DamageFrame<'_>, damages: &[Damage]) -> Option<Adoption> {
+        let has_lasted = |since_ns: u64| frame.time_ns.saturating_sub(since_ns) as f64 * 1e-9 >= WARM_S;
+        let adopted = |readings: &Readings| Adoption {
+            readings: readings.mean.clone(),
+            frames: readings.frames,
+            reason: "warmth about a damage".to_owned(),
+        };
+        if frame.loaded && !self.course.broken && has_lasted(self.course.since_ns) {
+            let adoption = adopted(&self.course.readings);
+            self.course.restart(frame.time_ns);
+            self.resting = None;
+            return Some(adoption);
+        }
+        let near = |at_m: [f64; 2]| lies_on_damage(damages, at_m);
+        let low = |touch: &Touch| touch.amplitude <= WARM_HEIGHT && near(touch.position_m);
+        let here = match (frame.touches, frame.contacts) {
+            // Something was there a moment ago: the next frames will tell.
+            ([], []) if frame.loaded => return None,
+            ([], contacts) if contacts.iter().all(|contact| near(contact.centroid_m)) => {
+                contacts.first().map(|contact| contact.centroid_m)
+            }
+            (touches, _) if touches.iter().all(low) => touches.first().map(|touch| touch.position_m),
+            _ => None,
+        };
+        let Some(here) = here else {
+            self.resting = None;
+            return None;
+        };
+        let stays = |warm: &Resting| (warm.at_m[0] - here[0]).hypot(warm.at_m[1] - here[1]) <= WARM_TRAVEL_M;
+        if !self.resting.as_ref().is_some_and(stays) {
+            self.resting = Some(Resting { at_m: here, since_ns: frame.time_ns, readings: Readings::default() });
+        }
+        let warm = self.resting.as_mut()?;
+        warm.readings.add(frame.time_ns, frame.baseline.raw());
+        if !has_lasted(warm.since_ns) {
+            return None;
+        }
+        let adoption = adopted(&warm.readings);
+        self.resting = None;
+        Some(adoption)
+    }
+
+    /// Whether healing is to be estimated in this frame, and from what. `change` is that of the frame against the intact skin
+    /// and `open_square` the size of an open cut's, where healing is followed at all.
+    pub fn look(&mut self, frame: &DamageFrame<'_>, change: &[f64], open_square: Option<f64>) -> Look {
+        let Some(open_square) = open_square else {
+            self.course.broken = true;
+            self.course.last.clear();
+            return Look::None;
+        };
+        if frame.time_ns.saturating_sub(self.looked_ns) as f64 * 1e-9 < HEALING_S {
+            return Look::None;
+        }
+        self.looked_ns = frame.time_ns;
+        if frame.loaded {
+            self.course.broken |= !self.course.goes_on(change, open_square);
+            if self.course.broken {
+                return Look::None;
+            }
+        }
+        self.course.last.clear();
+        self.course.last.extend_from_slice(change);
+        if frame.loaded { Look::Course } else { Look::Free }
+    }
+
+    /// Readings of what came on steadily.
+    pub fn course(&self) -> &Readings {
+        &self.course.readings
+    }
+}
+
+/// Whether a place lies on damage, open or healed: a scar is warm for longer than it is open.
+fn lies_on_damage(damages: &[Damage], at_m: [f64; 2]) -> bool {
+    damages.iter().any(|damage| damage.shape.distance_m(at_m) <= WARM_REACH_M)
+}

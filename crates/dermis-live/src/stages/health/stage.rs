@@ -1,0 +1,207 @@
+//! The monitor of one skin, fed with what the operator makes of its frames. It returns what follows for the other stages.
+
+use dermis_tomo::inverse::{LeaveOneOutResidual, Operator};
+use dermis_touch::Baseline;
+use dermis_touch::health::{HEALTH_WINDOW, Health, HealthMonitor, HealthReference};
+
+use super::wiring::{health_params, wiring};
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::Reference;
+
+/// Deviations estimated from a start-up's frames are uncertain by this share; they are taken to be larger by it.
+const UNCERTAINTY: f64 = 1.2;
+/// Below this share of the channels there is no image.
+const FEWEST_SHARE: f64 = 0.25;
+/// Weight of a new frame in the value at which a channel would agree with the others.
+const AGREEING: f64 = 0.1;
+
+/// The monitor of a skin with what it needs of the operator.
+#[derive(Debug)]
+pub(crate) struct HealthStage {
+    monitor: HealthMonitor,
+    residual_of: Option<LeaveOneOutResidual>,
+    /// Difference data without the channels left out so far.
+    masked: Vec<f64>,
+    residuals: Vec<f64>,
+    /// Readings at which channels left out would agree with the others.
+    agreeing: Vec<f64>,
+    /// Channels left out for good, for the operator.
+    left_out: Vec<u32>,
+    moved: Vec<(usize, f64)>,
+    /// Doubtful frames in a row.
+    doubtful_frames: usize,
+}
+
+/// One frame as its health is examined.
+pub(crate) struct HealthFrame<'a> {
+    /// Its time on the host's clock and its number.
+    pub at: (u64, u64),
+    /// Readings as they came.
+    pub raw: &'a [f64],
+    /// Factors from readings to model volts.
+    pub scale: &'a [f64],
+    /// Difference data, model volts.
+    pub difference: &'a [f64],
+    /// What the channels that are left let expect of all: [`HealthStage::mask`], filled in. `None` where too few are left.
+    pub expected: Option<&'a [f64]>,
+}
+
+/// How much of a frame there is to see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sight {
+    /// An image can be made, and believed.
+    Clear,
+    /// Something is wrong that is not known yet: what is made of the frame is not to be believed.
+    Doubtful,
+    /// Too few channels are left for an image.
+    Blind,
+}
+
+/// What follows from one frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct HealthDecision<'a> {
+    /// Channels without a say in this frame.
+    pub excluded: &'a [bool],
+    /// Channels left out for good, where they are others than before.
+    pub left_out: Option<&'a [u32]>,
+    /// Channels taken back, each with the reading to move its baseline to: where it agrees with the others.
+    pub moved: &'a [(usize, f64)],
+    /// How much there is to see.
+    pub sight: Sight,
+}
+
+impl HealthStage {
+    pub fn new(prepared: &Prepared) -> Result<Self, Error> {
+        let count = prepared.channels();
+        Ok(Self {
+            monitor: HealthMonitor::new(wiring(prepared)?, health_params(prepared)),
+            residual_of: None,
+            masked: Vec::with_capacity(count),
+            residuals: vec![0.0; count],
+            agreeing: vec![f64::NAN; count],
+            left_out: Vec::with_capacity(count),
+            moved: Vec::with_capacity(count),
+            doubtful_frames: 0,
+        })
+    }
+
+    /// What is known to be broken.
+    pub fn health(&self) -> Health<'_> {
+        self.monitor.health()
+    }
+
+    /// Channels left out for good.
+    pub fn left_out(&self) -> &[u32] {
+        &self.left_out
+    }
+
+    /// To be called with the readings of every frame.
+    pub fn read(&mut self, raw: &[f64]) -> Result<(), Error> {
+        Ok(self.monitor.read(raw)?)
+    }
+
+    /// Looks for what was broken while the first baseline was made.
+    pub fn check_start(&mut self, at: (u64, u64), prepared: &Prepared, baseline: &Baseline) -> Result<(), Error> {
+        self.monitor.check_start(at, baseline.baseline(), baseline.noise_std(), &prepared.voltages)?;
+        self.note_left_out();
+        Ok(())
+    }
+
+    /// The reference of a new baseline. Channels left out have no say in it, and get the model's own resting values, to
+    /// which their baselines are to be moved.
+    pub fn reference(&self, prepared: &Prepared, baseline: &Baseline) -> Result<Reference, Error> {
+        let (mut rest, mut noise) = (baseline.baseline().to_vec(), baseline.noise_std().to_vec());
+        for &channel in &self.left_out {
+            (rest[channel as usize], noise[channel as usize]) = (f64::NAN, f64::NAN);
+        }
+        let mut reference = Reference::from_baseline(prepared, &rest, Some(&noise))?;
+        for channel in self.left_out.iter().map(|&c| c as usize) {
+            reference.baseline[channel] = prepared.voltages[channel] / reference.scale[channel];
+        }
+        Ok(reference)
+    }
+
+    /// Compares with a new reference, or through a new operator, from now on.
+    pub fn compare_with(&mut self, reference: &Reference, operator: &Operator) -> Result<(), Error> {
+        let deviation: Vec<f64> = reference.noise.iter().map(|sigma| UNCERTAINTY * sigma).collect();
+        let rest: Vec<f64> = reference.baseline.iter().zip(&reference.scale).map(|(b, s)| b * s).collect();
+        self.residual_of = LeaveOneOutResidual::new(operator);
+        let unexplained = self.residual_of.as_ref().map(|residual_of| residual_of.deviations(&deviation));
+        let reference = HealthReference { rest: &rest, deviation: &deviation, unexplained: unexplained.as_deref() };
+        Ok(self.monitor.begin(&reference)?)
+    }
+
+    /// Difference data without the channels that had no say in the last frame (NaN); `None` where too few are left to fill
+    /// these in.
+    pub fn mask(&mut self, difference: &[f64]) -> Option<&[f64]> {
+        self.masked.clear();
+        let kept = |(d, excluded): (&f64, &bool)| if *excluded { f64::NAN } else { *d };
+        self.masked.extend(difference.iter().zip(self.monitor.excluded()).map(kept));
+        is_enough(&self.masked).then_some(&self.masked)
+    }
+
+    /// Examines a frame, after [`HealthStage::mask`] of its difference data.
+    pub fn examine(&mut self, frame: &HealthFrame<'_>) -> Result<HealthDecision<'_>, Error> {
+        let difference = frame.difference;
+        let residuals = match (&mut self.residual_of, frame.expected) {
+            (Some(residual_of), Some(filled)) => {
+                residual_of.of(filled, &mut self.residuals);
+                for (channel, residual) in self.residuals.iter_mut().enumerate() {
+                    if self.masked[channel].is_nan() {
+                        *residual = difference[channel] - filled[channel];
+                    }
+                }
+                Some(&self.residuals[..])
+            }
+            _ => None,
+        };
+        if let Some(filled) = frame.expected {
+            for (channel, _) in self.monitor.declared().iter().enumerate().filter(|(_, declared)| **declared) {
+                let value = frame.raw[channel] - filled[channel] / frame.scale[channel];
+                let agreeing = &mut self.agreeing[channel];
+                // Of frames without fault only, of which there are many before a channel is taken back.
+                *agreeing = if agreeing.is_finite() && self.monitor.is_clean(channel) {
+                    *agreeing + AGREEING * (value - *agreeing)
+                } else {
+                    value
+                };
+            }
+        }
+        let changed = self.monitor.judge(frame.at, difference, residuals)?;
+        self.moved.clear();
+        if changed {
+            self.note_left_out();
+            for channel in self.monitor.recovered().iter().map(|&c| c as usize) {
+                self.moved.push((channel, std::mem::replace(&mut self.agreeing[channel], f64::NAN)));
+            }
+        }
+        let excluded = self.monitor.excluded();
+        let doubtful = self.monitor.is_doubtful();
+        self.doubtful_frames = if doubtful { self.doubtful_frames.saturating_add(1) } else { 0 };
+        let left = difference.iter().zip(excluded).filter(|(value, excluded)| value.is_finite() && !**excluded).count();
+        let sight = if !is_enough_of(left, difference.len()) {
+            Sight::Blind
+        } else if doubtful && self.doubtful_frames <= HEALTH_WINDOW {
+            // A doubt that is not settled within the window ends: the skin must not stand still.
+            Sight::Doubtful
+        } else {
+            Sight::Clear
+        };
+        let left_out = changed.then_some(&self.left_out[..]);
+        Ok(HealthDecision { excluded, left_out, moved: &self.moved, sight })
+    }
+
+    fn note_left_out(&mut self) {
+        self.left_out.clear();
+        self.left_out.extend((0..).zip(self.monitor.declared()).filter(|(_, declared)| **declared).map(|(c, _)| c));
+    }
+}
+
+fn is_enough(difference: &[f64]) -> bool {
+    is_enough_of(difference.iter().filter(|v| v.is_finite()).count(), difference.len())
+}
+
+fn is_enough_of(present: usize, channels: usize) -> bool {
+    present > 0 && present as f64 >= FEWEST_SHARE * channels as f64
+}

@@ -1,0 +1,12 @@
+//! The place that a calibration gives the single touch of a frame.
+
+/// Where a touch lies according to a calibration, in place of the image's own position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Position, metres.
+    pub position_m: [f64; 2],
+    /// Its covariance, m^2.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
+    pub doubtful: bool,
+}

@@ -1,0 +1,23 @@
+//! What is believed of fitted patches, while they are followed and while they are looked for.
+
+use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, FitSummary};
+
+/// A fit is believed up to this misfit.
+pub(super) const BELIEVED: f64 = 2.0;
+/// Patches larger than this, relative to half the shorter side, are several that are taken for one.
+const LARGEST: f64 = 0.5;
+/// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
+const APART: f64 = 1.3;
+/// Patches that leave more than this share of a frame do not explain it.
+const EXPLAINED: f64 = 0.3;
+
+/// Whether patches explain a frame, lie apart, and are no larger than a touch.
+pub(super) fn plausible(fits: &[ContactFit], summary: &FitSummary, half_width_m: f64) -> bool {
+    let near = |a: &ContactPatch, b: &ContactPatch| {
+        let distance = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+        distance < APART * (a.radius_m + b.radius_m)
+    };
+    let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
+    let large = fits.iter().any(|fit| fit.patch.radius_m > LARGEST * half_width_m);
+    !overlap && !large && summary.misfit <= EXPLAINED * summary.energy
+}

@@ -1,0 +1,375 @@
+//! Patches fitted to one frame after the other.
+
+use std::f64::consts::PI;
+
+use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, FitOptions, PatchFit};
+use dermis_touch::{Contact, ContactSign, ContactStrength};
+
+use super::gathered::Gathered;
+use super::plausible::{BELIEVED, plausible};
+use super::seek::{Outcome, Seek, Tools};
+use super::sheets::{CutSheets, SheetCut, Sheets};
+use super::touch_rule::TouchRule;
+use super::whitening::{Channels, Whitened};
+use crate::Error;
+use crate::prepare::Prepared;
+
+/// A fit that goes on from the frame before is believed up to so many times the misfit before, too.
+const WORSENED: f64 = 1.5;
+/// After a search in vain so much time passes before the next, twice as much after each further one, up to the most;
+/// nanoseconds.
+const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
+/// Standard deviations of the logarithms of radius and conductance before anything is measured.
+const LOG_DEVIATIONS: [f64; 2] = [0.5, 0.5];
+/// A peak so many times as high as the image is low stands out by itself.
+const OUTSTANDING: f64 = 2.0;
+/// Least time between two fits, nanoseconds: what is pressed by hand or robot moves less than the uncertainty of its place
+/// meanwhile.
+const INTERVAL_NS: u64 = 5_000_000;
+/// Frames that come faster than this may still take half of it, nanoseconds.
+const LEAST_NS: f64 = 500_000.0;
+/// Shares of a search below this are hurried, nanoseconds.
+const HURRIED_NS: f64 = 5e6;
+/// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since by the
+/// second: 2 % in ten minutes.
+const DRIFT_PER_S: f64 = 0.02 / 600.0;
+/// Steps of a fit: from the frame before, and from what a search found.
+const STEPS: [usize; 2] = [4, 15];
+/// Share of the time between frames that a search may take.
+const SEARCH_SHARE: f64 = 0.5;
+
+/// The patches of the last frame.
+#[derive(Debug)]
+struct Followed {
+    fits: Vec<ContactFit>,
+    /// Where their fit stands.
+    standing: Option<PatchFit>,
+    misfit: f64,
+    /// Contacts of the last fit.
+    shown: Vec<Contact>,
+    /// What patches make of the frames since the last fit, while these patches are believed: model volts.
+    explained: Vec<f64>,
+}
+
+/// The search under way, and the pause before the next.
+#[derive(Debug)]
+struct Search {
+    seek: Option<Seek>,
+    /// No search before this time, and how long the next pause is.
+    pause_until_ns: u64,
+    next_pause_ns: u64,
+}
+
+impl Followed {
+    fn nothing() -> Self {
+        Self { fits: Vec::new(), standing: None, misfit: f64::INFINITY, shown: Vec::new(), explained: Vec::new() }
+    }
+}
+
+impl Search {
+    fn restarted() -> Self {
+        Self { seek: None, pause_until_ns: 0, next_pause_ns: PAUSE_NS[0] }
+    }
+
+    /// The next search need not wait.
+    fn restart(&mut self) {
+        (self.pause_until_ns, self.next_pause_ns) = (0, PAUSE_NS[0]);
+    }
+}
+
+/// Fits the patches of one frame after the other.
+#[derive(Debug)]
+pub(crate) struct PatchStage {
+    sheets: CutSheets,
+    rule: TouchRule,
+    options: FitOptions,
+    channels: Channels,
+    whitened: Whitened,
+    left: Vec<f64>,
+    followed: Followed,
+    gathered: Gathered,
+    search: Search,
+    seen_ns: Option<u64>,
+    /// Since when something has been on the skin.
+    touched_ns: Option<u64>,
+}
+
+impl PatchStage {
+    /// What fits patches, at this noise of the channels (model volts).
+    pub(crate) fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
+        let touch = &prepared.skin.touch;
+        let typical = ContactPatch {
+            position_m: [0.0; 2],
+            radius_m: 2.0 * touch.relative_size * prepared.half_width_m(),
+            conductance_s_per_m2: touch.contact_s_per_m2,
+        };
+        Ok(Self {
+            sheets: CutSheets::new(prepared, typical)?,
+            rule: TouchRule::new(prepared),
+            options: FitOptions {
+                radius_m: typical.radius_m,
+                radius_log_deviation: LOG_DEVIATIONS[0],
+                conductance_s_per_m2: typical.conductance_s_per_m2,
+                conductance_log_deviation: LOG_DEVIATIONS[1],
+                gain_deviation: 0.0,
+                most_steps: STEPS[0],
+            },
+            channels: Channels::new(noise),
+            whitened: Whitened::default(),
+            left: Vec::new(),
+            followed: Followed::nothing(),
+            gathered: Gathered::default(),
+            search: Search::restarted(),
+            seen_ns: None,
+            touched_ns: None,
+        })
+    }
+
+    /// As new at this noise of the channels (model volts), on the sheet as it is.
+    pub(crate) fn renew(&mut self, noise: &[f64]) {
+        self.channels = Channels::new(noise);
+        self.whitened = Whitened::default();
+        self.left.clear();
+        self.followed = Followed::nothing();
+        self.gathered = Gathered::default();
+        self.search = Search::restarted();
+        (self.seen_ns, self.touched_ns) = (None, None);
+    }
+
+    /// Replaces the noise of the channels (model volts).
+    pub(crate) fn set_noise(&mut self, noise: &[f64]) {
+        self.channels.set_noise(noise);
+    }
+
+    /// Takes the sheet to have these cuts, from a second of the frames' time on: its Green's function has to
+    /// be worked out anew. Does nothing where they are those that it has.
+    pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
+        self.sheets.order(time_ns, cuts);
+    }
+
+    /// Whether it is being worked out what touches the skin.
+    pub(crate) fn is_seeking(&self) -> bool {
+        self.search.seek.is_some()
+    }
+
+    /// Goes on without these channels.
+    pub(crate) fn leave_out(&mut self, channels: &[u32]) {
+        self.channels.leave_out(channels);
+    }
+
+    /// The next frame has nothing to do with the last.
+    pub(crate) fn forget(&mut self) {
+        self.let_go();
+    }
+
+    /// Nothing is followed any more, and the next search need not wait.
+    fn let_go(&mut self) {
+        self.followed.fits.clear();
+        self.followed.shown.clear();
+        self.gathered.count = 0;
+        self.search.seek = None;
+        self.search.restart();
+    }
+
+    /// Replaces the contacts of an image by the patches of its frame (model volts), or by those of the last fit where that is
+    /// only a moment ago. Those of a frame that patches do not explain
+    /// stay as the image has them; they begin no touch, unless one stands far out of the image, of which `lowest` is the lowest
+    /// value.
+    ///
+    /// # Errors
+    /// A sheet with new cuts that cannot be meshed or solved.
+    pub(crate) fn refine(
+        &mut self,
+        time_ns: u64,
+        difference: &[f64],
+        lowest: f64,
+        contacts: &mut Vec<Contact>,
+    ) -> Result<(), Error> {
+        if self.sheets.take_up(time_ns)? {
+            self.forget();
+        }
+        self.refine_contacts(time_ns, difference, lowest, contacts);
+        Ok(())
+    }
+
+    fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
+        // How long a search may take in this frame: as slow as frames come. The first one waits for nothing.
+        let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
+        self.left.clear();
+        self.left.extend_from_slice(difference);
+        if contacts.is_empty() {
+            self.let_go();
+            self.touched_ns = None;
+            return;
+        }
+        let touched_ns = time_ns.saturating_sub(*self.touched_ns.get_or_insert(time_ns));
+        self.options.gain_deviation = DRIFT_PER_S * touched_ns as f64 * 1e-9;
+        if difference.len() != self.channels.absent().len() || difference.iter().any(|v| !v.is_finite()) {
+            self.followed.fits.clear();
+            self.followed.shown.clear();
+            self.gathered.count = 0;
+            return;
+        }
+        if !self.followed.shown.is_empty() {
+            self.gathered.add(difference);
+            let since_ns = self.gathered.fitted_ns.map_or(u64::MAX, |fitted_ns| time_ns.saturating_sub(fitted_ns));
+            if since_ns < INTERVAL_NS {
+                self.left.iter_mut().zip(&self.followed.explained).for_each(|(left, explained)| *left -= explained);
+                contacts.clone_from(&self.followed.shown);
+                return;
+            }
+            self.left.clear();
+            let mean = self.gathered.mean();
+            self.left.extend_from_slice(mean);
+        }
+        self.refine_now(time_ns, SEARCH_SHARE * since_ns.max(LEAST_NS), lowest, contacts);
+    }
+
+    /// As [`PatchStage::refine`], of the frame in `left`.
+    fn refine_now(&mut self, time_ns: u64, share_ns: f64, lowest: f64, contacts: &mut Vec<Contact>) {
+        // Too weak to begin a touch, and none there that it could be.
+        let Contact { significance, strength, .. } = contacts[0];
+        if self.followed.fits.is_empty() && self.followed.shown.is_empty() && strength != ContactStrength::Strong {
+            return;
+        }
+        self.channels.weigh(&self.left, &mut self.whitened);
+        if !self.follow(STEPS[0]) && !self.search(time_ns, share_ns) {
+            self.followed.fits.clear();
+            if self.search.seek.is_some() && !self.followed.shown.is_empty() {
+                // Until it is known what changed, a few frames at most, what was there stays where it was.
+                contacts.clone_from(&self.followed.shown);
+                return;
+            }
+            self.followed.shown.clear();
+            if self.search.seek.is_none() && contacts[0].amplitude > OUTSTANDING * -lowest {
+                // A press on a cut looks like this: the image knows one touch.
+                contacts.truncate(1);
+            } else {
+                // Lobes of damage, and touches that are only beginning: nothing begins, what is there may stay.
+                contacts.iter_mut().for_each(|contact| contact.strength = ContactStrength::Weak);
+            }
+            return;
+        }
+        let strongest = self.rule.strongest(&self.followed.fits);
+        contacts.clear();
+        let area = |radius_m: f64| PI * radius_m * radius_m;
+        let unit = self.options.radius_m * self.options.radius_m;
+        let fits = self.followed.fits.iter().filter(|fit| self.rule.is_touch(fit, strongest));
+        contacts.extend(fits.map(|fit| {
+            let (patch, c) = (&fit.patch, &fit.covariance);
+            let amplitude = self.rule.effect_m2(patch) / unit;
+            Contact {
+                peak_m: patch.position_m,
+                peak_value: amplitude,
+                centroid_m: patch.position_m,
+                area_m2: area(patch.radius_m),
+                amplitude,
+                volume: amplitude * area(patch.radius_m),
+                covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
+                significance: significance * self.rule.effect_m2(patch) / strongest,
+                sign: ContactSign::Positive,
+                strength,
+                force: None,
+                radius_m: Some(patch.radius_m),
+            }
+        }));
+        contacts.retain(|contact| contact.amplitude >= self.rule.smallest_amplitude);
+        contacts.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+        self.followed.shown.clone_from(contacts);
+        self.gathered.fitted_ns = Some(time_ns);
+        self.followed.explained.clear();
+        self.followed.explained.extend(self.whitened.change.iter().zip(&self.left).map(|(change, left)| change - left));
+    }
+
+    /// Goes on from the patches of the frame before; false where these do not explain this one.
+    fn follow(&mut self, most_steps: usize) -> bool {
+        if self.followed.fits.is_empty() {
+            self.followed.standing = None;
+            return false;
+        }
+        let standing = match &mut self.followed.standing {
+            Some(standing) => standing,
+            place => {
+                let start: Vec<ContactPatch> = self.followed.fits.iter().map(|fit| fit.patch).collect();
+                match self.sheets.now.fine.begin_fit(&start) {
+                    Ok(begun) => place.insert(begun),
+                    Err(_) => return false,
+                }
+            }
+        };
+        let before = self.followed.misfit;
+        let options = FitOptions { most_steps, ..self.options };
+        let result = self.sheets.now.fine.go_on(
+            &self.whitened.change,
+            &self.whitened.deviation,
+            standing,
+            &options,
+            &mut self.left,
+        );
+        let Ok((fits, summary)) = result else { return false };
+        let believed =
+            summary.misfit <= BELIEVED.max(WORSENED * before) && plausible(&fits, &summary, self.rule.half_width_m);
+        (self.followed.fits, self.followed.misfit) = (fits, summary.misfit);
+        let strongest = self.rule.strongest(&self.followed.fits);
+        believed && self.followed.fits.iter().all(|fit| self.rule.is_touch(fit, strongest))
+    }
+
+    /// What a search works with.
+    fn tools(&self) -> Tools<'_> {
+        let Sheets { coarse, search, .. } = &self.sheets.now;
+        Tools { sheet: coarse, search, options: &self.options, half_width_m: self.rule.half_width_m }
+    }
+
+    /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
+    /// that explain this frame too.
+    fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
+        let under_way = self.search.seek.take();
+        let tools = self.tools();
+        let rested = time_ns >= self.search.pause_until_ns;
+        let begin = || rested.then(|| Seek::new(&tools, &self.whitened.change, &self.whitened.deviation)).flatten();
+        let Some(mut seek) = under_way.or_else(begin) else { return false };
+        let found = match seek.advance(&tools, share_ns) {
+            Outcome::UnderWay => {
+                self.search.seek = Some(seek);
+                return false;
+            }
+            Outcome::Nothing => false,
+            Outcome::Found(fits, misfit) => {
+                (self.followed.fits, self.followed.misfit, self.followed.standing) = (fits, misfit, None);
+                // What a hurried frame leaves to be done, the next ones do.
+                self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
+            }
+        };
+        if found {
+            self.search.restart();
+        } else {
+            self.search.pause_until_ns = time_ns.saturating_add(self.search.next_pause_ns);
+            self.search.next_pause_ns = (2 * self.search.next_pause_ns).min(PAUSE_NS[1]);
+        }
+        found
+    }
+
+    /// How much of a change of the free skin (model volts, NaN where missing) is that of touches that have gone, which the
+    /// reference holds: the share of its weighted energy that patches of the opposite sign explain, none where no patches do.
+    pub(crate) fn released_share(&self, change: &[f64]) -> Option<f64> {
+        let absent = self.channels.absent();
+        let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;
+        if change.len() != absent.len() || change.iter().zip(absent).any(missing) {
+            return None;
+        }
+        // Channels that are left out have no part in what follows.
+        let opposite: Vec<f64> = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
+        let mut whitened = Whitened::default();
+        self.channels.weigh(&opposite, &mut whitened);
+        let Whitened { change, deviation } = &whitened;
+        let tools = self.tools();
+        let found = match Seek::new(&tools, change, deviation)?.advance(&tools, f64::INFINITY) {
+            Outcome::Found(_, misfit) => misfit,
+            Outcome::UnderWay | Outcome::Nothing => return None,
+        };
+        let present = || change.iter().zip(deviation).filter(|(change, _)| change.is_finite());
+        let energy =
+            present().map(|(change, sigma)| (change / sigma).powi(2)).sum::<f64>() / present().count().max(1) as f64;
+        Some(1.0 - found / energy)
+    }
+}

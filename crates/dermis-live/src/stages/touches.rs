@@ -1,0 +1,273 @@
+//! From images to touches with identities: contact finding and tracking, set up from a skin file.
+
+use dermis_touch::force::ForceCalibration;
+use dermis_touch::{
+    Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise, Touch, TouchEvent,
+    Tracker, TrackerParams,
+};
+
+use crate::Error;
+use crate::image_cells::image_cells;
+use crate::prepare::Prepared;
+use crate::stages::placement::Placement;
+
+/// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
+const INTERRUPTION_NS: u64 = 250_000_000;
+
+/// Contact finder and tracker of a skin, with their memory.
+#[derive(Debug)]
+pub struct TouchStage {
+    finder: ContactFinder,
+    tracker: Tracker,
+    contacts: Vec<Contact>,
+    events: Vec<TouchEvent>,
+    /// Ends of touches that an interruption of the stream has ended, until the next frame.
+    ended: Vec<TouchEvent>,
+    noise: Vec<f32>,
+    forces: Option<ForceCalibration>,
+    /// Contacts of a smaller amplitude in the next image are none.
+    floor: f64,
+}
+
+impl TouchStage {
+    /// Sets up both from the skin file; `noise` is the image noise of each pixel (row-major, NaN outside).
+    ///
+    /// # Errors
+    /// Thresholds out of range.
+    pub fn new(prepared: &Prepared, noise: Vec<f32>) -> Result<Self, Error> {
+        let settings = &prepared.skin.touch;
+        let cells = image_cells(prepared.map.grid());
+        let half_width = prepared.half_width_m();
+        let contact = ContactParams {
+            k_on: settings.begin_sigma,
+            k_off: settings.hold_sigma,
+            relative_on: settings.side_lobe_share,
+            relative_off: 0.6 * settings.side_lobe_share,
+            min_amplitude: settings.smallest_amplitude,
+            correlation_length_m: 0.1 * half_width,
+            min_separation_m: 0.1 * half_width,
+            signs: if settings.both_signs { ContactSigns::Both } else { ContactSigns::Positive },
+            ..ContactParams::default()
+        };
+        let tracking = TrackerParams {
+            min_age_frames: settings.least_frames,
+            position_floor_m: settings.position_floor_mm * 1e-3,
+            gate_max_m: 0.5 * half_width,
+            ..TrackerParams::default()
+        };
+        Ok(Self {
+            finder: ContactFinder::new(cells, contact)?,
+            tracker: Tracker::new(tracking)?,
+            contacts: Vec::new(),
+            events: Vec::new(),
+            ended: Vec::new(),
+            noise,
+            forces: None,
+            floor: 0.0,
+        })
+    }
+
+    /// Reads the force of every contact by a calibration from now on.
+    pub fn set_forces(&mut self, forces: Option<ForceCalibration>) {
+        self.forces = forces;
+    }
+
+    /// Contacts of a smaller amplitude in the next image are lobes of something else.
+    pub fn set_floor(&mut self, amplitude: f64) {
+        self.floor = amplitude;
+    }
+
+    /// Replaces the image noise (after a new baseline or hyperparameter).
+    pub fn set_noise(&mut self, noise: Vec<f32>) {
+        self.noise = noise;
+    }
+
+    /// Follows the touches of one image, its contacts as the image has them.
+    ///
+    /// # Errors
+    /// An image of another size, or a time before the last one.
+    pub fn process(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
+        self.find_contacts(image, placement)?;
+        self.track_contacts(time_ns)
+    }
+
+    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame: it takes the
+    /// place of the image's contacts, whose strongest lends its amplitude and area.
+    ///
+    /// # Errors
+    /// An image of another size.
+    pub fn find_contacts(&mut self, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
+        self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
+        self.contacts.retain(|contact| contact.amplitude >= self.floor);
+        let several = self.contacts.len() > 1;
+        if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
+            self.contacts.truncate(1);
+            if self.contacts.is_empty() {
+                self.contacts.extend(self.contact_at(placement.position_m, image));
+            }
+            if let Some(only) = self.contacts.first_mut() {
+                only.centroid_m = placement.position_m;
+                only.covariance_m2 = placement.covariance_m2;
+                // The calibration has judged the whole frame; the image's threshold has nothing to add.
+                only.strength = ContactStrength::Strong;
+            }
+        }
+        Ok(())
+    }
+
+    /// The contacts just found, for a refinement to place better.
+    pub fn contacts_mut(&mut self) -> &mut Vec<Contact> {
+        &mut self.contacts
+    }
+
+    /// Reads the forces of the contacts just found and follows them as touches.
+    ///
+    /// # Errors
+    /// A time before the last one.
+    pub fn track_contacts(&mut self, time_ns: u64) -> Result<(), Error> {
+        if let Some(forces) = &self.forces {
+            self.contacts.iter_mut().for_each(|contact| {
+                contact.force = Some(forces.read(contact.centroid_m, contact.peak_value));
+            });
+        }
+        self.track(time_ns)
+    }
+
+    /// Follows the touches of a frame that says nothing: the contacts of the last image are taken to be there still, unless
+    /// an interruption has made an end of them.
+    ///
+    /// # Errors
+    /// A time before the last one.
+    pub fn repeat(&mut self, time_ns: u64) -> Result<(), Error> {
+        self.track(time_ns)
+    }
+
+    /// Follows the contacts as they are; the events begin with the ends that an interruption has made.
+    fn track(&mut self, time_ns: u64) -> Result<(), Error> {
+        self.tracker.update(time_ns, &self.contacts, &mut self.events)?;
+        self.events.splice(0..0, self.ended.drain(..));
+        Ok(())
+    }
+
+    /// A contact where a calibration sees a touch that the image's own threshold passed over: one cell, with the image's
+    /// value there.
+    fn contact_at(&self, position_m: [f64; 2], image: &[f32]) -> Option<Contact> {
+        let cells = self.finder.cells();
+        let cell = cells.cell_at(position_m)?;
+        let value = image.get(cell).copied().filter(|value| value.is_finite() && *value != 0.0)?;
+        let area_m2 = cells.area_m2(cell);
+        let amplitude = f64::from(value.abs());
+        Some(Contact {
+            peak_m: position_m,
+            peak_value: amplitude,
+            centroid_m: position_m,
+            area_m2,
+            amplitude,
+            volume: amplitude * area_m2,
+            covariance_m2: [[0.0; 2]; 2],
+            significance: amplitude / f64::from(self.noise[cell]),
+            sign: ContactSign::Positive,
+            strength: ContactStrength::Strong,
+            force: None,
+            radius_m: None,
+        })
+    }
+
+    /// The contacts of the last image, strongest first.
+    pub fn contacts(&self) -> &[Contact] {
+        &self.contacts
+    }
+
+    /// Touches on the skin now.
+    pub fn touches(&self) -> &[Touch] {
+        self.tracker.touches()
+    }
+
+    /// What happened in the last frame.
+    pub fn events(&self) -> &[TouchEvent] {
+        &self.events
+    }
+
+    /// True while anything lies on the skin, contacts not yet confirmed included.
+    pub fn is_loaded(&self) -> bool {
+        self.tracker.is_following()
+    }
+
+    /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end, and what
+    /// that frame shows begins anew. The ends are among its events.
+    pub fn interrupt(&mut self, time_ns: u64) {
+        self.tracker.end_all(time_ns, &mut self.ended);
+        self.contacts.clear();
+    }
+
+    /// True where so many frames in a row, taking so long, are an interruption: more than a touch may be missed, and longer than
+    /// a fingertip takes to tap.
+    pub fn is_interruption(&self, frames: u64, lasted_ns: u64) -> bool {
+        frames > u64::from(self.tracker.params().max_missed_frames) && lasted_ns > INTERRUPTION_NS
+    }
+
+    /// Ends all touches: the next frame has nothing to do with this one.
+    pub fn forget(&mut self, time_ns: u64) {
+        self.tracker.end_all(time_ns, &mut self.events);
+        self.events.splice(0..0, self.ended.drain(..));
+        self.contacts.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+
+    const FRAME_NS: u64 = 10_000_000;
+
+    /// A stage that follows one touch, and its time.
+    fn touched() -> (TouchStage, u64) {
+        let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
+        let grid = prepared.map.grid().len();
+        let mut stage = TouchStage::new(&prepared, vec![0.01; grid]).unwrap();
+        let image: Vec<f32> = (0..prepared.map.grid().rows)
+            .flat_map(|row| (0..prepared.map.grid().columns).map(move |column| (row, column)))
+            .map(|(row, column)| {
+                let [x, y] = [column as f32 - 20.0, row as f32 - 20.0];
+                (-(x * x + y * y) / 18.0).exp()
+            })
+            .collect();
+        for frame in 1..=10 {
+            stage.process(frame * FRAME_NS, &image, None).unwrap();
+        }
+        assert_eq!(stage.touches().len(), 1);
+        (stage, 10 * FRAME_NS)
+    }
+
+    fn ends(stage: &TouchStage) -> usize {
+        stage.events().iter().filter(|event| matches!(event, TouchEvent::End(_))).count()
+    }
+
+    #[test]
+    fn a_frame_that_says_nothing_after_an_interruption_ends_touches_and_begins_none() {
+        let (mut stage, mut time_ns) = touched();
+        time_ns += 30 * FRAME_NS;
+        stage.interrupt(time_ns);
+        stage.repeat(time_ns).unwrap();
+        assert_eq!((ends(&stage), stage.touches().len()), (1, 0), "{:?}", stage.events());
+        for _ in 0..10 {
+            time_ns += FRAME_NS;
+            stage.repeat(time_ns).unwrap();
+            assert!(stage.events().is_empty() && !stage.is_loaded(), "a touch that nobody sees: {:?}", stage.events());
+        }
+    }
+
+    #[test]
+    fn a_blind_frame_after_an_interruption_has_its_ends_and_leaves_nothing_behind() {
+        let (mut stage, mut time_ns) = touched();
+        stage.interrupt(time_ns);
+        stage.forget(time_ns);
+        assert_eq!((ends(&stage), stage.touches().len()), (1, 0));
+        for _ in 0..10 {
+            time_ns += FRAME_NS;
+            stage.repeat(time_ns).unwrap();
+            assert!(stage.events().is_empty() && !stage.is_loaded(), "{:?}", stage.events());
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Arrays of coils: of one description at many places, or of coils of any kind beside and over each other.
+
+use rayon::prelude::*;
+
+use crate::coil::{Coil, CoilShape};
+use crate::coil_spec::CoilSpec;
+use crate::error::MitError;
+use crate::vector::{Vector, norm, subtract};
+
+/// Most coils of an array.
+pub const MOST_COILS: usize = 64;
+
+/// Coils beside each other, or over each other in layers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CoilArray {
+    coils: Vec<Coil>,
+}
+
+/// What a drawing of a coil needs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoilOutline {
+    /// Outline of its turns.
+    pub shape: CoilShape,
+    /// Its middle, metres.
+    pub centre_m: [f64; 3],
+    /// Its outer width, metres: diameter or side.
+    pub outer_m: f64,
+}
+
+impl CoilArray {
+    /// Equal coils with their middles at these places, metres, numbered in this order. [`crate::CoilGrid`] makes places.
+    ///
+    /// # Errors
+    /// As [`CoilSpec::coil`] and [`CoilArray::of_coils`].
+    pub fn new(spec: &CoilSpec, places_m: &[[f64; 3]]) -> Result<Self, MitError> {
+        let coil = spec.coil([0.0; 3])?;
+        Self::of_coils(places_m.iter().map(|place| coil.clone().moved(*place)).collect())
+    }
+
+    /// Coils of any kind.
+    ///
+    /// # Errors
+    /// Fewer than 2 coils or more than [`MOST_COILS`], places that are not finite, coils that reach into each other: coils
+    /// may lie over each other only where their heights differ by the sum of their half heights at least.
+    pub fn of_coils(coils: Vec<Coil>) -> Result<Self, MitError> {
+        for (k, coil) in coils.iter().enumerate() {
+            if let Some(value) = coil.centre_m.into_iter().find(|x| !x.is_finite()) {
+                return Err(MitError::CoilPlace { coil: k + 1, value });
+            }
+        }
+        if !(2..=MOST_COILS).contains(&coils.len()) {
+            return Err(MitError::Value { field: "number of coils", value: coils.len() as f64, expected: "2 to 64" });
+        }
+        for (k, a) in coils.iter().enumerate() {
+            for (n, b) in coils.iter().enumerate().skip(k + 1) {
+                let layers_m = a.half_height_m + b.half_height_m;
+                let over = (a.centre_m[2] - b.centre_m[2]).abs() >= layers_m * (1.0 - 1e-9);
+                if !over && overlap_in_plan(a, b) {
+                    return Err(MitError::CoilsOverlap {
+                        first: k + 1,
+                        second: n + 1,
+                        distance_m: norm(subtract(a.centre_m, b.centre_m)),
+                        needed_m: a.half_width_m + b.half_width_m,
+                        layers_m,
+                    });
+                }
+            }
+        }
+        Ok(Self { coils })
+    }
+
+    /// The same array over a perfectly conducting plane at a height below it.
+    ///
+    /// # Errors
+    /// A height that is not finite, or not below all wire.
+    pub fn with_shield(self, z_m: f64) -> Result<Self, MitError> {
+        let lowest_m =
+            self.coils.iter().map(|coil| coil.centre_m[2] - coil.half_height_m).fold(f64::INFINITY, f64::min);
+        if !(z_m.is_finite() && z_m < lowest_m) {
+            return Err(MitError::ShieldNotBelow { z_m, lowest_m });
+        }
+        Ok(Self { coils: self.coils.into_iter().map(|coil| coil.with_shield(z_m)).collect() })
+    }
+
+    /// The coils.
+    pub fn coils(&self) -> &[Coil] {
+        &self.coils
+    }
+
+    /// Shape, middle and outer width of every coil, for drawing.
+    pub fn outlines(&self) -> Vec<CoilOutline> {
+        let outline = |coil: &Coil| CoilOutline {
+            shape: coil.shape(),
+            centre_m: coil.centre_m,
+            outer_m: 2.0 * coil.half_width_m,
+        };
+        self.coils.iter().map(outline).collect()
+    }
+
+    /// All pairs of two coils, (0, 1), (0, 2), ... (n-2, n-1): N(N-1)/2 channels.
+    pub fn pairs(&self) -> Vec<[usize; 2]> {
+        let count = self.coils.len();
+        (0..count).flat_map(|a| (a + 1..count).map(move |b| [a, b])).collect()
+    }
+
+    /// Mutual inductance of every pair without bodies, henries.
+    pub fn mutuals_h(&self) -> Vec<f64> {
+        self.pairs().par_iter().map(|&[a, b]| self.coils[a].mutual_h(&self.coils[b])).collect()
+    }
+}
+
+/// True where two coils cover a place of the plane together; coils that touch do not.
+fn overlap_in_plan(a: &Coil, b: &Coil) -> bool {
+    let [dx, dy, _]: Vector = subtract(a.centre_m, b.centre_m).map(f64::abs);
+    let (needed_m, apart_m) = match (a.shape(), b.shape()) {
+        (CoilShape::Round, CoilShape::Round) => (a.half_width_m + b.half_width_m, dx.hypot(dy)),
+        (CoilShape::Square, CoilShape::Square) => (a.half_width_m + b.half_width_m, dx.max(dy)),
+        (CoilShape::Round, CoilShape::Square) => (a.half_width_m, outside_square(b, [dx, dy])),
+        (CoilShape::Square, CoilShape::Round) => (b.half_width_m, outside_square(a, [dx, dy])),
+    };
+    apart_m < needed_m * (1.0 - 1e-9)
+}
+
+/// Distance of a point from a square coil, by the point's distances from its middle along x and y; 0 inside.
+fn outside_square(square: &Coil, distances_m: [f64; 2]) -> f64 {
+    let [x, y] = distances_m.map(|distance| (distance - square.half_width_m).max(0.0));
+    x.hypot(y)
+}

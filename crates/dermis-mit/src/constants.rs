@@ -1,0 +1,9 @@
+//! Constants of free space.
+
+use std::f64::consts::PI;
+
+/// Magnetic constant, H/m, as all references here take it.
+pub const MU0: f64 = 4e-7 * PI;
+
+/// `4 pi mu0`, henries per metre.
+pub(crate) const FOUR_PI_MU0: f64 = 4.0 * PI * MU0;

@@ -1,0 +1,49 @@
+//! Magnetic induction tomography: coils, the small conducting bodies that they sense, and the changes of mutual inductance
+//! that these make. Of files it knows the cache of bodies alone ([`catalogue`]).
+//!
+//! Conventions: `e^{+j w t}`, SI, `mu0 = 4e-7 pi`. The change of the impedance between two coils is `dZ = j w dM`; `dM`
+//! (henries, complex) is negative in its real part where flux is pushed out of a coil's own loop, and in its imaginary
+//! part of a self term where power is lost. Positions are metres, x right, y up, z out of the skin toward the toucher.
+
+mod array;
+pub mod catalogue;
+mod coil;
+mod coil_spec;
+mod constants;
+pub mod edge;
+mod element;
+mod error;
+mod harmonics;
+mod lift_off;
+mod model_choice;
+mod multipole_array;
+mod plate;
+mod polarizability;
+mod published;
+mod quadrature;
+mod ring;
+mod ring_body;
+mod segment;
+pub mod sensitivity;
+pub mod sheet;
+mod sphere;
+mod vector;
+
+pub use array::{CoilArray, CoilOutline, MOST_COILS};
+pub use coil::{Coil, CoilShape, Filament};
+pub use coil_spec::{CoilGrid, CoilSpec, Conductor, MOST_TURNS};
+pub use constants::MU0;
+pub use element::{Element, ElementShape};
+pub use error::MitError;
+pub use harmonics::{HARMONICS, MOST_DEGREE, expansion, regular, regular_gradients};
+pub use lift_off::{LiftOff, LiftOffFit, LiftOffOptions};
+pub use model_choice::{BodyModel, body_changes_h};
+pub use multipole_array::{CoilTables, Coupling, MultipoleArray};
+pub use plate::{ConductingPlate, RoundWinding};
+pub use polarizability::Polarizability;
+pub use published::{EM_8, EM_16_CIRCULAR, EM_16_SQUARE, PublishedArray};
+pub use ring::{Ring, complete_elliptic};
+pub use ring_body::{RingBody, Section};
+pub use segment::Segment;
+pub use sphere::{Sphere, skin_depth_m};
+pub use vector::Complex;

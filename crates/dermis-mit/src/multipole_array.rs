@@ -1,0 +1,398 @@
+//! Small conducting bodies over coils: each answers the field around it by a complex-symmetric matrix tau over solid
+//! harmonics, and the change of a mutual inductance is `dM_mn = c_m' tau c_n`, c the coils' expansions at the body.
+//! Moving a body changes only c, which is tabulated over its height.
+//!
+//! With harmonics of Schmidt's normalisation and `B = -mu0 grad(sum c_i h_i)`, the scattered potential is `sum d_i Y_i/r^(l+1)`
+//! with `d = -tau c / (4 pi mu0)`, and reciprocity gives `dM_mn = -4 pi mu0 c_m' d_n`; a sphere has
+//! `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)` with the re-expansion S
+//! of one body's irregular harmonics about the other, solved by fixed-point sweeps.
+
+use std::collections::HashMap;
+use std::f64::consts::PI;
+
+use crate::array::CoilArray;
+use crate::coil::{Coil, Filament};
+use crate::constants::FOUR_PI_MU0;
+use crate::error::{MitError, positive};
+use crate::harmonics::{HARMONICS, MOST_DEGREE, index, translation};
+use crate::polarizability::Polarizability;
+use crate::vector::{Complex, Vector, norm, subtract};
+
+/// How neighbours excite each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coupling {
+    /// Highest degree that is passed on, 1 to [`crate::MOST_DEGREE`].
+    pub degree: usize,
+    /// Bodies farther apart than this do not, metres.
+    pub reach_m: f64,
+    /// Fixed-point sweeps.
+    pub sweeps: usize,
+}
+
+/// The coils' expansions at every body over a range of heights: Chebyshev polynomials.
+#[derive(Clone, Debug)]
+pub struct CoilTables {
+    coils: usize,
+    places_m: Vec<[f64; 2]>,
+    low_m: f64,
+    high_m: f64,
+    nodes: usize,
+    /// Per coil and body: polynomial by polynomial, [`HARMONICS`] each.
+    coefficients: Vec<f64>,
+}
+
+/// Chebyshev polynomials of a table.
+const NODES: usize = 16;
+
+impl CoilTables {
+    /// Tabulates all coils at bodies of these places (x, y) between two heights of their centres.
+    ///
+    /// # Errors
+    /// No bodies, heights that are not in order, wire nearer to a body's centre than `clearance_m` anywhere in the range.
+    pub fn new(
+        array: &CoilArray,
+        places_m: &[[f64; 2]],
+        heights_m: [f64; 2],
+        clearance_m: f64,
+    ) -> Result<Self, MitError> {
+        let [low_m, high_m] = heights_m;
+        if places_m.is_empty() {
+            return Err(MitError::Count { what: "bodies", expected: 1, got: 0 });
+        }
+        positive("clearance_m", clearance_m)?;
+        positive("range of heights (m)", high_m - low_m)?;
+        check_clearance(array, places_m, heights_m, clearance_m)?;
+        let mut known: HashMap<(usize, u64), Vec<f64>> = HashMap::new();
+        let mut coefficients = Vec::with_capacity(array.coils().len() * places_m.len() * NODES * HARMONICS);
+        for coil in array.coils() {
+            let first = array.coils().iter().position(|other| is_same_shape(coil, other)).unwrap_or(0);
+            for place in places_m {
+                let (dx, dy) = (place[0] - coil.centre_m[0], place[1] - coil.centre_m[1]);
+                if !coil.is_axisymmetric() {
+                    coefficients.extend(chebyshev(coil, [dx, dy], [low_m, high_m]));
+                    continue;
+                }
+                // Round coils: one table a distance, turned to where the body is.
+                let key = (first, (dx.hypot(dy) * 1e10).round() as u64);
+                let table = known.entry(key).or_insert_with(|| chebyshev(coil, [dx.hypot(dy), 0.0], [low_m, high_m]));
+                coefficients.extend(turned(table, dy.atan2(dx)));
+            }
+        }
+        let coils = array.coils().len();
+        Ok(Self { coils, places_m: places_m.to_vec(), low_m, high_m, nodes: NODES, coefficients })
+    }
+
+    /// Expansion of a coil at a body of a height, and its derivative by the height where asked for.
+    fn evaluate(&self, coil: usize, body: usize, height_m: f64, c: &mut [f64], mut slope: Option<&mut [f64]>) {
+        let t = (2.0 * height_m - self.low_m - self.high_m) / (self.high_m - self.low_m);
+        let per_m = 2.0 / (self.high_m - self.low_m);
+        let from = (coil * self.places_m.len() + body) * self.nodes * HARMONICS;
+        c.fill(0.0);
+        if let Some(slope) = slope.as_deref_mut() {
+            slope.fill(0.0);
+        }
+        // T_n and n U_(n-1), the derivative of T_n.
+        let (mut t0, mut t1, mut u0, mut u1) = (1.0, t, 0.0, 1.0);
+        for (n, row) in self.coefficients[from..from + self.nodes * HARMONICS].chunks_exact(HARMONICS).enumerate() {
+            c.iter_mut().zip(row).for_each(|(c, a)| *c += t0 * a);
+            if let Some(slope) = slope.as_deref_mut() {
+                let factor = per_m * n as f64 * u0;
+                slope.iter_mut().zip(row).for_each(|(c, a)| *c += factor * a);
+            }
+            (t0, t1) = (t1, 2.0 * t * t1 - t0);
+            (u0, u1) = (u1, 2.0 * t * u1 - u0);
+        }
+    }
+}
+
+/// True where one coil is the other, moved.
+fn is_same_shape(a: &Coil, b: &Coil) -> bool {
+    let by = subtract(a.centre_m, b.centre_m);
+    let near = |p: Vector, q: Vector| norm(subtract(p, q)) < 1e-12;
+    let same = |(p, q): (&Filament, &Filament)| match (p, q) {
+        (Filament::Ring(p), Filament::Ring(q)) => {
+            near(subtract(p.centre_m, by), q.centre_m) && p.axis == q.axis && (p.radius_m - q.radius_m).abs() < 1e-12
+        }
+        (Filament::Segment(p), Filament::Segment(q)) => {
+            near(subtract(p.from_m, by), q.from_m) && near(subtract(p.to_m, by), q.to_m)
+        }
+        _ => false,
+    };
+    a.scale() == b.scale()
+        && a.filaments().len() == b.filaments().len()
+        && a.filaments().iter().zip(b.filaments()).all(same)
+}
+
+fn check_clearance(
+    array: &CoilArray,
+    places_m: &[[f64; 2]],
+    [low_m, high_m]: [f64; 2],
+    clearance_m: f64,
+) -> Result<(), MitError> {
+    for (coil, wire) in array.coils().iter().enumerate() {
+        for (body, [x, y]) in places_m.iter().enumerate() {
+            for step in 0..=8 {
+                let position_m = [*x, *y, low_m + (high_m - low_m) * f64::from(step) / 8.0];
+                let distance_m = wire.distance_m(position_m);
+                if !distance_m.is_finite() {
+                    let field = "distance of a body from wire (m)";
+                    return Err(MitError::Value { field, value: distance_m, expected: "finite" });
+                }
+                if distance_m < clearance_m {
+                    let (coil, body, radius_m) = (coil + 1, body + 1, clearance_m);
+                    return Err(MitError::WireInside { body, position_m, coil, distance_m, radius_m });
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Chebyshev coefficients over the height of a coil's expansion at a place relative to its middle.
+fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<f64> {
+    let angle = |k: usize| PI * (k as f64 + 0.5) / NODES as f64;
+    let samples: Vec<[f64; HARMONICS]> = (0..NODES)
+        .map(|k| {
+            let z = 0.5 * (low_m + high_m) + 0.5 * (high_m - low_m) * angle(k).cos();
+            coil.expansion([coil.centre_m[0] + dx, coil.centre_m[1] + dy, z])
+        })
+        .collect();
+    let coefficient = |n: usize, i: usize| {
+        let share = if n == 0 { 1.0 } else { 2.0 } / NODES as f64;
+        share * (0..NODES).map(|k| samples[k][i] * (n as f64 * angle(k)).cos()).sum::<f64>()
+    };
+    (0..NODES).flat_map(|n| (0..HARMONICS).map(move |i| (n, i))).map(|(n, i)| coefficient(n, i)).collect()
+}
+
+/// Coefficients of a table made along +x, turned about the coil's axis.
+fn turned(table: &[f64], angle: f64) -> Vec<f64> {
+    let mut out = table.to_vec();
+    for row in out.chunks_exact_mut(HARMONICS) {
+        for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
+            let (s, c) = (order as f64 * angle).sin_cos();
+            let at = index(degree, order);
+            let (along, across) = (row[at], row[at + 1]);
+            row[at] = along * c - across * s;
+            row[at + 1] = along * s + across * c;
+        }
+    }
+    out
+}
+
+/// Bodies at fixed places whose heights move, over an array of coils.
+#[derive(Clone, Debug)]
+pub struct MultipoleArray {
+    bodies: Vec<Polarizability>,
+    tables: CoilTables,
+    coupling: Option<Coupling>,
+    /// Ordered pairs that excite each other.
+    neighbours: Vec<[usize; 2]>,
+    pairs: Vec<[usize; 2]>,
+    /// Expansions, coil by coil within body.
+    c: Vec<f64>,
+    slopes: Vec<f64>,
+    /// Answers d, coil by coil within body.
+    d: Vec<Complex>,
+    /// The same without neighbours.
+    alone: Vec<Complex>,
+    next: Vec<Complex>,
+}
+
+impl MultipoleArray {
+    /// One body for each place of the tables.
+    ///
+    /// # Errors
+    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the spheres
+    /// around them.
+    pub fn new(bodies: Vec<Polarizability>, tables: CoilTables, coupling: Option<Coupling>) -> Result<Self, MitError> {
+        let count = tables.places_m.len();
+        if bodies.len() != count {
+            return Err(MitError::Count { what: "bodies", expected: count, got: bodies.len() });
+        }
+        let distance = |a: usize, b: usize| {
+            let (p, q) = (tables.places_m[a], tables.places_m[b]);
+            (p[0] - q[0]).hypot(p[1] - q[1])
+        };
+        let mut neighbours = Vec::new();
+        for a in 0..count {
+            for b in (0..count).filter(|b| *b != a) {
+                // Bodies that excite each other need the spheres around them apart, others only those within them.
+                let reach = |body: &Polarizability| if coupling.is_some() { body.radius_m } else { body.inner_m };
+                let (distance_m, needed_m) = (distance(a, b), reach(&bodies[a]) + reach(&bodies[b]));
+                if distance_m < needed_m * (1.0 - 1e-9) {
+                    return Err(MitError::BodiesOverlap { first: a + 1, second: b + 1, distance_m, needed_m });
+                }
+                if coupling.is_some_and(|coupling| distance_m <= coupling.reach_m) {
+                    neighbours.push([a, b]);
+                }
+            }
+        }
+        let coils = tables.coils;
+        let pairs = (0..coils).flat_map(|a| (a + 1..coils).map(move |b| [a, b])).collect();
+        let (size, zero) = (count * coils * HARMONICS, Complex::new(0.0, 0.0));
+        Ok(Self {
+            c: vec![0.0; size],
+            slopes: vec![0.0; size],
+            d: vec![zero; size],
+            alone: vec![zero; size],
+            next: vec![zero; size],
+            bodies,
+            tables,
+            coupling,
+            neighbours,
+            pairs,
+        })
+    }
+
+    /// Number of bodies.
+    pub fn count(&self) -> usize {
+        self.bodies.len()
+    }
+
+    /// Pairs of coils, in the order of the changes.
+    pub fn pairs(&self) -> &[[usize; 2]] {
+        &self.pairs
+    }
+
+    /// Range of heights.
+    pub fn heights_m(&self) -> [f64; 2] {
+        [self.tables.low_m, self.tables.high_m]
+    }
+
+    /// Changes of mutual inductance of all pairs of coils, henries, with the bodies' centres at these heights. Allocates only
+    /// for re-expansions.
+    ///
+    /// # Errors
+    /// Another number of heights or of pairs, a height outside the table.
+    pub fn changes(&mut self, heights_m: &[f64], changes_h: &mut [Complex]) -> Result<(), MitError> {
+        self.check(heights_m, changes_h.len())?;
+        self.expand(heights_m, false);
+        self.answer_alone();
+        self.excite_each_other(heights_m);
+        let stride = self.tables.coils * HARMONICS;
+        for (change, &[m, n]) in changes_h.iter_mut().zip(&self.pairs) {
+            let mut sum = Complex::new(0.0, 0.0);
+            for body in 0..self.bodies.len() {
+                let c = &self.c[body * stride + m * HARMONICS..][..HARMONICS];
+                let d = &self.d[body * stride + n * HARMONICS..][..HARMONICS];
+                let (mut re, mut im) = (0.0, 0.0);
+                for (c, d) in c.iter().zip(d) {
+                    re += c * d.re;
+                    im += c * d.im;
+                }
+                sum += Complex::new(re, im);
+            }
+            *change = sum * -FOUR_PI_MU0;
+        }
+        Ok(())
+    }
+
+    /// Derivatives of the changes by each body's height, henries per metre, pair by pair and body by body; neighbours'
+    /// excitation is left out, as second order: `dc_m' tau c_n + c_m' tau dc_n`.
+    ///
+    /// # Errors
+    /// As [`MultipoleArray::changes`].
+    pub fn slopes(&mut self, heights_m: &[f64], slopes_h_per_m: &mut [Complex]) -> Result<(), MitError> {
+        self.check(heights_m, slopes_h_per_m.len() / self.bodies.len())?;
+        self.expand(heights_m, true);
+        self.answer_alone();
+        let stride = self.tables.coils * HARMONICS;
+        for (k, &[m, n]) in self.pairs.iter().enumerate() {
+            for body in 0..self.bodies.len() {
+                let part = |of: usize| body * stride + of * HARMONICS..body * stride + (of + 1) * HARMONICS;
+                // tau is symmetric: c_m' tau dc_n = dc_n' tau c_m.
+                let product = |slope: usize, answer: usize| -> Complex {
+                    self.slopes[part(slope)].iter().zip(&self.d[part(answer)]).map(|(s, d)| *d * *s).sum()
+                };
+                slopes_h_per_m[k * self.bodies.len() + body] = (product(m, n) + product(n, m)) * -FOUR_PI_MU0;
+            }
+        }
+        Ok(())
+    }
+
+    fn check(&self, heights_m: &[f64], pairs: usize) -> Result<(), MitError> {
+        if heights_m.len() != self.bodies.len() {
+            let (expected, got) = (self.bodies.len(), heights_m.len());
+            return Err(MitError::Count { what: "heights", expected, got });
+        }
+        if pairs != self.pairs.len() {
+            return Err(MitError::Count { what: "changes", expected: self.pairs.len(), got: pairs });
+        }
+        let [low_m, high_m] = self.heights_m();
+        let slack = 1e-9 * (high_m - low_m);
+        let outside = |h: &f64| !(*h >= low_m - slack && *h <= high_m + slack);
+        match heights_m.iter().position(outside) {
+            Some(k) => Err(MitError::OutsideTable { body: k + 1, height_m: heights_m[k], low_m, high_m }),
+            None => Ok(()),
+        }
+    }
+
+    fn expand(&mut self, heights_m: &[f64], with_slopes: bool) {
+        for (body, height) in heights_m.iter().enumerate() {
+            for coil in 0..self.tables.coils {
+                let at = (body * self.tables.coils + coil) * HARMONICS;
+                let slope = if with_slopes { Some(&mut self.slopes[at..at + HARMONICS]) } else { None };
+                self.tables.evaluate(coil, body, *height, &mut self.c[at..at + HARMONICS], slope);
+            }
+        }
+    }
+
+    /// `d = -tau c / (4 pi mu0)`.
+    fn answer_alone(&mut self) {
+        let stride = self.tables.coils * HARMONICS;
+        for (body, (c, d)) in self.bodies.iter().zip(self.c.chunks_exact(stride).zip(self.d.chunks_exact_mut(stride))) {
+            for (c, d) in c.chunks_exact(HARMONICS).zip(d.chunks_exact_mut(HARMONICS)) {
+                body.answer(c, d);
+                d.iter_mut().for_each(|d| *d *= -1.0 / FOUR_PI_MU0);
+            }
+        }
+    }
+
+    /// Sweeps of `d = -tau (c + sum S d) / (4 pi mu0)`.
+    fn excite_each_other(&mut self, heights_m: &[f64]) {
+        let Some(coupling) = self.coupling else { return };
+        let degree = coupling.degree.clamp(1, MOST_DEGREE);
+        let count = (degree + 1) * (degree + 1) - 1;
+        let stride = self.tables.coils * HARMONICS;
+        let at = |body: usize| [self.tables.places_m[body][0], self.tables.places_m[body][1], heights_m[body]];
+        // From the centre of the source to that of the excited.
+        let matrices: Vec<_> = self
+            .neighbours
+            .iter()
+            .map(|&[target, source]| translation(subtract(at(target), at(source)), degree))
+            .collect();
+        self.alone.copy_from_slice(&self.d);
+        let mut field = vec![Complex::new(0.0, 0.0); self.tables.coils * count];
+        for _ in 0..coupling.sweeps {
+            self.next.copy_from_slice(&self.alone);
+            // Neighbours stand in the order of the body that they excite: one answer to all their fields.
+            let mut from = 0;
+            while from < self.neighbours.len() {
+                let target = self.neighbours[from][0];
+                let to = from + self.neighbours[from..].iter().take_while(|pair| pair[0] == target).count();
+                field.fill(Complex::new(0.0, 0.0));
+                for (&[_, source], s) in self.neighbours[from..to].iter().zip(&matrices[from..to]) {
+                    let answers = self.d[source * stride..(source + 1) * stride].chunks_exact(HARMONICS);
+                    for (field, d) in field.chunks_exact_mut(count).zip(answers) {
+                        for (field, row) in field.iter_mut().zip(s.chunks_exact(count)) {
+                            let (mut re, mut im) = (0.0, 0.0);
+                            for (d, s) in d.iter().zip(row) {
+                                re += d.re * s;
+                                im += d.im * s;
+                            }
+                            *field += Complex::new(re, im);
+                        }
+                    }
+                }
+                let answers = self.next[target * stride..(target + 1) * stride].chunks_exact_mut(HARMONICS);
+                for (field, out) in field.chunks_exact(count).zip(answers) {
+                    for (row, column, value) in self.bodies[target].entries.iter().filter(|entry| entry.1 < count) {
+                        out[*row] -= *value * field[*column] * (1.0 / FOUR_PI_MU0);
+                    }
+                }
+                from = to;
+            }
+            std::mem::swap(&mut self.d, &mut self.next);
+        }
+    }
+}

@@ -1,0 +1,58 @@
+//! Errors of this crate: what failed, where, the value, and what was expected.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Why something could not be done.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// From preparing a skin, or from the live pipeline.
+    #[error(transparent)]
+    Live(#[from] dermis_live::Error),
+    /// From a skin file.
+    #[error(transparent)]
+    Skin(#[from] dermis_skin::Error),
+    /// A file that could not be read or written.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file whose contents are not what they should be.
+    #[error("{}: {field}: {reason}", file.display())]
+    Content {
+        /// The file.
+        file: PathBuf,
+        /// Line, key or column.
+        field: String,
+        /// Value found and what was expected.
+        reason: String,
+    },
+    /// Frames that do not fit the skin.
+    #[error("{what}: expected {expected}, got {got}")]
+    Frames {
+        /// Which frames.
+        what: String,
+        /// Expected.
+        expected: String,
+        /// Found.
+        got: String,
+    },
+    /// From a reader or source.
+    #[error(transparent)]
+    Device(#[from] dermis_device::DeviceError),
+    /// From touch extraction.
+    #[error("touches: {0}")]
+    Touch(#[from] dermis_touch::TouchError),
+}
+
+impl Error {
+    pub(crate) fn io(file: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let file = file.into();
+        move |source| Self::Io { file, source }
+    }
+}

@@ -1,0 +1,62 @@
+//! Recordings: raw frames before any processing, together with the skin, calibrations, baselines, touches and events, in
+//! one MCAP file (<https://mcap.dev/spec>, profile `ros2`) that general viewers open, and the same frames back as a
+//! [`dermis_device::Source`].
+//!
+//! # Channels
+//! All messages are CDR, and their definitions (`ros2msg`) stand in the file.
+//!
+//! | topic | type | what |
+//! |---|---|---|
+//! | `/dermis/frames` | `dermis_msgs/msg/Frame` | every raw frame, queued before it is processed |
+//! | `/dermis/baselines` | `dermis_msgs/msg/Baseline` | every baseline with its values, noise and reason |
+//! | `/dermis/touches` | `dermis_msgs/msg/Touches` | touches of frames that have any, or in which one ended |
+//! | `/dermis/events` | `dermis_msgs/msg/Event` | commands, gaps, faults |
+//! | `/dermis/image` | `sensor_msgs/msg/Image` | the image (32FC1), at most so many a second |
+//! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the same on the skin's surface, a field `pressure` with the image's value |
+//! | `/dermis/touch_points` | `sensor_msgs/msg/PointCloud2` | touches in space |
+//!
+//! The last three are there where a [`SkinView`] was given. Log times are the host's wall clock. Readings are 8 bytes each
+//! and exact, to the payload of a NaN.
+//!
+//! Metadata records: `dermis.recording` (format version, channel layout and labels as JSON, source, software),
+//! `dermis.skin` (the skin file, key `toml`), `dermis.calibration` (the calibrations, keys `image` and `forces`), all
+//! attached as files too, and at the end `dermis.finished` (frames written and dropped).
+//!
+//! # What survives
+//! While it is being made, a recording `press.mcap` is called `press.partial.mcap`; it gets its name when it is whole and
+//! on disk. Twice a second everything is handed to the operating system as a complete chunk with a checksum, so a partial
+//! recording whose writer was killed lacks at most about the last second; it opens like any other, and
+//! [`Recording::damage`] says what is missing. Neither name is ever overwritten. Where a device stands under the name (a
+//! pipe, a terminal), it is written to directly.
+
+mod cdr;
+mod error;
+mod export;
+mod file;
+mod head;
+mod live;
+mod messages;
+mod queue;
+mod reader;
+mod recover;
+mod replay;
+mod rerun;
+mod scan;
+mod schema;
+pub mod sink;
+mod sync;
+mod view;
+mod writer;
+
+pub use error::Error;
+pub use export::{Exported, Table, TableFormat, export};
+pub use head::RecordingHead;
+pub use live::{LiveRecording, RecordingEnd};
+pub use messages::{BaselineEntry, EventEntry, TouchEntry, TouchesEntry};
+pub use queue::{RecorderHandle, RecorderStatus};
+pub use reader::{Damage, Entry, LostFrames, Recording};
+pub use recover::{Recovered, recover};
+pub use replay::Replay;
+pub use rerun::{RerunOptions, RerunReport, rerun};
+pub use view::SkinView;
+pub use writer::{Recorder, RecordingSummary};

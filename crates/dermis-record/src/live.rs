@@ -1,0 +1,159 @@
+//! A live pipeline being recorded: what is to be offered to the recorder before and after each frame, so that a replay has
+//! everything that the result depended on.
+
+use std::path::{Path, PathBuf};
+
+use dermis_device::{Frame, HostStamp};
+use dermis_touch::damage::DamageEvent;
+
+use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, SkinView};
+use crate::Error;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::stages::health::HealthWatch;
+
+/// Frames that may wait for the disk.
+const QUEUE: usize = 1024;
+
+/// Events that a replay obeys.
+pub(super) const TARE: &str = "tare";
+pub(super) const HYPERPARAMETER: &str = "hyperparameter";
+
+/// A recording of a running pipeline. Nothing here waits for the disk, and no failure of it reaches the pipeline.
+#[derive(Debug)]
+pub struct LiveRecording {
+    path: PathBuf,
+    handle: RecorderHandle,
+    last_sequence: Option<u64>,
+    /// Time of the frame at hand, by the device's clock where it has one, so that a twin that runs faster than time is
+    /// pictured as often as one that does not.
+    time_ns: u64,
+    health: HealthWatch,
+    failure_told: bool,
+}
+
+/// How a recording ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RecordingEnd {
+    /// Where it was to stand.
+    pub path: PathBuf,
+    /// Frames in it.
+    pub frames: u64,
+    /// Frames that were offered and are not in it.
+    pub lost: u64,
+    /// What stopped it; what was written until then stands under the partial name.
+    pub error: Option<String>,
+}
+
+impl LiveRecording {
+    /// Starts to record to `path`, with at most `images_per_s` images a second (none at 0). If the pipeline has a baseline
+    /// already, the recording begins with it.
+    ///
+    /// # Errors
+    /// As [`Recorder::create`].
+    pub fn start(path: &Path, head: &RecordingHead, pipeline: &Pipeline, images_per_s: f64) -> Result<Self, Error> {
+        let mut recorder = Recorder::create(path, head)?;
+        if images_per_s > 0.0 {
+            recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
+        }
+        let handle = RecorderHandle::spawn(recorder, QUEUE)?;
+        let health = HealthWatch::new(&pipeline.prepared().skin);
+        let live = Self { path: path.to_owned(), handle, last_sequence: None, time_ns: 0, health, failure_told: false };
+        live.baseline(pipeline, HostStamp::now().wall_ns);
+        Ok(live)
+    }
+
+    /// Where the recording will stand.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What has been written and lost.
+    pub fn status(&self) -> RecorderStatus {
+        self.handle.status()
+    }
+
+    /// Takes a raw frame, before anything is made of it. A gap in the numbers is an event of its own.
+    pub fn frame(&mut self, frame: &Frame) {
+        let missing = self.last_sequence.map_or(0, |last| frame.sequence.saturating_sub(last).saturating_sub(1));
+        if missing > 0 {
+            let detail = format!("{missing} frames missing before frame {}", frame.sequence);
+            self.handle.offer_event(frame.host_wall_ns, "gap", &detail, &[missing as f64]);
+        }
+        self.last_sequence = Some(frame.sequence);
+        self.time_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
+        self.handle.offer(frame);
+    }
+
+    /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first frame,
+    /// what was broken before the recording began.
+    pub fn results(&mut self, output: &Output<'_>) {
+        self.handle.offer_results(output, self.time_ns);
+        for event in output.damage.events {
+            let (name, detail, values) = damage_event(event);
+            self.handle.offer_event(output.wall_ns, name, &detail, &values);
+        }
+        for change in self.health.changes(output.health) {
+            self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
+        }
+    }
+
+    /// Takes the baseline in use, if there is one.
+    pub fn baseline(&self, pipeline: &Pipeline, wall_ns: u64) {
+        if let Some(record) = pipeline.baseline_records().last() {
+            let (values, noise_std) = pipeline.baseline();
+            self.handle.offer_baseline(wall_ns, record, values, noise_std);
+        }
+    }
+
+    /// A tare was accepted before the next frame.
+    pub fn tare(&self, force: bool, reason: &str) {
+        self.event(TARE, reason, &[f64::from(u8::from(force))]);
+    }
+
+    /// Another lambda is in use from the next frame on.
+    pub fn hyperparameter(&self, lambda: f64) {
+        self.event(HYPERPARAMETER, &format!("lambda {lambda:e}"), &[lambda]);
+    }
+
+    /// Anything else that happened before the next frame: in a word, for people, and the numbers that belong to it.
+    pub fn event(&self, event: &str, detail: &str, values: &[f64]) {
+        self.handle.offer_event(HostStamp::now().wall_ns, event, detail, values);
+    }
+
+    /// What has stopped the recording, the first time it is asked after that.
+    pub fn new_failure(&mut self) -> Option<String> {
+        let error = self.handle.status().error.filter(|_| !self.failure_told)?;
+        self.failure_told = true;
+        Some(error)
+    }
+
+    /// Ends the recording.
+    pub fn finish(self) -> RecordingEnd {
+        let (path, shared) = (self.path, self.handle.watch());
+        match self.handle.finish() {
+            Ok(summary) => RecordingEnd { path, frames: summary.frames, lost: summary.dropped, error: None },
+            Err(error) => {
+                let (frames, lost) = shared();
+                RecordingEnd { path, frames, lost, error: Some(error.to_string()) }
+            }
+        }
+    }
+}
+
+/// What happened to a damage: the event, the same for people, and id, x, y, length (metres), direction (radians), depth and
+/// share that is left.
+fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
+    let damage = event.damage();
+    let shape = &damage.shape;
+    let [x, y] = shape.centre_m;
+    let name = match event {
+        DamageEvent::Begin(_) => "damage-begin",
+        DamageEvent::Update(_) => "damage-update",
+        DamageEvent::Covered(_) => "damage-covered",
+        DamageEvent::Uncovered(_) => "damage-uncovered",
+        DamageEvent::Healed(_) => "damage-healed",
+    };
+    let values = [damage.id as f64, x, y, shape.length_m, shape.direction_rad, damage.depth, damage.share];
+    (name, dermis_live::stages::damage::describe(event), values)
+}

@@ -1,0 +1,162 @@
+//! A recording run through the pipeline again. Frames come with the numbers and times that they had, what was commanded is
+//! commanded again at the same places, and the calibrations are those recorded, so that the results are those of the live
+//! run to the bit; with another skin, prior or lambda they are what that would have given.
+
+use std::io::{Read, Seek};
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use dermis_device::Layout;
+
+use super::live::{HYPERPARAMETER, TARE};
+use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, RecordingHead};
+use crate::Error;
+use dermis_live::calibration::Calibration;
+use dermis_live::driver::{Command, Driver, Feed, Next, Progress};
+use dermis_live::forces::parse_forces;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_skin::Skin;
+
+/// Longest sleep between two looks at whether to stop.
+const NAP: Duration = Duration::from_millis(50);
+
+/// How a recording is run again.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RerunOptions {
+    /// 1 as fast as recorded, 2 twice as fast, 0 as fast as possible.
+    pub speed: f64,
+    /// Follow changes of lambda that were made while recording. No where another one is to be tried.
+    pub follow_hyperparameter: bool,
+}
+
+impl Default for RerunOptions {
+    /// As fast as possible, following everything.
+    fn default() -> Self {
+        Self { speed: 0.0, follow_hyperparameter: true }
+    }
+}
+
+/// How a rerun went.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RerunReport {
+    /// Frames run.
+    pub frames: u64,
+    /// Frames that are missing between them, by their numbers.
+    pub missing: u64,
+    /// What of the recording could not be read.
+    pub damage: Damage,
+    /// Recorded commands that were refused this time, as can happen to a tare under another image.
+    pub refused: u64,
+}
+
+impl RerunReport {
+    /// True if the recording lacks anything.
+    #[must_use]
+    pub fn has_losses(&self) -> bool {
+        self.missing > 0 || !self.damage.is_none()
+    }
+}
+
+impl RecordingHead {
+    /// The head for recording frames of `layout`, which `source` sends, of a prepared skin. Channels are labelled where the
+    /// frames hold the protocol's channels themselves.
+    pub fn of(prepared: &Prepared, layout: Layout, source: &str) -> Self {
+        let mut head = Self::new(prepared.skin.to_toml(), layout, source);
+        if head.layout.channels() == prepared.channels() {
+            head.labels = (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect();
+        }
+        head
+    }
+
+    /// The pipeline that the recording was made with, for the recorded skin or another one; `file` is for messages.
+    ///
+    /// # Errors
+    /// A skin that cannot be prepared or does not fit the recorded frames, calibrations that cannot be read.
+    pub fn pipeline(&self, skin: Skin, file: &Path) -> Result<Pipeline, Error> {
+        let calibration =
+            self.calibration.as_deref().map(|text| Calibration::parse(text.as_bytes(), file)).transpose()?;
+        let forces = self.forces.as_deref().map(|text| parse_forces(text.as_bytes(), file, &skin.name)).transpose()?;
+        let mut pipeline = Pipeline::new(Prepared::new(skin)?, &self.layout, calibration)?;
+        forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
+        Ok(pipeline)
+    }
+}
+
+/// Runs what is left of `recording` through `pipeline` and hands every result to `each`, until that breaks off, `stop` is
+/// set or the recording ends. A recording that was begun in the middle of a run begins with the baseline then in use.
+///
+/// # Errors
+/// Frames that do not fit the pipeline, [`Error::Io`], and those of `each`.
+pub fn rerun<R: Read + Seek>(
+    recording: &mut Recording<R>,
+    pipeline: &mut Pipeline,
+    options: RerunOptions,
+    stop: &AtomicBool,
+    mut each: impl FnMut(&Output<'_>) -> Result<ControlFlow<()>, Error>,
+) -> Result<RerunReport, Error> {
+    let mut feed = RecordingFeed { recording, options, stop, begun: None };
+    let progress = Driver::new(pipeline).run(&mut feed, &mut |output: &Output<'_>| each(output))?;
+    let Progress { frames, missing, refused } = progress;
+    Ok(RerunReport { frames, missing, damage: feed.recording.damage(), refused })
+}
+
+/// Frames of a recording at their pace, and what was commanded between them.
+struct RecordingFeed<'a, R> {
+    recording: &'a mut Recording<R>,
+    options: RerunOptions,
+    stop: &'a AtomicBool,
+    /// When the first frame was run, and its time.
+    begun: Option<(Instant, u64)>,
+}
+
+impl<R: Read + Seek> Feed for RecordingFeed<'_, R> {
+    type Error = Error;
+
+    fn next(&mut self) -> Result<Next<'_>, Error> {
+        let Some(entry) = self.recording.next_entry()? else { return Ok(Next::End) };
+        let command = match entry {
+            Entry::Frame(frame) => {
+                let (start, first_ns) = *self.begun.get_or_insert_with(|| (Instant::now(), frame.host_monotonic_ns));
+                let since_first = Duration::from_nanos(frame.host_monotonic_ns.saturating_sub(first_ns));
+                wait(start, since_first, self.options.speed, self.stop);
+                let is_stopped = self.stop.load(Ordering::Relaxed);
+                return Ok(if is_stopped { Next::End } else { Next::Frame(frame, None) });
+            }
+            Entry::Baseline { entry: BaselineEntry { record, values, noise_std }, .. } if self.begun.is_none() => {
+                let (record, values, noise_std) = (record.clone(), values.clone(), noise_std.clone());
+                Some(Command::RestoreBaseline { record, values, noise_std })
+            }
+            Entry::Event { entry, .. } => command(entry, self.options),
+            Entry::Baseline { .. } | Entry::Touches { .. } => None,
+        };
+        Ok(command.map_or(Next::Idle, Next::Command))
+    }
+}
+
+/// What was commanded, if an event is a command that is to be followed.
+fn command(entry: &EventEntry, options: RerunOptions) -> Option<Command> {
+    let value = *entry.values.first()?;
+    match entry.event.as_str() {
+        TARE => Some(Command::Tare { force: value != 0.0, reason: entry.detail.clone() }),
+        HYPERPARAMETER if options.follow_hyperparameter => Some(Command::Hyperparameter(value)),
+        _ => None,
+    }
+}
+
+/// Sleeps until a frame is due.
+fn wait(start: Instant, since_first: Duration, speed: f64, stop: &AtomicBool) {
+    // Beyond what a clock can be set to, there is no pace to keep.
+    let after = Duration::try_from_secs_f64(since_first.as_secs_f64() / speed);
+    let Some(due) = after.ok().and_then(|after| start.checked_add(after)) else { return };
+    while !stop.load(Ordering::Relaxed) {
+        let left = due.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return;
+        }
+        std::thread::sleep(left.min(NAP));
+    }
+}

@@ -1,0 +1,307 @@
+//! One JSON object a line and frame, for pipes and logs.
+
+mod damage;
+
+use std::fmt::{self, Write as _};
+use std::io::Write;
+use std::path::PathBuf;
+
+use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
+use dermis_touch::{Touch, TouchEvent, TouchPhase};
+
+use super::{Sink, Summary, TouchRow};
+use crate::Error;
+use dermis_live::clock::FrameAnomalies;
+use dermis_live::output::Output;
+
+/// Which frames get a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LinesFor {
+    /// Every frame.
+    EveryFrame,
+    /// Frames with a touch, in which one ended, or in which something happened to a damage.
+    Touches,
+}
+
+/// Writes lines such as
+/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
+///
+/// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
+/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
+/// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward model placed
+/// it, the fitted `radius_mm`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
+/// number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted` `with` another, `since_s`) and
+/// `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from 1; where a frame's number or time is
+/// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`FrameAnomalies`]). Where there is damage, or something to
+/// tell of it, there is `damage`: `list` (`id`, `state`, `x_mm`, `y_mm`, `length_mm`, `width_mm`, `direction_deg`, `depth`,
+/// `share` that is left, `significance`, `since_s`, `confirmed_s`, and `sigma_mm`: of x, y and length, where a model was
+/// fitted), `events` (`id`, `event`), the number of `baselines` so far and which of them is the `intact` one (from 1), and a
+/// `proposal` of a new one (`reason`, `since_s`, `offset_sigma`); its times are those of the pipeline's clock. Numbers have as many digits as it
+/// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
+/// that is kept: nothing is allocated once the longest line has been seen.
+#[derive(Debug)]
+pub struct JsonLines<W> {
+    out: W,
+    name: PathBuf,
+    lines_for: LinesFor,
+    line: String,
+    summary: Summary,
+}
+
+impl<W: Write + Send> JsonLines<W> {
+    /// Writes to `out`, which messages call `name`.
+    pub fn new(out: W, name: impl Into<PathBuf>, lines_for: LinesFor) -> Self {
+        Self { out, name: name.into(), lines_for, line: String::with_capacity(1024), summary: Summary::default() }
+    }
+}
+
+impl<W> JsonLines<W> {
+    /// What is written to.
+    pub fn get_mut(&mut self) -> &mut W {
+        &mut self.out
+    }
+}
+
+impl<W: Write + Send> Sink for JsonLines<W> {
+    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+        self.summary.frames += 1;
+        let quiet = output.damage.events.is_empty();
+        let silent = output.touches.is_empty() && ended(output.events).next().is_none() && quiet;
+        if silent && self.lines_for == LinesFor::Touches {
+            return Ok(());
+        }
+        self.line.clear();
+        push_open(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
+        push_health(&mut self.line, output.health);
+        push_anomalies(&mut self.line, output.anomalies);
+        damage::push_damage(&mut self.line, &output.damage);
+        self.line.push_str("}\n");
+        let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
+        written.map_err(Error::io(&self.name))?;
+        self.summary.written += 1;
+        Ok(())
+    }
+
+    fn finish(&mut self) -> Result<Summary, Error> {
+        self.out.flush().map_err(Error::io(&self.name))?;
+        Ok(self.summary)
+    }
+}
+
+/// Touches that ended in this frame.
+fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
+    events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch)
+}
+
+/// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
+fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+    let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
+    // Writing to a String cannot fail.
+    let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
+    for (index, touch) in touches.iter().chain(ended(events)).enumerate() {
+        if index > 0 {
+            text.push(',');
+        }
+        push_touch(text, touch);
+    }
+    text.push(']');
+}
+
+/// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in the
+/// count.
+fn push_health(text: &mut String, health: Health<'_>) {
+    if health.is_sound() {
+        return;
+    }
+    let _ = write!(text, ",\"health\":{{\"left_out\":{},\"electrodes\":[", health.channels.len());
+    for (index, fault) in health.electrodes.iter().enumerate() {
+        let comma = if index > 0 { "," } else { "" };
+        let _ = write!(text, "{comma}{{\"electrode\":{},", fault.electrode + 1);
+        match fault.kind {
+            ElectrodeFaultKind::Lost => text.push_str("\"kind\":\"lost\""),
+            ElectrodeFaultKind::Shorted { with } => {
+                let _ = write!(text, "\"kind\":\"shorted\",\"with\":{}", with + 1);
+            }
+        }
+        push_since(text, fault.since_ns);
+    }
+    text.push_str("],\"channels\":[");
+    let own = health.channels.iter().filter(|fault| fault.kind != ChannelFaultKind::Electrode);
+    for (index, fault) in own.enumerate() {
+        let comma = if index > 0 { "," } else { "" };
+        let _ = write!(text, "{comma}{{\"channel\":{},\"kind\":\"{}\"", fault.channel + 1, fault.kind.name());
+        push_since(text, fault.since_ns);
+    }
+    text.push_str("]}");
+}
+
+/// What is odd about the frame's number or time, if anything is.
+fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
+    if anomalies.is_none() {
+        return;
+    }
+    let FrameAnomalies { lost_before, renumbered, clock_jump_ns } = anomalies;
+    let jump_s = Number(clock_jump_ns as f64 * 1e-9);
+    let _ = write!(
+        text,
+        ",\"marks\":{{\"lost_before\":{lost_before},\"renumbered\":{renumbered},\"clock_jump_s\":{jump_s}}}"
+    );
+}
+
+fn push_since(text: &mut String, since_ns: u64) {
+    let _ = write!(text, ",\"since_s\":{}.{:09}}}", since_ns / 1_000_000_000, since_ns % 1_000_000_000);
+}
+
+fn push_touch(text: &mut String, touch: &Touch) {
+    let phase = match touch.phase {
+        TouchPhase::Begin => "begin",
+        TouchPhase::Move => "move",
+        TouchPhase::End => "end",
+    };
+    let _ = write!(text, "{{\"id\":{},\"phase\":\"{phase}\"", touch.id);
+    let row = TouchRow::new(touch);
+    let fields = [
+        ("x_mm", row.x_mm),
+        ("y_mm", row.y_mm),
+        ("amplitude", row.amplitude),
+        ("area_mm2", row.area_mm2),
+        ("sigma_x_mm", row.sigma_x_mm),
+        ("sigma_y_mm", row.sigma_y_mm),
+    ];
+    for (name, value) in fields {
+        let _ = write!(text, ",\"{name}\":{}", Number(value));
+    }
+    if let Some(force) = touch.force {
+        let nearest = Number(force.nearest_n().unwrap_or(f64::NAN));
+        let _ = write!(text, ",\"force_n\":{nearest},\"force_range\":\"{}\"", force.range());
+    }
+    if let Some(radius_m) = touch.radius_m {
+        let _ = write!(text, ",\"radius_mm\":{}", Number(1e3 * radius_m));
+    }
+    text.push('}');
+}
+
+/// A number as JSON has it.
+struct Number(f64);
+
+impl fmt::Display for Number {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_finite() { write!(out, "{}", self.0) } else { out.write_str("null") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{output, touch};
+    use super::*;
+    use serde_json::{Value, json};
+
+    fn lines(bytes: &[u8]) -> Vec<Value> {
+        std::str::from_utf8(bytes).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    #[test]
+    fn a_line_is_one_object_with_touches_and_endings() {
+        let mut bytes = Vec::new();
+        let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame);
+        let mut odd = touch(2, TouchPhase::Move, 0.5, 0.25);
+        odd.amplitude = f64::NAN;
+        let events = [TouchEvent::End(touch(3, TouchPhase::End, 1.0, 2.0)), TouchEvent::Move(odd)];
+        sink.accept(&output(7, &[0.0; 6], &[odd], &events)).unwrap();
+        sink.accept(&output(8, &[0.0; 6], &[], &[])).unwrap();
+        assert_eq!(sink.finish().unwrap(), Summary { frames: 2, written: 2 });
+        let found = lines(&bytes);
+        assert_eq!(found[0]["time_s"], json!(12.000000352));
+        let expected = json!([
+            {"id": 2, "phase": "move", "x_mm": 0.5, "y_mm": 0.25, "amplitude": null, "area_mm2": 100.0,
+             "sigma_x_mm": 0.5, "sigma_y_mm": 0.25},
+            {"id": 3, "phase": "end", "x_mm": 1.0, "y_mm": 2.0, "amplitude": 0.75, "area_mm2": 100.0,
+             "sigma_x_mm": 0.5, "sigma_y_mm": 0.25},
+        ]);
+        for (found, expected) in found[0]["touches"].as_array().unwrap().iter().zip(expected.as_array().unwrap()) {
+            for (key, expected) in expected.as_object().unwrap() {
+                match expected.as_f64() {
+                    Some(expected) => assert!((found[key].as_f64().unwrap() - expected).abs() < 1e-12, "{key}"),
+                    None => assert_eq!(&found[key], expected, "{key}"),
+                }
+            }
+        }
+        assert_eq!(found[1], json!({"sequence": 8, "time_s": 12.000000353, "touches": []}));
+    }
+
+    #[test]
+    fn forces_say_where_they_lie_in_their_calibration() {
+        use dermis_touch::force::ForceReading::{NotFinite, Saturated, Valid};
+        let of = |force| {
+            let mut touch = touch(1, TouchPhase::Move, 0.0, 0.0);
+            touch.force = Some(force);
+            let mut bytes = Vec::new();
+            JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame)
+                .accept(&output(1, &[0.0; 6], &[touch], &[]))
+                .unwrap();
+            let touch = lines(&bytes)[0]["touches"][0].clone();
+            (touch["force_n"].clone(), touch["force_range"].clone())
+        };
+        assert_eq!(of(Valid { force_n: 0.25 }), (json!(0.25), json!("within")));
+        assert_eq!(of(Saturated { from_n: 2.0 }), (json!(2), json!("saturated")));
+        assert_eq!(of(NotFinite), (Value::Null, json!("none")));
+    }
+
+    #[test]
+    fn what_is_broken_is_said_from_one_on() {
+        use dermis_touch::health::{ChannelFault, ElectrodeFault};
+        let (since_ns, since_sequence) = (2_500_000_000, 7);
+        let channel = |channel, kind| ChannelFault { channel, kind, since_ns, since_sequence };
+        let channels = [channel(0, ChannelFaultKind::Electrode), channel(11, ChannelFaultKind::Stuck)];
+        let kind = ElectrodeFaultKind::Shorted { with: 5 };
+        let electrodes = [ElectrodeFault { electrode: 4, kind, since_ns, since_sequence }];
+        let mut bytes = Vec::new();
+        let health = Health { channels: &channels, electrodes: &electrodes };
+        let output = Output { health, ..output(1, &[0.0; 6], &[], &[]) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        let expected = json!({"left_out": 2,
+            "electrodes": [{"electrode": 5, "kind": "shorted", "with": 6, "since_s": 2.5}],
+            "channels": [{"channel": 12, "kind": "stuck", "since_s": 2.5}]});
+        assert_eq!(lines(&bytes)[0]["health"], expected);
+    }
+
+    #[test]
+    fn odd_numbers_and_times_are_marked() {
+        let mut bytes = Vec::new();
+        let anomalies = FrameAnomalies { lost_before: 3, renumbered: false, clock_jump_ns: -1_500_000_000 };
+        let output = Output { anomalies, ..output(1, &[0.0; 6], &[], &[]) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        assert_eq!(lines(&bytes)[0]["marks"], json!({"lost_before": 3, "renumbered": false, "clock_jump_s": -1.5}));
+    }
+
+    #[test]
+    fn quiet_frames_can_be_left_out_but_endings_are_not() {
+        let mut bytes = Vec::new();
+        let mut sink = JsonLines::new(&mut bytes, "test", LinesFor::Touches);
+        let touches = [touch(1, TouchPhase::Begin, 0.0, 0.0)];
+        let end = [TouchEvent::End(touch(1, TouchPhase::End, 0.0, 0.0))];
+        sink.accept(&output(1, &[0.0; 6], &[], &[])).unwrap();
+        sink.accept(&output(2, &[0.0; 6], &touches, &[])).unwrap();
+        sink.accept(&output(3, &[0.0; 6], &[], &end)).unwrap();
+        sink.accept(&output(4, &[0.0; 6], &[], &[])).unwrap();
+        assert_eq!(sink.finish().unwrap(), Summary { frames: 4, written: 2 });
+        let sequences: Vec<Value> = lines(&bytes).iter().map(|line| line["sequence"].clone()).collect();
+        assert_eq!(sequences, [2, 3]);
+    }
+
+    #[test]
+    fn a_reader_that_went_away_is_an_error_with_its_name() {
+        struct Closed;
+        impl Write for Closed {
+            fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+                Err(std::io::ErrorKind::BrokenPipe.into())
+            }
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut sink = JsonLines::new(Closed, "standard output", LinesFor::EveryFrame);
+        let message = sink.accept(&output(1, &[0.0; 6], &[], &[])).unwrap_err().to_string();
+        assert!(message.starts_with("standard output: "), "{message}");
+    }
+}

@@ -1,0 +1,278 @@
+//! What reads a skin: instrument and protocol.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolError, ProtocolSpec, Reference};
+
+use crate::check::Checker;
+use crate::electronics::Electronics;
+use crate::error::Error;
+
+/// Most listed pairs: all that 1024 electrodes could be driven by one after the other, four times over.
+const MOST_PAIRS: usize = 4096;
+
+/// Instrument and protocol.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Backend {
+    /// Name of the instrument, for people.
+    #[serde(default)]
+    pub instrument: String,
+    /// Current amplitude.
+    pub current_ma: f64,
+    /// Drive frequency.
+    #[serde(default)]
+    pub frequency_khz: Option<f64>,
+    /// Which pairs drive.
+    pub drive: DrivePattern,
+    /// What is read for each.
+    pub measure: MeasurePattern,
+    /// Order of the readings of a drive.
+    #[serde(default)]
+    pub order: ReadingOrder,
+    /// Channels that touch a driven electrode.
+    #[serde(default)]
+    pub driven: DrivenChannels,
+    /// What a reading is.
+    #[serde(default)]
+    pub reads: Reads,
+    /// What the readout does to the potentials, where it is not an ideal voltmeter.
+    #[serde(default)]
+    pub circuit: Option<Circuit>,
+    /// Frames a second, where the instrument has a rate of its own.
+    #[serde(default)]
+    pub frames_per_s: Option<f64>,
+    /// What the electronics add to a reading, for twins.
+    #[serde(default, skip_serializing_if = "Electronics::is_default")]
+    pub electronics: Electronics,
+}
+
+/// A readout that loads the skin and reads a mixture of lines, see [`dermis_tomo::eit::ReadoutCircuit`]. Admittances to
+/// ground are relative to the skin's sheet conductance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Circuit {
+    /// Admittance of the sink and of both measuring lines.
+    pub load: f64,
+    /// Admittance of every idle electrode.
+    pub idle: f64,
+    /// Weights of the positive, the negative and the sink line in a reading.
+    pub reading: [f64; 3],
+}
+
+impl Circuit {
+    /// As the forward model takes it.
+    pub fn readout(&self) -> dermis_tomo::eit::ReadoutCircuit {
+        use dermis_tomo::eit::{CurrentReturn, Lines, ReadoutCircuit};
+        let [plus, minus, sink] = self.reading;
+        ReadoutCircuit {
+            load: Lines { sink: self.load, plus: self.load, minus: self.load },
+            idle: self.idle,
+            reading: Lines { sink, plus, minus },
+            current_return: CurrentReturn::Ground,
+        }
+    }
+}
+
+/// Drive patterns; electrodes are numbered from 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DrivePattern {
+    /// Pairs (k, k+1).
+    Adjacent,
+    /// Pairs (k, k+L/2).
+    Opposite,
+    /// Pairs (k, k+n+1).
+    Skip(usize),
+    /// Pairs (k, k+L/2-1).
+    PseudoPolar,
+    /// Cosines and sines over all electrodes.
+    Trigonometric,
+    /// Listed [sink, source].
+    Pairs(Vec<[u32; 2]>),
+    /// Coils, one after the other.
+    EachCoil,
+}
+
+/// Measuring patterns; electrodes are numbered from 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MeasurePattern {
+    /// Pairs (j, j+1).
+    Adjacent,
+    /// Pairs (j, j+L/2).
+    Opposite,
+    /// Pairs (j, j+n+1).
+    Skip(usize),
+    /// Pairs (j, j+L/2-1).
+    PseudoPolar,
+    /// Every electrode against `mean`, `sink`, or an electrode number.
+    SingleEnded(ReferenceChoice),
+    /// Listed [plus, minus].
+    Pairs(Vec<[u32; 2]>),
+    /// Coils of higher number than the one that drives.
+    HigherCoils,
+}
+
+/// Reference of single-ended readings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferenceChoice {
+    /// Mean of all electrodes.
+    Mean,
+    /// The electrode that sinks the current.
+    Sink,
+    /// One electrode, numbered from 1.
+    Electrode(u32),
+}
+
+/// Order of the readings of one drive.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReadingOrder {
+    /// By electrode number.
+    #[default]
+    Absolute,
+    /// From the drive pair on.
+    Rotating,
+}
+
+/// Channels that touch a driven electrode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum DrivenChannels {
+    /// Not among the readings.
+    #[default]
+    Drop,
+    /// Read like all others.
+    Keep,
+}
+
+/// What a reading is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Reads {
+    /// A signed voltage (in-phase).
+    #[default]
+    Signed,
+    /// A rectified voltage: the sign is the model's.
+    Magnitude,
+    /// Real and imaginary parts: the component in phase with the baseline is used.
+    Complex,
+}
+
+impl Backend {
+    /// Frames a second; 50 where the file gives none.
+    pub fn frame_rate_hz(&self) -> f64 {
+        self.frames_per_s.unwrap_or(50.0)
+    }
+
+    /// True where coils drive and read, rather than electrodes.
+    pub fn is_of_coils(&self) -> bool {
+        self.drive == DrivePattern::EachCoil && self.measure == MeasurePattern::HigherCoils
+    }
+
+    /// Stimulation and measurement as explicit lists, for so many electrodes or coils.
+    ///
+    /// # Errors
+    /// Patterns that need another number, or name electrodes that do not exist.
+    pub fn protocol(&self, count: usize) -> Result<Protocol, ProtocolError> {
+        let amplitude_a = self.current_ma * 1e-3;
+        if self.is_of_coils() {
+            return Protocol::coil_pairs(count, amplitude_a);
+        }
+        let coils = ProtocolError::TooFewElectrodes {
+            pattern: "a pattern of coils, without them,",
+            needed: usize::MAX,
+            even: false,
+            got: count,
+        };
+        // Electrode 0 does not exist on paper; wrapping makes it an index that is out of range and is refused as such.
+        let zero_based =
+            |pairs: &[[u32; 2]]| pairs.iter().map(|p| (p[0].wrapping_sub(1), p[1].wrapping_sub(1))).collect::<Vec<_>>();
+        Protocol::generate(&ProtocolSpec {
+            electrode_count: count,
+            drive: match &self.drive {
+                DrivePattern::Adjacent => Drive::Adjacent,
+                DrivePattern::Opposite => Drive::Opposite,
+                DrivePattern::Skip(skip) => Drive::Skip(*skip),
+                DrivePattern::PseudoPolar => Drive::PseudoPolar,
+                DrivePattern::Trigonometric => Drive::Trigonometric,
+                DrivePattern::Pairs(pairs) => Drive::Pairs(zero_based(pairs)),
+                DrivePattern::EachCoil => return Err(coils),
+            },
+            measure: match &self.measure {
+                MeasurePattern::Adjacent => Measure::Adjacent,
+                MeasurePattern::Opposite => Measure::Opposite,
+                MeasurePattern::Skip(skip) => Measure::Skip(*skip),
+                MeasurePattern::PseudoPolar => Measure::PseudoPolar,
+                MeasurePattern::Pairs(pairs) => Measure::Pairs(zero_based(pairs)),
+                MeasurePattern::HigherCoils => return Err(coils),
+                MeasurePattern::SingleEnded(reference) => Measure::SingleEnded(match reference {
+                    ReferenceChoice::Mean => Reference::Mean,
+                    ReferenceChoice::Sink => Reference::Sink,
+                    ReferenceChoice::Electrode(number) => Reference::Electrode(number.wrapping_sub(1)),
+                }),
+            },
+            order: match self.order {
+                ReadingOrder::Absolute => Order::Absolute,
+                ReadingOrder::Rotating => Order::Rotating,
+            },
+            driven: match self.driven {
+                DrivenChannels::Drop => Driven::Drop,
+                DrivenChannels::Keep => Driven::Keep,
+            },
+            amplitude_a,
+        })
+    }
+
+    /// `coils`: the skin has coils and elements in place of electrodes.
+    pub(crate) fn check(&self, coils: bool, checker: &Checker<'_>) -> Result<(), Error> {
+        checker.within("backend.current_ma", self.current_ma, 1e-9, 1e6)?;
+        if let Some(frequency) = self.frequency_khz {
+            let low = if coils { 1e-3 } else { 0.0 };
+            checker.within("backend.frequency_khz", frequency, low, 1e3)?;
+        }
+        if let Some(rate) = self.frames_per_s {
+            checker.within("backend.frames_per_s", rate, 1e-3, 1e5)?;
+        }
+        self.electronics.check(checker)?;
+        for (field, pairs) in [
+            ("backend.drive", if let DrivePattern::Pairs(pairs) = &self.drive { pairs.len() } else { 1 }),
+            ("backend.measure", if let MeasurePattern::Pairs(pairs) = &self.measure { pairs.len() } else { 1 }),
+        ] {
+            if !(1..=MOST_PAIRS).contains(&pairs) {
+                return Err(checker.refused(field, format!("{pairs} pairs"), format!("1 to {MOST_PAIRS} pairs")));
+            }
+        }
+        if let Some(circuit) = &self.circuit {
+            checker.within("backend.circuit.load", circuit.load, 0.0, 1e6)?;
+            checker.within("backend.circuit.idle", circuit.idle, 0.0, 1e6)?;
+            circuit.reading.iter().try_for_each(|w| checker.within("backend.circuit.reading", *w, -100.0, 100.0))?;
+        }
+        if !coils {
+            if self.drive == DrivePattern::EachCoil || self.measure == MeasurePattern::HigherCoils {
+                let expected = "a pattern of electrodes, except with layer.kind = \"elements\"";
+                return Err(checker.refused("backend.drive", "coils", expected));
+            }
+            return Ok(());
+        }
+        if self.frequency_khz.is_none() {
+            let expected = "0.001 to 1000 with layer.kind = \"elements\"";
+            return Err(checker.refused("backend.frequency_khz", "left out", expected));
+        }
+        if !self.is_of_coils() {
+            let expected = "drive = \"each-coil\" and measure = \"higher-coils\" with layer.kind = \"elements\"";
+            return Err(checker.refused("backend.drive", "a pattern of electrodes", expected));
+        }
+        if self.circuit.is_some() {
+            return Err(checker.refused("backend.circuit", "given", "none with layer.kind = \"elements\""));
+        }
+        if self.reads != Reads::Magnitude {
+            let expected = "\"magnitude\" with layer.kind = \"elements\"";
+            return Err(checker.refused("backend.reads", "another", expected));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,102 @@
+//! Skins made in code: what a skin file says, in a line or two.
+
+use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads};
+use crate::damage::DamageSettings;
+use crate::electronics::Electronics;
+use crate::frontend::{Electrodes, Frontend, Shape};
+use crate::health::HealthSettings;
+use crate::imaging::{GainMatch, Imaging};
+use crate::layer::{Layer, SheetLayer};
+use crate::skin::{Modality, Skin};
+use crate::touch::TouchSettings;
+use crate::twin::TwinSettings;
+
+impl SheetLayer {
+    /// A gel of this thickness and conductivity that thins as it is pressed: a modulus of 100 kPa.
+    pub fn gel(thickness_mm: f64, conductivity_s_per_m: f64) -> Self {
+        Self {
+            thickness_mm,
+            conductivity_s_per_m,
+            pressure_percent_per_kpa: 0.0,
+            gauge_factor: 1.0,
+            modulus_kpa: 100.0,
+            smoothing_mm: None,
+            memory: None,
+        }
+    }
+}
+
+impl Skin {
+    /// A skin of electrodes with this outline and layer, 16 of them round the rim, adjacent drive and measurement of 1 mA.
+    /// [`Skin::checked`] says whether it makes sense.
+    pub fn new(name: &str, shape: Shape, layer: Layer) -> Self {
+        let polarity = layer.polarity();
+        let gain = if matches!(layer, Layer::Liquid(_)) { GainMatch::Channel } else { GainMatch::Global };
+        let skin = Self {
+            name: name.to_string(),
+            title: String::new(),
+            modality: Modality::Eit,
+            frontend: Frontend {
+                shape,
+                bend: None,
+                layer,
+                electrodes: Electrodes::default(),
+                contact_impedance_ohm_m2: 1e-4,
+                coils: None,
+                elements: None,
+            },
+            backend: Backend {
+                instrument: String::new(),
+                current_ma: 1.0,
+                frequency_khz: None,
+                drive: DrivePattern::Adjacent,
+                measure: MeasurePattern::Adjacent,
+                order: ReadingOrder::default(),
+                driven: DrivenChannels::default(),
+                reads: Reads::default(),
+                circuit: None,
+                frames_per_s: None,
+                electronics: Electronics::default(),
+            },
+            imaging: Imaging { polarity, gain, ..Imaging::default() },
+            touch: TouchSettings::default(),
+            health: HealthSettings::default(),
+            damage: DamageSettings::default(),
+            twin: TwinSettings::default(),
+        };
+        let width_mm = 0.4e3 * skin.frontend.shape.outline().perimeter_m() / 16.0;
+        skin.with_rim_electrodes(16, width_mm.min(10.0))
+    }
+
+    /// A rectangle, millimetres; see [`Skin::new`].
+    pub fn rectangle(name: &str, width_mm: f64, height_mm: f64, layer: Layer) -> Self {
+        Self::new(name, Shape::Rectangle { width_mm, height_mm }, layer)
+    }
+
+    /// A disc, millimetres; see [`Skin::new`].
+    pub fn disc(name: &str, diameter_mm: f64, layer: Layer) -> Self {
+        Self::new(name, Shape::Disc { diameter_mm }, layer)
+    }
+
+    /// A polygon, millimetres; see [`Skin::new`].
+    pub fn polygon(name: &str, outer_mm: Vec<[f64; 2]>, holes_mm: Vec<Vec<[f64; 2]>>, layer: Layer) -> Self {
+        Self::new(name, Shape::Polygon { outer_mm, holes_mm }, layer)
+    }
+
+    /// With so many electrodes of this width evenly round the rim, millimetres.
+    pub fn with_rim_electrodes(self, count: usize, width_mm: f64) -> Self {
+        self.with_electrodes(Electrodes::Rim { count, width_mm, start_deg: None, clockwise: false })
+    }
+
+    /// With these electrodes.
+    pub fn with_electrodes(mut self, electrodes: Electrodes) -> Self {
+        self.frontend.electrodes = electrodes;
+        self
+    }
+
+    /// With these stimulation and measurement patterns.
+    pub fn with_patterns(mut self, drive: DrivePattern, measure: MeasurePattern) -> Self {
+        (self.backend.drive, self.backend.measure) = (drive, measure);
+        self
+    }
+}

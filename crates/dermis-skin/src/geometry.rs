@@ -1,0 +1,170 @@
+//! From a skin file to its geometry, mesh and protocol.
+
+use dermis_mit::Element;
+use dermis_tomo::eit::Protocol;
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, MeshError, Outline, PixelGrid, SheetSpec, SlitMesh, Surface};
+
+use crate::error::Error;
+use crate::layer::Layer;
+use crate::magnetic::Coils;
+use crate::skin::{Modality, Skin};
+
+/// A skin's geometry made concrete.
+#[derive(Clone, Debug)]
+pub struct SkinBody {
+    /// Outline, metres.
+    pub outline: Outline,
+    /// Electrode shapes, in order.
+    pub electrodes: Vec<ElectrodeShape>,
+    /// Mesh with electrodes.
+    pub mesh: ElectrodedMesh,
+}
+
+impl Skin {
+    /// Outline in metres.
+    pub fn outline(&self) -> Outline {
+        self.frontend.shape.outline()
+    }
+
+    /// Electrode shapes in metres, in order; of coils, their outlines.
+    pub fn electrode_shapes(&self) -> Vec<ElectrodeShape> {
+        match &self.frontend.coils {
+            Some(coils) => coils.outlines(),
+            None => self.frontend.electrodes.shapes(&self.outline()),
+        }
+    }
+
+    /// How the sheet lies in space, see [`crate::Frontend::surface`].
+    pub fn surface(&self) -> Surface {
+        self.frontend.surface()
+    }
+
+    /// Sheet conductance of the resting skin, siemens: conductivity times thickness; of elements, their metal's conductivity
+    /// over a metre, which means nothing.
+    pub fn sheet_conductance_s(&self) -> f64 {
+        self.frontend.layer.conductivity_s_per_m() * self.frontend.layer.thickness_m().unwrap_or(1.0)
+    }
+
+    /// The reconstruction's mesh, with electrodes.
+    ///
+    /// # Errors
+    /// Shapes that cannot be meshed, electrodes that overlap or lie off the skin.
+    pub fn body(&self) -> Result<SkinBody, Error> {
+        self.body_with_elements(self.imaging.elements)
+    }
+
+    /// A mesh of about so many elements, with electrodes.
+    ///
+    /// # Errors
+    /// As [`Skin::body`].
+    pub fn body_with_elements(&self, elements: usize) -> Result<SkinBody, Error> {
+        let electrodes = self.electrode_shapes();
+        let factors = vec![1.0; electrodes.len()];
+        self.body_with_electrodes(elements, electrodes, &factors)
+    }
+
+    /// As [`Skin::body_with_elements`] with electrodes somewhat elsewhere, and a factor on each contact impedance.
+    pub fn body_with_electrodes(
+        &self,
+        elements: usize,
+        electrodes: Vec<ElectrodeShape>,
+        contact_factors: &[f64],
+    ) -> Result<SkinBody, Error> {
+        let spec = self.sheet_spec(elements, electrodes)?;
+        let impedances: Vec<f64> = self
+            .sheet_contact_impedances(&spec.electrodes)
+            .zip(contact_factors)
+            .map(|(z, factor)| factor * z)
+            .collect();
+        let (mesh, _) = spec.build(&impedances).map_err(|source| self.not_meshed(source))?;
+        Ok(SkinBody { outline: spec.outline, electrodes: spec.electrodes, mesh })
+    }
+
+    /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring some more;
+    /// and which of them could be slit, see [`SheetSpec::build_slit`].
+    pub fn slit_mesh(&self, elements: usize, lines: &[[[f64; 2]; 2]]) -> Result<(SlitMesh, Vec<bool>), Error> {
+        let spec = self.sheet_spec(elements, self.electrode_shapes())?;
+        let impedances: Vec<f64> = self.sheet_contact_impedances(&spec.electrodes).collect();
+        spec.build_slit(&impedances, lines).map_err(|source| self.not_meshed(source))
+    }
+
+    fn not_meshed(&self, source: MeshError) -> Error {
+        Error::Mesh { skin: self.name.clone(), source }
+    }
+
+    fn sheet_spec(&self, elements: usize, electrodes: Vec<ElectrodeShape>) -> Result<SheetSpec, Error> {
+        let outline = self.outline();
+        let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
+        let spec = SheetSpec::new(outline, electrodes, size);
+        spec.with_target_elements(elements).map_err(|source| self.not_meshed(source))
+    }
+
+    /// Contact impedance of every electrode in the unit that sheet models take: ohm.m^2 for pads under the sheet; ohm.m (the
+    /// specific impedance over the height of the layer that they touch) on the rim.
+    pub fn sheet_contact_impedances(&self, electrodes: &[ElectrodeShape]) -> impl Iterator<Item = f64> {
+        // Coils touch nothing: they are in the mesh to be drawn.
+        let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
+        electrodes.iter().map(impedance)
+    }
+
+    /// Contact impedance in the unit that the sheet model takes: ohm.m^2 for pads under the sheet; ohm.m (the specific
+    /// impedance over the thickness) for electrodes on the rim.
+    fn sheet_contact_impedance(&self, shape: &ElectrodeShape) -> f64 {
+        let specific = self.frontend.contact_impedance_ohm_m2;
+        match shape {
+            ElectrodeShape::RimArc { .. } | ElectrodeShape::RimSegment { .. } | ElectrodeShape::RimPoint { .. } => {
+                specific / self.frontend.layer.rim_height_m().unwrap_or(1.0)
+            }
+            _ => specific,
+        }
+    }
+
+    /// Contact impedance of every electrode, ohm: the specific one over the electrode's area, on the rim its length times the
+    /// layer's thickness. 0 for electrodes that are points; empty for coils, which have none.
+    pub fn contact_impedances_ohm(&self) -> Vec<f64> {
+        if self.modality == Modality::Mit {
+            return Vec::new();
+        }
+        let area_m2 = |shape: &ElectrodeShape| match *shape {
+            ElectrodeShape::RimArc { width_m, .. } | ElectrodeShape::RimSegment { width_m, .. } => {
+                width_m * self.frontend.layer.rim_height_m().unwrap_or(1.0)
+            }
+            ElectrodeShape::PadCircle { radius_m, .. } => std::f64::consts::PI * radius_m * radius_m,
+            ElectrodeShape::PadRectangle { width_m, height_m, .. } => width_m * height_m,
+            ElectrodeShape::RimPoint { .. } | ElectrodeShape::Point { .. } => f64::INFINITY,
+        };
+        let specific = self.frontend.contact_impedance_ohm_m2;
+        self.electrode_shapes().iter().map(|shape| specific / area_m2(shape)).collect()
+    }
+
+    /// The grid that images of this skin live on: exactly its bounding box.
+    ///
+    /// # Errors
+    /// An outline without extent.
+    pub fn grid(&self) -> Result<PixelGrid, Error> {
+        let (low, high) = self.outline().bounds_m();
+        PixelGrid::covering(low, high, self.imaging.grid)
+            .map_err(|source| Error::Mesh { skin: self.name.clone(), source })
+    }
+
+    /// Stimulation and measurement as explicit lists.
+    ///
+    /// # Errors
+    /// Patterns that need another number of electrodes, or name electrodes that do not exist.
+    pub fn protocol(&self) -> Result<Protocol, Error> {
+        let count = self.frontend.coils.as_ref().map_or_else(|| self.frontend.electrodes.count(), Coils::count);
+        self.backend.protocol(count).map_err(|source| Error::Protocol { skin: self.name.clone(), source })
+    }
+
+    /// What each conducting element is, as far as fields go; `None` for skins without.
+    pub fn element(&self) -> Option<Element> {
+        let (Layer::Elements(layer), Some(elements)) = (&self.frontend.layer, &self.frontend.elements) else {
+            return None;
+        };
+        Some(Element {
+            shape: elements.shape,
+            conductivity_s_per_m: layer.conductivity_s_per_m,
+            relative_permeability: layer.relative_permeability,
+        })
+    }
+}

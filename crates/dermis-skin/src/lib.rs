@@ -1,0 +1,64 @@
+//! What a tactile skin is: its file, checked, and its geometry as meshes. Nothing is solved here.
+//!
+//! A skin file is TOML with units in every key: what is sewn on the robot ([`Frontend`]), what reads it ([`Backend`]), and how
+//! images and touches are made of it. Unknown keys and numbers out of range are errors that show their place.
+//!
+//! ```
+//! use dermis_skin::{Layer, SheetLayer, Skin};
+//!
+//! // A built-in skin, a path, or text.
+//! let skin = Skin::open("healing-square")?;
+//! assert_eq!(skin.protocol()?.channel_count(), 208);
+//! // The same in code as in TOML: the file is what it prints.
+//! let gel = Skin::rectangle("gel-pad", 150.0, 60.0, Layer::Sheet(SheetLayer::gel(5.0, 0.2))).with_rim_electrodes(20, 5.0);
+//! assert_eq!(Skin::parse(&gel.to_toml(), "gel-pad.toml")?, gel);
+//! # Ok::<(), dermis_skin::Error>(())
+//! ```
+
+mod backend;
+mod builder;
+mod builtin;
+mod check;
+mod choice;
+mod damage;
+mod electronics;
+mod error;
+mod frontend;
+mod geometry;
+mod health;
+mod imaging;
+mod layer;
+mod magnetic;
+mod pair;
+mod parts;
+mod refinement;
+mod schema;
+mod skin;
+mod touch;
+mod twin;
+mod upgrade;
+
+pub use backend::{
+    Backend, Circuit, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, ReferenceChoice,
+};
+pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use damage::DamageSettings;
+pub use dermis_mit::{Element, ElementShape};
+pub use electronics::{Electronics, ElectronicsNumbers, MultiplexerNumbers, Preset};
+pub use error::Error;
+pub use frontend::{Bend, Electrodes, Frontend, Pad, PadRing, RimElectrode, Shape};
+pub use geometry::SkinBody;
+pub use health::HealthSettings;
+pub use imaging::{GainMatch, HyperparameterChoice, Imaging, MixturePart, Polarity, PriorChoice, Solve, WeightChoice};
+pub use layer::{ContactLaw, ElementsLayer, Layer, LiquidLayer, Memory, PatchesLayer, SandwichLayer, SheetLayer};
+pub use magnetic::{CoilConductor, CoilPlaces, Coils, ElementPlaces, Elements, Winding};
+pub use pair::Pair;
+pub use refinement::Refinement;
+pub use schema::json_schema;
+pub use skin::{Modality, Skin};
+pub use touch::TouchSettings;
+pub use twin::{
+    Demonstration, Healing, NoisyChannel, PressSettings, StuckChannel, TwinAction, TwinFaults, TwinSettings,
+    TwinTreatment,
+};
+pub use upgrade::{Upgraded, upgrade};

@@ -1,0 +1,248 @@
+//! The skin file as a whole: read, checked, written.
+
+use std::path::Path;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::backend::Backend;
+use crate::builtin::{BUILTIN_NAMES, builtin_text};
+use crate::check::Checker;
+use crate::damage::DamageSettings;
+use crate::error::Error;
+use crate::frontend::Frontend;
+use crate::health::HealthSettings;
+use crate::imaging::Imaging;
+use crate::layer::Layer;
+use crate::parts::{Part, read_skin_text};
+use crate::touch::TouchSettings;
+use crate::twin::{Parts, TwinSettings};
+use crate::upgrade::upgrade;
+
+/// A whole skin file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Skin {
+    /// Short name, as on the command line.
+    pub name: String,
+    /// One line for people.
+    #[serde(default)]
+    pub title: String,
+    /// What physics reads it.
+    pub modality: Modality,
+    /// Geometry, material, electrodes.
+    pub frontend: Frontend,
+    /// Instrument and protocol.
+    pub backend: Backend,
+    /// From difference data to images.
+    #[serde(default)]
+    pub imaging: Imaging,
+    /// From images to touches.
+    #[serde(default)]
+    pub touch: TouchSettings,
+    /// How its channels are watched.
+    #[serde(default, skip_serializing_if = "HealthSettings::is_default")]
+    pub health: HealthSettings,
+    /// How damage is told from touch.
+    #[serde(default, skip_serializing_if = "DamageSettings::is_default")]
+    pub damage: DamageSettings,
+    /// Its twin.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub twin: TwinSettings,
+}
+
+fn is_default(twin: &TwinSettings) -> bool {
+    *twin == TwinSettings::default()
+}
+
+/// What physics reads a skin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Modality {
+    /// Electrical impedance tomography.
+    Eit,
+    /// Magnetic induction tomography.
+    Mit,
+}
+
+impl Modality {
+    /// As in skin files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Eit => "eit",
+            Self::Mit => "mit",
+        }
+    }
+
+    /// What the values of its images are.
+    pub fn image_quantity(self) -> &'static str {
+        match self {
+            Self::Eit => "relative conductivity change",
+            Self::Mit => "share of the elements' travel",
+        }
+    }
+}
+
+impl Skin {
+    /// A built-in skin by name, or a skin file by path.
+    ///
+    /// # Errors
+    /// Neither exists, or the file is not a valid skin.
+    pub fn open(name_or_path: &str) -> Result<Self, Error> {
+        if let Some(text) = builtin_text(name_or_path) {
+            return Self::parse(text, &format!("built-in skin {name_or_path}"));
+        }
+        let path = Path::new(name_or_path);
+        match read_skin_text(path) {
+            Ok(text) => Self::parse_in(&text, name_or_path, Some(path.parent().unwrap_or(Path::new("")))),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                Err(Error::UnknownSkin { name: name_or_path.to_string(), known: BUILTIN_NAMES.join(", ") })
+            }
+            Err(source) => Err(Error::Io { file: path.to_path_buf(), source }),
+        }
+    }
+
+    /// Parses and checks a skin file's text; `file` names it in errors. Of parts in files of their own, only built-in ones
+    /// are known here: text alone lies in no folder.
+    ///
+    /// # Errors
+    /// TOML errors, unknown or missing keys, values that make no sense; each with its place.
+    pub fn parse(text: &str, file: &str) -> Result<Self, Error> {
+        Self::parse_in(text, file, None)
+    }
+
+    /// As [`Skin::parse`], of text that stands, or is to stand, in a file: its parts may be beside it.
+    ///
+    /// # Errors
+    /// As [`Skin::parse`].
+    pub fn parse_beside(text: &str, file: &Path) -> Result<Self, Error> {
+        let folder = file.parent().unwrap_or(Path::new(""));
+        Self::parse_in(text, &file.display().to_string(), Some(folder))
+    }
+
+    fn parse_in(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {
+        match Self::read(text, file, folder) {
+            Ok(skin) => Ok(skin),
+            // A file of an earlier version is told as such; what is wrong with it besides is told once it is upgraded.
+            Err(error) => match upgrade(text) {
+                Some(upgraded) => Err(Error::OldFormat { file: file.to_string(), moved: upgraded.moved }),
+                None => Err(error),
+            },
+        }
+    }
+
+    /// As [`Skin::parse`], of text that may be of an earlier version of the format, as in recordings and calibrations.
+    ///
+    /// # Errors
+    /// As [`Skin::parse`].
+    pub fn parse_any_version(text: &str, file: &str) -> Result<Self, Error> {
+        match upgrade(text) {
+            Some(upgraded) => Self::read(&upgraded.text, file, None),
+            None => Self::read(text, file, None),
+        }
+    }
+
+    fn read(text: &str, file: &str, folder: Option<&Path>) -> Result<Self, Error> {
+        let misread = |error: toml::de::Error| Error::SkinFile {
+            file: file.to_string(),
+            message: error.to_string().trim_end().to_string(),
+        };
+        let written: Written = toml::from_str(text).map_err(misread)?;
+        let says_polarity = toml::from_str::<toml::Table>(text)
+            .is_ok_and(|table| table.get("imaging").is_some_and(|imaging| imaging.get("polarity").is_some()));
+        let mut skin = written.read(file, folder)?;
+        if !says_polarity {
+            skin.imaging.polarity = skin.frontend.layer.polarity();
+        }
+        skin.check(file)?;
+        Ok(skin)
+    }
+
+    /// Checks a skin made in code.
+    ///
+    /// # Errors
+    /// As [`Skin::parse`].
+    pub fn checked(self) -> Result<Self, Error> {
+        self.check(&self.name)?;
+        Ok(self)
+    }
+
+    /// The skin as TOML.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).unwrap_or_default()
+    }
+
+    fn check(&self, file: &str) -> Result<(), Error> {
+        let checker = &Checker { file };
+        let elements = matches!(self.frontend.layer, Layer::Elements(_));
+        if elements != (self.modality == Modality::Mit) {
+            let expected = "\"mit\" with layer.kind = \"elements\", \"eit\" with every other layer";
+            return Err(checker.refused("modality", self.modality.name(), expected));
+        }
+        if self.name.is_empty() || self.name.len() > 200 || self.name.chars().any(char::is_control) {
+            let expected = "a name of 1 to 200 characters without control characters";
+            return Err(checker.refused("name", self.name.escape_debug(), expected));
+        }
+        if self.title.len() > 1000 || self.title.chars().any(char::is_control) {
+            let expected = "at most 1000 characters without control characters";
+            return Err(checker.refused("title", self.title.escape_debug(), expected));
+        }
+        self.frontend.check(checker)?;
+        self.backend.check(elements, checker)?;
+        if elements && self.touch.refine {
+            return Err(checker.refused("touch.refine", "true", "false with layer.kind = \"elements\""));
+        }
+        let (electrodes, coils) = match &self.frontend.coils {
+            Some(coils) => (0, coils.count()),
+            None => (self.frontend.electrodes.count(), 0),
+        };
+        // Faults may name channels.
+        let channels = self.twin.names_channels().then(|| self.backend.protocol(electrodes.max(coils)));
+        let channels = channels.and_then(Result::ok).map(|protocol| protocol.channel_count());
+        self.twin.check(Parts { electrodes, coils, channels }, &self.frontend.layer, checker)?;
+        self.health.check(checker)?;
+        self.damage.check(checker)?;
+        self.imaging.check(elements, self.backend.circuit.is_some(), checker)?;
+        self.touch.check(checker)
+    }
+}
+
+/// A skin file as written: its parts may be elsewhere.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Written {
+    name: String,
+    #[serde(default)]
+    title: String,
+    modality: Modality,
+    frontend: Part<Frontend>,
+    backend: Part<Backend>,
+    #[serde(default)]
+    imaging: Imaging,
+    #[serde(default)]
+    touch: TouchSettings,
+    #[serde(default)]
+    health: HealthSettings,
+    #[serde(default)]
+    damage: DamageSettings,
+    #[serde(default)]
+    twin: TwinSettings,
+}
+
+impl Written {
+    /// The skin with its parts read, those in files relative to `folder` (none: built-in parts only).
+    fn read(self, file: &str, folder: Option<&Path>) -> Result<Skin, Error> {
+        Ok(Skin {
+            name: self.name,
+            title: self.title,
+            modality: self.modality,
+            frontend: self.frontend.read("frontend", file, folder)?,
+            backend: self.backend.read("backend", file, folder)?,
+            imaging: self.imaging,
+            touch: self.touch,
+            health: self.health,
+            damage: self.damage,
+            twin: self.twin,
+        })
+    }
+}

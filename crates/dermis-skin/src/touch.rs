@@ -1,0 +1,80 @@
+//! From images to touches: what the file says of it.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::check::Checker;
+use crate::error::Error;
+
+/// From images to touches.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TouchSettings {
+    /// Touches begin above this many standard deviations of the image noise.
+    pub begin_sigma: f64,
+    /// And end below this many.
+    pub hold_sigma: f64,
+    /// Peaks below this share of the strongest one are side lobes.
+    pub side_lobe_share: f64,
+    /// Smallest amplitude (relative conductivity change) that counts.
+    pub smallest_amplitude: f64,
+    /// Frames that a contact must last before it is a touch.
+    pub least_frames: u32,
+    /// Also find changes of the other sign (tanks).
+    pub both_signs: bool,
+    /// Channel noise assumed where none was measured, as a share of the largest voltage.
+    pub assumed_noise_share: f64,
+    /// Size of a touch as calibration and localisation assume it: standard deviation of a Gaussian, relative to half the
+    /// shorter side of the skin.
+    pub relative_size: f64,
+    /// Error of positions that noise does not explain, mm.
+    pub position_floor_mm: f64,
+    /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
+    pub contact_s_per_m2: f64,
+    /// Refine touches by fitting place, amplitude and radius to the forward model.
+    pub refine: bool,
+    /// Of elements over coils: contacts whose elements are no farther apart than so many cells are one press that moves
+    /// several elements, placed by their forces; 0: every element that moves is a touch of its own.
+    pub join_cells: f64,
+    /// Time constant of the drift compensation, seconds; 0 switches it off. It stands still under touch.
+    pub drift_time_constant_s: f64,
+}
+
+impl Default for TouchSettings {
+    fn default() -> Self {
+        Self {
+            begin_sigma: 5.0,
+            hold_sigma: 3.0,
+            side_lobe_share: 0.4,
+            smallest_amplitude: 0.0,
+            least_frames: 2,
+            both_signs: false,
+            assumed_noise_share: 1e-4,
+            relative_size: 0.1,
+            contact_s_per_m2: 700.0,
+            position_floor_mm: 2.0,
+            refine: false,
+            join_cells: 0.0,
+            drift_time_constant_s: 60.0,
+        }
+    }
+}
+
+impl TouchSettings {
+    pub(crate) fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
+        checker.within("touch.hold_sigma", self.hold_sigma, 1e-3, 1e6)?;
+        if !(self.begin_sigma >= self.hold_sigma && self.begin_sigma <= 1e6) {
+            let value = format!("{} with hold_sigma = {}", self.begin_sigma, self.hold_sigma);
+            return Err(checker.refused("touch.begin_sigma", value, "begin_sigma >= hold_sigma, at most 1e6"));
+        }
+        checker.within("touch.side_lobe_share", self.side_lobe_share, 0.0, 1.0)?;
+        checker.within("touch.smallest_amplitude", self.smallest_amplitude, 0.0, 1e6)?;
+        checker.count("touch.least_frames", self.least_frames as usize, 1, 1_000_000)?;
+        checker.within("touch.assumed_noise_share", self.assumed_noise_share, 1e-12, 0.999)?;
+        checker.within("touch.relative_size", self.relative_size, 1e-3, 10.0)?;
+        checker.within("touch.position_floor_mm", self.position_floor_mm, 1e-6, 1e4)?;
+        checker.within("touch.contact_s_per_m2", self.contact_s_per_m2, 1e-6, 1e9)?;
+        checker.within("touch.join_cells", self.join_cells, 0.0, 100.0)?;
+        checker.within("touch.drift_time_constant_s", self.drift_time_constant_s, 0.0, 1e9)
+    }
+}

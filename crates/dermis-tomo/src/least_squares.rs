@@ -1,0 +1,343 @@
+//! Damped nonlinear least squares: one loop for every fit of parameters. It minimises a cost `F(x)`, half of or a whole sum
+//! of squares with priors, by steps that solve `(N + damping diag N) step = g` with `N = J'WJ` and `g = J'Wr` (Levenberg,
+//! Quart. Appl. Math. 2, 1944, 164; Marquardt, J. SIAM 11, 1963, 431), or by whole steps that are shortened while the cost
+//! rises. A problem says what its points, costs and equations are; it may solve these in its own way, as within bounds. The
+//! loop decides which steps are taken, and when to end.
+
+mod params;
+#[cfg(test)]
+mod tests;
+
+pub use params::{Acceptance, Control, Damping, Error, Params, Tolerances};
+
+/// The equations of a step at one point.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct NormalEquations {
+    /// `J'WJ` with the priors, unknowns x unknowns, row-major, both triangles.
+    pub normal: Vec<f64>,
+    /// `J'Wr` with the priors, which points down the cost; or what else the problem's own [`Problem::solve`] needs.
+    pub right: Vec<f64>,
+}
+
+impl NormalEquations {
+    /// Equations for so many unknowns, all zero.
+    pub fn new(unknowns: usize) -> Self {
+        Self { normal: vec![0.0; unknowns * unknowns], right: vec![0.0; unknowns] }
+    }
+
+    /// Makes room for so many unknowns.
+    pub fn resize(&mut self, unknowns: usize) {
+        self.normal.resize(unknowns * unknowns, 0.0);
+        self.right.resize(unknowns, 0.0);
+    }
+
+    /// Number of unknowns.
+    pub fn unknowns(&self) -> usize {
+        self.right.len()
+    }
+
+    /// Solves with the diagonal raised by the damping's share of itself, and by 1e-12 of its largest entry. `factor` has room
+    /// for the matrix. False where that is not positive definite; `step` is then of no use.
+    pub fn solve_damped(&self, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
+        let n = self.unknowns();
+        let floor = 1e-12 * (0..n).map(|k| self.normal[k * n + k]).fold(0.0, f64::max);
+        factor[..n * n].copy_from_slice(&self.normal);
+        for k in 0..n {
+            factor[k * n + k] += damping * factor[k * n + k] + floor;
+        }
+        if !factorise(factor, n) {
+            return false;
+        }
+        step[..n].copy_from_slice(&self.right);
+        solve_factored(factor, step, n);
+        true
+    }
+}
+
+/// What the loop works in; it grows to the size of the problem and keeps it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scratch {
+    /// The equations of the last linearisation.
+    pub equations: NormalEquations,
+    /// Room for a factor of the matrix.
+    pub factor: Vec<f64>,
+    /// The last step.
+    pub step: Vec<f64>,
+}
+
+impl Scratch {
+    /// Memory for problems of so many unknowns, allocated now.
+    pub fn new(unknowns: usize) -> Self {
+        let mut scratch = Self::default();
+        scratch.resize(unknowns);
+        scratch
+    }
+
+    /// Makes room for so many unknowns.
+    pub fn resize(&mut self, unknowns: usize) {
+        self.equations.resize(unknowns);
+        self.factor.resize(unknowns * unknowns, 0.0);
+        self.step.resize(unknowns, 0.0);
+    }
+}
+
+/// What lies at the end of a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Trial {
+    /// Cost there.
+    pub cost: f64,
+    /// How far it is, in the problem's own measure; 0 where no tolerance asks for it.
+    pub moved: f64,
+}
+
+/// What a step has done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Progress {
+    /// Cost before it.
+    pub before: f64,
+    /// Cost after it.
+    pub after: f64,
+    /// By how much the cost should have fallen: half of step times right-hand side.
+    pub predicted: f64,
+    /// As [`Trial::moved`].
+    pub moved: f64,
+}
+
+/// What is fitted. It stands at one point, and remembers another one while that is tried.
+pub trait Problem {
+    /// What can go wrong.
+    type Error: From<Error>;
+
+    /// Number of unknowns, the same until the end.
+    fn unknowns(&self) -> usize;
+
+    /// Cost at the point where it stands.
+    ///
+    /// # Errors
+    /// The problem's own.
+    fn cost(&mut self) -> Result<f64, Self::Error>;
+
+    /// Writes the equations at that point, which have the right size and any values. False where there are none: the fit
+    /// ends there.
+    ///
+    /// # Errors
+    /// The problem's own.
+    fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Self::Error>;
+
+    /// Solves the equations into `step`, with room for a factor of the matrix; without damping (0) where steps are shortened
+    /// instead. False where that cannot be done.
+    fn solve(&mut self, equations: &NormalEquations, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
+        equations.solve_damped(damping, factor, step)
+    }
+
+    /// Tries the point that a step leads to, shortened where the problem bounds its steps. `None` where it cannot go there.
+    ///
+    /// # Errors
+    /// The problem's own.
+    fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, Self::Error>;
+
+    /// Moves to the point that was tried last.
+    fn accept(&mut self);
+
+    /// Whether no further steps are needed after one that was taken.
+    fn is_settled(&self, progress: &Progress, tolerances: &Tolerances) -> bool {
+        tolerances.are_met(progress)
+    }
+}
+
+/// Why a fit has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// A tolerance is met.
+    Settled,
+    /// All trials or linearisations that were allowed are used.
+    Limit,
+    /// No step lowers the cost: the damping is at its most, or too many steps in a row were rejected.
+    Stalled,
+    /// The equations cannot be had, or not be solved.
+    Unsolvable,
+}
+
+/// How a fit went.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Info {
+    /// Why it ended.
+    pub outcome: Outcome,
+    /// Steps that were taken.
+    pub steps: usize,
+    /// Steps that were tried, those included.
+    pub trials: usize,
+    /// How often the equations were made.
+    pub linearisations: usize,
+    /// Cost at the end.
+    pub cost: f64,
+    /// By how much the last step tried should have lowered the cost; NaN before the first.
+    pub predicted: f64,
+    /// By how much the last step that was taken has lowered it; NaN before the first.
+    pub actual: f64,
+    /// Damping at the end, with which a later fit may go on; 0 where steps are shortened.
+    pub damping: f64,
+}
+
+/// Minimises a problem's cost from where it stands, and leaves it at the best point found. Allocates nothing once the
+/// scratch has grown to size, unless the problem does.
+///
+/// # Errors
+/// Parameters out of range, and the problem's own.
+pub fn minimise<P: Problem>(problem: &mut P, params: &Params, scratch: &mut Scratch) -> Result<Info, P::Error> {
+    params.check()?;
+    scratch.resize(problem.unknowns());
+    let cost = problem.cost()?;
+    let (damping, nan) = (params.control.start(), f64::NAN);
+    let info = Info {
+        outcome: Outcome::Settled,
+        steps: 0,
+        trials: 0,
+        linearisations: 0,
+        cost,
+        predicted: nan,
+        actual: nan,
+        damping,
+    };
+    if problem.unknowns() == 0 {
+        return Ok(info);
+    }
+    let mut search = Search { problem, params, scratch, info, is_stale: true, is_solved: false, rejected: 0 };
+    loop {
+        if let Some(outcome) = search.step()? {
+            search.info.outcome = outcome;
+            return Ok(search.info);
+        }
+    }
+}
+
+/// A fit under way.
+struct Search<'a, P> {
+    problem: &'a mut P,
+    params: &'a Params,
+    scratch: &'a mut Scratch,
+    info: Info,
+    /// The equations are not those of the point.
+    is_stale: bool,
+    /// The step is that of the equations, perhaps shortened.
+    is_solved: bool,
+    /// Steps rejected in a row at this point.
+    rejected: usize,
+}
+
+impl<P: Problem> Search<'_, P> {
+    /// Tries one step; says why, when the fit is at its end.
+    fn step(&mut self) -> Result<Option<Outcome>, P::Error> {
+        let params = self.params;
+        if self.info.trials >= params.most_trials {
+            return Ok(Some(Outcome::Limit));
+        }
+        if self.info.damping >= params.control.most() || self.rejected >= params.most_rejections {
+            return Ok(Some(Outcome::Stalled));
+        }
+        if self.is_stale {
+            if self.info.linearisations >= params.most_linearisations {
+                return Ok(Some(Outcome::Limit));
+            }
+            self.info.linearisations += 1;
+            if !self.problem.linearise(&mut self.scratch.equations)? {
+                return Ok(Some(Outcome::Unsolvable));
+            }
+            (self.is_stale, self.is_solved, self.rejected) = (false, false, 0);
+        }
+        if !self.is_solved {
+            let Scratch { equations, factor, step } = &mut *self.scratch;
+            if !self.problem.solve(equations, self.info.damping, factor, step) {
+                if !params.control.survives_refusal() {
+                    return Ok(Some(Outcome::Unsolvable));
+                }
+                self.info.trials += 1;
+                return Ok(self.refuse());
+            }
+            let product: f64 = step.iter().zip(&equations.right).map(|(step, slope)| step * slope).sum();
+            self.info.predicted = 0.5 * product;
+            if params.tolerances.predicted.is_some_and(|least| self.info.predicted < least) {
+                return Ok(Some(Outcome::Settled));
+            }
+        }
+        self.info.trials += 1;
+        let Some(trial) = self.problem.try_step(&self.scratch.step)? else { return Ok(self.refuse()) };
+        if params.acceptance.allows(self.info.cost, trial.cost) { Ok(self.take(trial)) } else { Ok(self.reject(trial)) }
+    }
+
+    fn take(&mut self, trial: Trial) -> Option<Outcome> {
+        self.problem.accept();
+        let progress =
+            Progress { before: self.info.cost, after: trial.cost, predicted: self.info.predicted, moved: trial.moved };
+        self.info.steps += 1;
+        self.info.actual = progress.before - progress.after;
+        self.info.cost = trial.cost;
+        self.info.damping = self.params.control.after_success(self.info.damping);
+        self.is_stale = true;
+        self.problem.is_settled(&progress, &self.params.tolerances).then_some(Outcome::Settled)
+    }
+
+    fn reject(&mut self, trial: Trial) -> Option<Outcome> {
+        self.rejected += 1;
+        self.info.damping = self.params.control.after_rejection(self.info.damping);
+        self.is_solved = false;
+        if let Control::Shortening { factor } = self.params.control {
+            if self.params.tolerances.moved.is_some_and(|least| trial.moved <= least) {
+                return Some(Outcome::Settled);
+            }
+            self.shorten(factor);
+        }
+        None
+    }
+
+    /// The equations cannot be solved, or the problem cannot go where the step leads.
+    fn refuse(&mut self) -> Option<Outcome> {
+        self.rejected += 1;
+        self.is_solved = false;
+        match self.params.control {
+            Control::Damping(Damping { refused: Some(factor), .. }) => self.info.damping *= factor,
+            Control::Damping(_) => return Some(Outcome::Unsolvable),
+            Control::Shortening { factor } => self.shorten(factor),
+        }
+        None
+    }
+
+    fn shorten(&mut self, factor: f64) {
+        self.scratch.step.iter_mut().for_each(|value| *value *= factor);
+        self.is_solved = true;
+    }
+}
+
+/// Replaces the lower triangle of a symmetric matrix (row-major) by its Cholesky factor; false where it is not positive
+/// definite.
+pub(crate) fn factorise(matrix: &mut [f64], n: usize) -> bool {
+    for row in 0..n {
+        for column in 0..=row {
+            let mut sum = matrix[row * n + column];
+            for k in 0..column {
+                sum -= matrix[row * n + k] * matrix[column * n + k];
+            }
+            if row == column {
+                if !(sum > 0.0 && sum.is_finite()) {
+                    return false;
+                }
+                matrix[row * n + row] = sum.sqrt();
+            } else {
+                matrix[row * n + column] = sum / matrix[column * n + column];
+            }
+        }
+    }
+    true
+}
+
+/// Solves with that factor, in place.
+pub(crate) fn solve_factored(factor: &[f64], x: &mut [f64], n: usize) {
+    for row in 0..n {
+        let sum: f64 = (0..row).map(|k| factor[row * n + k] * x[k]).sum();
+        x[row] = (x[row] - sum) / factor[row * n + row];
+    }
+    for row in (0..n).rev() {
+        let sum: f64 = (row + 1..n).map(|k| factor[k * n + row] * x[k]).sum();
+        x[row] = (x[row] - sum) / factor[row * n + row];
+    }
+}

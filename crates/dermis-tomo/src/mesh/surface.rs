@@ -1,0 +1,100 @@
+//! Sheets bent without stretching. A cylinder is developable: lengths along its surface are those of the sheet laid flat,
+//! so that fields on it are the fields of the unrolled sheet, exactly. A [`Surface`] maps between the two; a mesh that
+//! is bent and solved by its chords instead differs by their shortening, `(h / radius)^2 / 24` of a length h.
+
+use serde::{Deserialize, Serialize};
+
+use super::core::{CellKind, Electrode, ElectrodedMesh, Mesh, MeshError};
+
+/// How a sheet lies in space.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Surface {
+    /// In the plane z = 0.
+    #[default]
+    Flat,
+    /// Round a cylinder whose axis runs along y, one radius below the line x = 0 of the sheet.
+    Cylinder {
+        /// Its radius, metres.
+        radius_m: f64,
+    },
+}
+
+impl Surface {
+    /// Where a point of the unrolled sheet (x, y, metres) lies in space.
+    pub fn point_m(&self, sheet_m: [f64; 2]) -> [f64; 3] {
+        match *self {
+            Self::Flat => [sheet_m[0], sheet_m[1], 0.0],
+            Self::Cylinder { radius_m } => {
+                let (sine, cosine) = (sheet_m[0] / radius_m).sin_cos();
+                [radius_m * sine, sheet_m[1], radius_m * (cosine - 1.0)]
+            }
+        }
+    }
+
+    /// The point of the unrolled sheet that lies nearest to a point in space (for a cylinder, along the radius).
+    pub fn sheet_m(&self, point_m: [f64; 3]) -> [f64; 2] {
+        match *self {
+            Self::Flat => [point_m[0], point_m[1]],
+            Self::Cylinder { radius_m } => [radius_m * point_m[0].atan2(point_m[2] + radius_m), point_m[1]],
+        }
+    }
+
+    /// Unit normal toward the toucher at a point of the sheet.
+    pub fn normal(&self, sheet_m: [f64; 2]) -> [f64; 3] {
+        match *self {
+            Self::Flat => [0.0, 0.0, 1.0],
+            Self::Cylinder { radius_m } => {
+                let (sine, cosine) = (sheet_m[0] / radius_m).sin_cos();
+                [sine, 0.0, cosine]
+            }
+        }
+    }
+
+    /// A flat sheet bent onto the surface; elements and electrodes keep their numbers.
+    ///
+    /// # Errors
+    /// As [`ElectrodedMesh::bent_onto_cylinder`].
+    pub fn bend(&self, flat: &ElectrodedMesh) -> Result<ElectrodedMesh, MeshError> {
+        match *self {
+            Self::Flat => Ok(flat.clone()),
+            Self::Cylinder { radius_m } => flat.bent_onto_cylinder(radius_m),
+        }
+    }
+
+    /// A sheet on the surface laid flat, every node at its place along the surface.
+    ///
+    /// # Errors
+    /// Elements that lose their area, or that are not triangles.
+    pub fn unroll(&self, bent: &ElectrodedMesh) -> Result<ElectrodedMesh, MeshError> {
+        let flat = |point: &[f64; 3]| {
+            let [x, y] = self.sheet_m(*point);
+            [x, y, 0.0]
+        };
+        let nodes = bent.mesh.nodes().iter().map(flat).collect();
+        let elements = bent.mesh.elements().flatten().copied().collect();
+        let mesh = Mesh::new(CellKind::Triangle, nodes, elements)?;
+        let electrodes: Vec<Electrode> = bent.electrodes.clone();
+        ElectrodedMesh::new(mesh, electrodes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cylinder_keeps_lengths_and_comes_back() {
+        let surface = Surface::Cylinder { radius_m: 0.095 };
+        for sheet in [[0.0, 0.0], [0.075, -0.02], [-0.075, 0.075]] {
+            let point = surface.point_m(sheet);
+            let radius = point[0].hypot(point[2] + 0.095);
+            assert!((radius - 0.095).abs() < 1e-15 && point[1] == sheet[1], "{point:?}");
+            let back = surface.sheet_m(point);
+            assert!((back[0] - sheet[0]).hypot(back[1] - sheet[1]) < 1e-15, "{sheet:?} {back:?}");
+            let normal = surface.normal(sheet);
+            assert!((normal[0] * 0.095 - point[0]).abs() < 1e-15 && normal[1] == 0.0);
+        }
+        assert_eq!(surface.point_m([0.0, 0.01]), [0.0, 0.01, 0.0]);
+    }
+}

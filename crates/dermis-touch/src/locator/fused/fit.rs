@@ -1,0 +1,421 @@
+//! Fitting both experts and what joins them.
+
+use super::features::{Features, fill_from_neighbours, in_frame};
+use super::form::{Form, GRID, choose_form, forward_examples};
+use super::fusion::{Cells, Fusion};
+use super::inverse::{Guess, LeftOutPlaces, Memory, Regression};
+use super::live::unit_length;
+use super::prior::Sister;
+use super::report::{Accuracy, FusedReport};
+use super::state::{FUSED_VERSION, FusedState};
+use super::{FusedLocator, FusedOptions};
+use crate::locator::data::{Examples, LeaveOneOut, LeftOut, MIN_EXAMPLES, SignatureMap};
+use crate::locator::design::{Design, Prior, basis, nearest};
+use crate::locator::error::{LocatorError, check_length};
+use crate::locator::load::LoadLaw;
+use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile, spacing};
+use crate::locator::regression::{FittedMap, example_noise};
+use crate::locator::state::LocatorState;
+use crate::locator::{Fitting, Judged, Locator, SECTORS, by_direction, evenly, prepare};
+
+/// Principal components of the features that the inverse expert sees.
+pub(super) const PLAIN_RANK: usize = 64;
+/// The same of whitened frames, whose leading components tell places apart best.
+const WHITENED_RANK: usize = 40;
+/// Whitened frames are used from so many pokes a channel: with fewer, what whitens them has seen the left-out poke.
+const WHITENED_POKES: usize = 3;
+/// At most so many examples choose how the experts are joined.
+const JOINING: usize = 400;
+/// At most so many examples show how far one part of the skin is located from the others, or teach the load.
+const SOME: usize = 600;
+const LOADED: usize = 1000;
+/// Examples contradicted by more sigmas than this, and this many median errors, are doubtful.
+const DOUBTFUL_SIGMAS: f64 = 8.0;
+const DOUBTFUL_MEDIANS: f64 = 10.0;
+/// At most this part of the examples is left out as doubtful, and only from at most so many.
+const MOST_DOUBTFUL: f64 = 0.1;
+const REFIT_AT_MOST: usize = 1000;
+/// From so many examples x and y have factors on sigma of their own.
+const OWN_FACTORS: usize = 100;
+
+/// Fits; a second time without the examples that the others contradict.
+pub(super) fn fit(
+    examples: &Examples,
+    map: &SignatureMap,
+    options: &FusedOptions,
+    sister: Option<&Sister>,
+) -> Result<FusedLocator, LocatorError> {
+    check_length("channels of the signature map", examples.channels, map.channels)?;
+    for (field, got) in [("exact_examples", options.exact_examples), ("landmarks", options.landmarks)] {
+        if got < MIN_EXAMPLES {
+            return Err(LocatorError::Count { field, got, expected: "at least 5" });
+        }
+    }
+    let first = fit_all(examples, map, options, sister)?;
+    let doubtful = first.report.doubtful.clone();
+    let n = examples.len();
+    let few = n <= REFIT_AT_MOST && doubtful.len() as f64 <= MOST_DOUBTFUL * n as f64;
+    if doubtful.is_empty() || !few || !options.leave_out_doubtful || n - doubtful.len() < MIN_EXAMPLES {
+        return FusedLocator::try_from(first);
+    }
+    let mut second = fit_all(&without(examples, &doubtful), map, options, sister)?;
+    second.report.doubtful = doubtful;
+    second.report.doubtful_left_out = true;
+    FusedLocator::try_from(second)
+}
+
+fn without(examples: &Examples, rows: &[usize]) -> Examples {
+    let kept: Vec<usize> = (0..examples.len()).filter(|i| !rows.contains(i)).collect();
+    let c = examples.channels;
+    Examples {
+        channels: c,
+        frames: kept.iter().flat_map(|&i| examples.frames[i * c..(i + 1) * c].iter().copied()).collect(),
+        positions_m: kept.iter().map(|&i| examples.positions_m[i]).collect(),
+        loads: examples.loads.as_ref().map(|loads| kept.iter().map(|&i| loads[i]).collect()),
+        channel_noise: examples.channel_noise.clone(),
+    }
+}
+
+/// Unit frames of all examples, complete.
+struct Units {
+    units: Vec<Vec<f64>>,
+    amplitude: Vec<f64>,
+}
+
+impl Units {
+    fn new(examples: &Examples, features: &Features) -> Result<Self, LocatorError> {
+        let c = examples.channels;
+        let mut units = vec![vec![0.0; c]; examples.len()];
+        let mut amplitude = vec![0.0; examples.len()];
+        let mut present = Vec::with_capacity(examples.len());
+        for (i, frame) in examples.frames.chunks_exact(c).enumerate() {
+            amplitude[i] = features.unit(frame, &mut units[i]).map_err(|error| in_frame(error, i))?.0;
+            present.push((0..c).map(|k| frame[k].is_finite() || features.weights[k] == 0.0).collect::<Vec<bool>>());
+        }
+        if present.iter().flatten().any(|p| !p) {
+            fill_from_neighbours(&mut units, &present, &examples.positions_m);
+        }
+        Ok(Self { units, amplitude })
+    }
+}
+
+/// The inverse expert with what it makes of left-out rows.
+struct Inverse {
+    plain: Regression,
+    plain_rows: Vec<Vec<f64>>,
+    whitened: Option<Regression>,
+    share: f64,
+    places: LeftOutPlaces,
+    guesses: Vec<Guess>,
+}
+
+impl Inverse {
+    /// `whitened` holds the rows of the forward expert's whitened frames, where those are to be used.
+    fn fit(
+        units: &Units,
+        whitened: Option<Vec<Vec<f64>>>,
+        places_m: &[[f64; 2]],
+        rows: &[usize],
+    ) -> Result<Self, LocatorError> {
+        let truth: Vec<[f64; 2]> = rows.iter().map(|&i| places_m[i]).collect();
+        let mut plain_rows = vec![vec![0.0; 2 * units.units[0].len()]; units.units.len()];
+        units.units.iter().zip(&mut plain_rows).for_each(|(unit, row)| Features::inverse(unit, row));
+        let (mut plain, mut places) = Regression::fit(&plain_rows, places_m, PLAIN_RANK, rows)?;
+        let mut share = 1.0;
+        let mut other = None;
+        if let Some(frames) = whitened {
+            let (mut regression, found) = Regression::fit(&frames, places_m, WHITENED_RANK, rows)?;
+            (share, places) = best_mix(&places, &found, &truth);
+            regression.set_residuals(&places.places_m, &truth);
+            plain.set_residuals(&places.places_m, &truth);
+            other = (share < 1.0).then_some((regression, frames));
+        }
+        let mut memory = Memory::default();
+        let single = |row: &Vec<f64>| row.iter().map(|v| *v as f32).collect::<Vec<f32>>();
+        let mut guesses = Vec::with_capacity(rows.len());
+        for (place, &i) in rows.iter().enumerate() {
+            let mut variance_m2 = share * plain.guess(&single(&plain_rows[i]), &mut memory, Some(place)).variance_m2;
+            if let Some((regression, frames)) = &other {
+                let guess = regression.guess(&single(&frames[i]), &mut memory, Some(place));
+                variance_m2 += (1.0 - share) * guess.variance_m2;
+            }
+            guesses.push(Guess { mean_m: places.places_m[place], variance_m2 });
+        }
+        Ok(Self { plain, plain_rows, whitened: other.map(|o| o.0), share, places, guesses })
+    }
+}
+
+/// The share of the first in the mean of both that errs least.
+fn best_mix(first: &LeftOutPlaces, second: &LeftOutPlaces, truth: &[[f64; 2]]) -> (f64, LeftOutPlaces) {
+    let mix = |share: f64| -> Vec<[f64; 2]> {
+        let pairs = first.places_m.iter().zip(&second.places_m);
+        pairs.map(|(a, b)| [0, 1].map(|axis| share * a[axis] + (1.0 - share) * b[axis])).collect()
+    };
+    let score = |places: &[[f64; 2]]| {
+        let squares: Vec<f64> =
+            places.iter().zip(truth).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).collect();
+        let middle = crate::locator::regression::median(&squares).max(f64::MIN_POSITIVE);
+        squares.iter().map(|s| (s + middle).ln()).sum::<f64>()
+    };
+    let mut best = (f64::INFINITY, 1.0, Vec::new());
+    for share in [1.0, 0.75, 0.5, 0.25, 0.0] {
+        let places = mix(share);
+        let reached = score(&places);
+        if reached < best.0 {
+            best = (reached, share, places);
+        }
+    }
+    (best.1, LeftOutPlaces { places_m: best.2 })
+}
+
+fn fit_all(
+    examples: &Examples,
+    map: &SignatureMap,
+    options: &FusedOptions,
+    sister: Option<&Sister>,
+) -> Result<FusedState, LocatorError> {
+    let n = examples.len();
+    let rows = evenly(n, if n > options.exact_examples { options.landmarks } else { n });
+    let features = Features::new(examples)?;
+    let units = Units::new(examples, &features)?;
+    let (form, uses) = choose_form(examples, &features, map, &rows, sister)?;
+    let seen = forward_examples(examples, &form.features, &rows)?;
+    let (design, prior) = prepare(&seen, &form.map, &form.hyper)?;
+    let projection = basis(&design, &prior, crate::locator::LocatorOptions::default().max_rank)?;
+    let fitting = Fitting {
+        positions: &map.positions_m,
+        basis: projection.as_ref(),
+        spacing_m: spacing(&map.positions_m),
+        channel_prior: form.prior.as_ref(),
+        grid: GRID,
+    };
+    let judged = fitting.judge(&design, &prior, &form.hyper)?;
+    let whitened = (n >= WHITENED_POKES * examples.channels)
+        .then(|| whitened_rows(examples, &form.features, &judged))
+        .transpose()?;
+    let inverse = Inverse::fit(&units, whitened, &examples.positions_m, &rows)?;
+    let joining = evenly(rows.len(), JOINING);
+    let left_out: Vec<(&[f64], Option<Guess>, [f64; 2])> = joining
+        .iter()
+        .map(|&i| (judged.left_out.col_as_slice(i), Some(inverse.guesses[i]), design.positions_m[i]))
+        .collect();
+    let cells = Cells::new(&map.positions_m, fitting.spacing_m);
+    let fusion = Fusion::choose(&map.positions_m, &cells, &left_out);
+    let near = near_trials(&fitting, &cells, &fusion, &judged, &inverse.guesses, &design.positions_m);
+    let far = Far { fitting: &fitting, cells: &cells, fusion: &fusion, form: &form, inverse: &inverse, rows: &rows };
+    let (far_fused, far_forward) = far.trials(&design, &prior, judged.calibration.temperature)?;
+    let axis = |trials: &[Trial], axis: usize| -> Vec<Trial> {
+        let own = |t: &Trial| Trial { error_m: [t.error_m[axis]; 2], variance_m2: [t.variance_m2[axis]; 2], ..*t };
+        trials.iter().map(own).collect()
+    };
+    let both = Spread::fit(&near, &far_fused);
+    let mut sigma_factors = [both.factor; 2];
+    if near.len() >= OWN_FACTORS {
+        let factor = |a: usize| Spread::factor_with(&axis(&near, a), both.extrapolation_m);
+        sigma_factors = [factor(0), factor(1)];
+    }
+    let mut load = load_law(examples, &units, &map.positions_m, form.hyper.length_m)?;
+    if let (Some(law), Some(loads)) = (&mut load, &examples.loads) {
+        // The load is solved for at the place found, not at the true one.
+        let error = |(t, (i, p)): (&Trial, (usize, &[f64; 2]))| {
+            let place = [0, 1].map(|a| t.error_m[a] + p[a]);
+            let nearest = nearest(&map.positions_m, place);
+            let log_factor: f64 = nearest.iter().map(|(q, share)| share * law.log_factor[*q]).sum();
+            ((units.amplitude[rows[i]].ln() - log_factor) / law.exponent - loads[rows[i]].ln()).abs()
+        };
+        let errors: Vec<f64> = near.iter().zip(design.positions_m.iter().enumerate()).map(error).collect();
+        law.relative_error = law.relative_error.max(quantile(&errors, ONE_SIGMA));
+    }
+    let near_forward = fitting.near_trials(&design, &judged);
+    let forward_spread = Spread::fit(&near_forward, &far_forward);
+    let (hyper, load_error) = (form.hyper, load.as_ref().map(|law| law.relative_error));
+    let state = LocatorState::assemble(&design, &prior, &fitting, &judged, forward_spread, hyper, load);
+    let spreads = sigma_factors.map(|factor| Spread { factor, extrapolation_m: both.extrapolation_m });
+    let left_out = leave_one_out(&near, &spreads, &design.positions_m, &judged, prior.cosine, load_error);
+    let doubtful = doubtful(&left_out).into_iter().map(|i| rows[i]).collect();
+    let found = |trials: &[Trial]| {
+        let places: Vec<[f64; 2]> =
+            trials.iter().zip(&design.positions_m).map(|(t, p)| [0, 1].map(|a| t.error_m[a] + p[a])).collect();
+        Accuracy::of(places.into_iter(), &design.positions_m)
+    };
+    let (forward_used, inverse_used) = FusedReport::experts(&fusion);
+    let report = FusedReport {
+        left_out,
+        forward: found(&near_forward),
+        inverse: Accuracy::of(inverse.places.places_m.iter().copied(), &design.positions_m),
+        fused: found(&near),
+        forward_used,
+        inverse_used,
+        companded: form.features.companded,
+        physics: uses[0],
+        sister_map: uses[1],
+        sister_covariance: uses[2],
+        doubtful,
+        doubtful_left_out: false,
+    };
+    Ok(FusedState {
+        version: FUSED_VERSION,
+        features: form.features,
+        forward: Locator::from_state(state)?,
+        plain: inverse.plain,
+        whitened: inverse.whitened,
+        plain_share: inverse.share,
+        fusion,
+        sigma_factors,
+        extrapolation_m: both.extrapolation_m,
+        places_m: design.positions_m,
+        report,
+    })
+}
+
+/// All examples as the forward expert whitens them, of unit length.
+fn whitened_rows(examples: &Examples, features: &Features, judged: &Judged) -> Result<Vec<Vec<f64>>, LocatorError> {
+    let all: Vec<usize> = (0..examples.len()).collect();
+    let design = Design::new(&forward_examples(examples, features, &all)?)?;
+    let whitened = &judged.map.transform * design.z.transpose();
+    Ok((0..examples.len())
+        .map(|i| {
+            let mut row: Vec<f32> = whitened.col_as_slice(i).iter().map(|v| *v as f32).collect();
+            unit_length(&mut row);
+            row.into_iter().map(f64::from).collect()
+        })
+        .collect())
+}
+
+fn load_law(
+    examples: &Examples,
+    units: &Units,
+    map: &[[f64; 2]],
+    length_m: f64,
+) -> Result<Option<LoadLaw>, LocatorError> {
+    let Some(loads) = &examples.loads else { return Ok(None) };
+    let chosen = evenly(examples.len(), LOADED);
+    let positions: Vec<[f64; 2]> = chosen.iter().map(|&i| examples.positions_m[i]).collect();
+    let pick = |values: &[f64]| -> Vec<f64> { chosen.iter().map(|&i| values[i]).collect() };
+    // A few pokes far off would make a root mean square too wide for most.
+    let summary = |values: &[f64]| quantile(values, ONE_SIGMA) * (1.0 + 3.0 / values.len() as f64);
+    LoadLaw::fit(map, &positions, &pick(&units.amplitude), &pick(loads), length_m, summary)
+}
+
+/// Each example as both experts locate it without it.
+fn near_trials(
+    fitting: &Fitting,
+    cells: &Cells,
+    fusion: &Fusion,
+    judged: &Judged,
+    guesses: &[Guess],
+    truth: &[[f64; 2]],
+) -> Vec<Trial> {
+    let (mut weights, mut memory) = (vec![0.0; fitting.positions.len()], Vec::new());
+    let trial = |i: usize| {
+        let left_out = judged.left_out.col_as_slice(i);
+        let found = fusion.join(fitting.positions, cells, left_out, Some(guesses[i]), &mut memory, &mut weights);
+        Trial {
+            error_m: [found.mean_m[0] - truth[i][0], found.mean_m[1] - truth[i][1]],
+            variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
+            unexplained: weights.iter().enumerate().map(|(p, w)| w * judged.map.left_out_variance(i, p)).sum(),
+        }
+    };
+    (0..truth.len()).map(trial).collect()
+}
+
+/// What locating one part of the skin by the others needs.
+struct Far<'a> {
+    fitting: &'a Fitting<'a>,
+    cells: &'a Cells,
+    fusion: &'a Fusion,
+    form: &'a Form<'a>,
+    inverse: &'a Inverse,
+    rows: &'a [usize],
+}
+
+impl Far<'_> {
+    /// Some of the examples as those of the other sectors locate them, by both experts and by the forward one; none when
+    /// too few would be left.
+    fn trials(
+        &self,
+        design: &Design,
+        prior: &Prior,
+        temperature: f64,
+    ) -> Result<(Vec<Trial>, Vec<Trial>), LocatorError> {
+        let some = evenly(design.positions_m.len(), SOME);
+        let (design, prior) = (design.subset(&some), prior.subset(&some));
+        let rows: Vec<&Vec<f64>> = some.iter().map(|&i| &self.inverse.plain_rows[self.rows[i]]).collect();
+        let order = by_direction(&design.positions_m);
+        let n = order.len();
+        let noise = example_noise(&design, self.form.hyper.noise);
+        let (mut fused, mut forward) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        let positions = self.fitting.positions;
+        let (mut weights, mut log_likelihood) = (vec![0.0; positions.len()], vec![0.0; positions.len()]);
+        let (mut memory, mut exponents) = (Memory::default(), Vec::new());
+        for sector in 0..SECTORS {
+            let inside = sector * n / SECTORS..(sector + 1) * n / SECTORS;
+            let outside: Vec<usize> = (0..n).filter(|i| !inside.contains(i)).map(|i| order[i]).collect();
+            if outside.len() < MIN_EXAMPLES {
+                return Ok((Vec::new(), Vec::new()));
+            }
+            let (part, about) = (design.subset(&outside), prior.subset(&outside));
+            let (basis, channel_prior) = (self.fitting.basis, self.fitting.channel_prior);
+            let map = FittedMap::new(&part, &about, positions, basis, &self.form.hyper, channel_prior)?;
+            let features: Vec<&Vec<f64>> = outside.iter().map(|&i| rows[i]).collect();
+            let regression = self.inverse.plain.refitted(&features, &part.positions_m)?;
+            for &i in &order[inside] {
+                let truth = design.positions_m[i];
+                map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
+                let variance = |p: usize| map.variance[p];
+                forward.push(self.fitting.trial(&log_likelihood, variance, truth, temperature, &mut weights));
+                let row: Vec<f32> = rows[i].iter().map(|v| *v as f32).collect();
+                let guess = regression.guess(&row, &mut memory, None);
+                let (likely, given) = (&log_likelihood, Some(guess));
+                let found = self.fusion.join(positions, self.cells, likely, given, &mut exponents, &mut weights);
+                fused.push(Trial {
+                    error_m: [found.mean_m[0] - truth[0], found.mean_m[1] - truth[1]],
+                    variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
+                    unexplained: weights.iter().enumerate().map(|(p, w)| w * map.variance[p]).sum(),
+                });
+            }
+        }
+        Ok((fused, forward))
+    }
+}
+
+fn leave_one_out(
+    near: &[Trial],
+    spreads: &[Spread; 2],
+    truth: &[[f64; 2]],
+    judged: &Judged,
+    physics_cosine: f64,
+    load_error: Option<f64>,
+) -> LeaveOneOut {
+    let usual = quantile(&judged.misfits, 0.95);
+    let example = |(i, trial): (usize, &Trial)| LeftOut {
+        position_m: truth[i],
+        located_m: [0, 1].map(|axis| truth[i][axis] + trial.error_m[axis]),
+        sigma_m: [0, 1].map(|a: usize| spreads[a].variance_m2(trial.variance_m2[a], trial.unexplained).sqrt()),
+        error_m: trial.error_m[0].hypot(trial.error_m[1]),
+        novelty: judged.misfits[i] / usual,
+    };
+    let examples: Vec<LeftOut> = near.iter().enumerate().map(example).collect();
+    let errors: Vec<f64> = examples.iter().map(|e| e.error_m).collect();
+    let within = |axis: usize| {
+        let inside = |e: &&LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
+        examples.iter().filter(inside).count() as f64 / examples.len() as f64
+    };
+    LeaveOneOut {
+        median_error_m: quantile(&errors, 0.5),
+        p90_error_m: quantile(&errors, 0.9),
+        coverage: [within(0), within(1)],
+        physics_cosine,
+        load_error,
+        examples,
+    }
+}
+
+/// Examples that the others contradict by far.
+fn doubtful(report: &LeaveOneOut) -> Vec<usize> {
+    let far = |e: &LeftOut| {
+        let sigmas = |axis: usize| ((e.located_m[axis] - e.position_m[axis]) / e.sigma_m[axis]).powi(2);
+        sigmas(0) + sigmas(1) > DOUBTFUL_SIGMAS.powi(2) && e.error_m > DOUBTFUL_MEDIANS * report.median_error_m
+    };
+    (0..report.examples.len()).filter(|&i| far(&report.examples[i])).collect()
+}

@@ -1,0 +1,164 @@
+//! In which form the forward expert sees frames, and what it expects before any poke: all that is given is tried, and
+//! left-out pokes decide.
+
+use faer::Mat;
+
+use super::features::{Features, in_frame};
+use super::prior::Sister;
+use super::report::PriorUse;
+use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
+use crate::locator::design::basis;
+use crate::locator::error::LocatorError;
+use crate::locator::posterior::{extent, spacing};
+use crate::locator::regression::ChannelPrior;
+use crate::locator::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
+
+/// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
+pub(super) const GRID: Grid =
+    Grid { lengths: &[0.38, 0.25, 0.57, 0.8], noises: &[0.04, 0.02, 0.01, 0.08], shrinkages: &[0.9, 0.6, 0.3, 0.97] };
+/// At most so many examples choose the forward expert's form and hyperparameters.
+const CHOOSING: usize = 250;
+/// Pokes that the covariance of another skin is worth.
+const SISTER_WORTH: f64 = 10.0;
+/// With fewer pokes than this, leaving one out tells too little to choose by. Beside a sister's calibration its form
+/// and covariance are then taken over, and the search for hyperparameters starts here (the length relative to the
+/// skin's radius).
+const TELLING: usize = 30;
+const UNTOLD: Hyperparameters = Hyperparameters { length_m: 0.4, noise: 0.04, shrinkage: 0.95 };
+/// Gain in total log score that a mean of the map must then bring.
+const UNTOLD_MARGIN: f64 = 1.0;
+
+/// What the forward expert is to be made from.
+pub(super) struct Form<'a> {
+    pub features: Features,
+    pub map: SignatureMap,
+    pub prior: Option<ChannelPrior>,
+    pub hyper: Hyperparameters,
+    score: f64,
+    mean: Mean<'a>,
+}
+
+/// The mean of the forward expert's map before any poke.
+#[derive(Clone, Copy)]
+pub(super) enum Mean<'a> {
+    Zero,
+    Physics(&'a SignatureMap),
+    Sister(&'a Sister),
+}
+
+/// The examples named, as the forward expert sees them.
+pub(super) fn forward_examples(
+    examples: &Examples,
+    features: &Features,
+    rows: &[usize],
+) -> Result<Examples, LocatorError> {
+    let c = examples.channels;
+    let mut frames = vec![0.0; rows.len() * c];
+    let mut unit = vec![0.0; c];
+    for (&i, out) in rows.iter().zip(frames.chunks_exact_mut(c)) {
+        let frame = &examples.frames[i * c..(i + 1) * c];
+        let (amplitude, _) = features.unit(frame, &mut unit).map_err(|error| in_frame(error, i))?;
+        features.forward(frame, &unit, amplitude, out);
+    }
+    let positions_m = rows.iter().map(|&i| examples.positions_m[i]).collect();
+    Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise: None })
+}
+
+/// The mean of the map in the form that the forward expert sees.
+fn mean_map(mean: Mean, map: &SignatureMap, features: &Features) -> Result<SignatureMap, LocatorError> {
+    let c = map.channels;
+    match mean {
+        Mean::Zero => SignatureMap::without_physics(c, map.positions_m.clone()),
+        Mean::Sister(sister) => sister.map_at(&map.positions_m),
+        Mean::Physics(physics) => {
+            let mut signatures = physics.signatures.clone();
+            for row in signatures.chunks_exact_mut(c) {
+                row.iter_mut().zip(&features.weights).for_each(|(v, w)| *v *= w);
+                let length = row.iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
+                row.iter_mut().enumerate().for_each(|(k, v)| *v = features.compand(k, *v / length));
+            }
+            SignatureMap::new(c, map.positions_m.clone(), signatures)
+        }
+    }
+}
+
+/// The best form on some of the rows, with what physics, a sister's map and a sister's covariance brought.
+pub(super) fn choose_form<'a>(
+    examples: &Examples,
+    features: &Features,
+    map: &'a SignatureMap,
+    rows: &[usize],
+    sister: Option<&'a Sister>,
+) -> Result<(Form<'a>, [Option<PriorUse>; 3]), LocatorError> {
+    let chosen: Vec<usize> = evenly(rows.len(), CHOOSING).into_iter().map(|r| rows[r]).collect();
+    let radius = extent(&map.positions_m);
+    let spacing_m = spacing(&map.positions_m);
+    let mut means = vec![Mean::Zero];
+    means.extend(map.signatures.iter().any(|v| *v != 0.0).then_some(Mean::Physics(map)));
+    means.extend(sister.map(Mean::Sister));
+    let mut forms: Vec<Form> = Vec::new();
+    let untold = sister.is_some() && chosen.len() < TELLING;
+    for companded in [false, true] {
+        let features = Features { companded, ..features.clone() };
+        let seen = forward_examples(examples, &features, &chosen)?;
+        let akin = sister.filter(|s| s.companded == companded);
+        for &mean in &means {
+            if akin.is_none() && (untold || matches!(mean, Mean::Sister(_))) {
+                continue;
+            }
+            let about = mean_map(mean, map, &features)?;
+            let start = match untold {
+                true => Hyperparameters { length_m: UNTOLD.length_m * radius, ..UNTOLD },
+                false => default_hyperparameters(radius),
+            };
+            let (design, prior) = prepare(&seen, &about, &start)?;
+            let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
+            for lent in [None, akin].into_iter().take(1 + usize::from(akin.is_some())) {
+                let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
+                let fitting = Fitting {
+                    positions: &map.positions_m,
+                    basis: projection.as_ref(),
+                    spacing_m,
+                    channel_prior: channel_prior.as_ref(),
+                    grid: GRID,
+                };
+                let (score, hyper) = fitting.select(&design, &prior, start, radius)?;
+                let (features, map) = (features.clone(), about.clone());
+                forms.push(Form { features, map, prior: channel_prior, hyper, score, mean });
+            }
+        }
+    }
+    let best = |accept: &dyn Fn(&Form) -> bool| {
+        forms.iter().filter(|f| accept(f)).map(|f| f.score).fold(f64::NEG_INFINITY, f64::max)
+    };
+    // What is given beside the pokes must bring more than chance would.
+    let margin = if untold { UNTOLD_MARGIN } else { SELECTION_MARGIN } / chosen.len() as f64;
+    let charged = |f: &Form| {
+        let mean = if matches!(f.mean, Mean::Zero) { 0.0 } else { margin };
+        let covariance = match (f.prior.is_some(), untold) {
+            (false, true) if !matches!(f.mean, Mean::Sister(_)) => f64::INFINITY,
+            (true, false) => margin,
+            _ => 0.0,
+        };
+        f.score - mean - covariance
+    };
+    let winner = (0..forms.len()).fold(0, |b, i| if charged(&forms[i]) > charged(&forms[b]) { i } else { b });
+    let compare = |given: bool, with: &dyn Fn(&Form) -> bool| {
+        let gain = best(with) - best(&|f| !with(f));
+        given.then(|| PriorUse { used: with(&forms[winner]), gain }).filter(|u| u.gain.is_finite())
+    };
+    let uses = [
+        compare(means.len() > 1 + usize::from(sister.is_some()), &|f| matches!(f.mean, Mean::Physics(_))),
+        compare(sister.is_some(), &|f| matches!(f.mean, Mean::Sister(_))),
+        compare(sister.is_some(), &|f| f.prior.is_some()),
+    ];
+    Ok((forms.swap_remove(winner), uses))
+}
+
+fn channel_prior(sister: &Sister, projection: Option<&Mat<f64>>) -> ChannelPrior {
+    let covariance = match projection {
+        Some(q) => q.transpose() * &sister.covariance * q,
+        None => sister.covariance.clone(),
+    };
+    ChannelPrior { covariance, examples: SISTER_WORTH }
+}

@@ -1,0 +1,209 @@
+//! The product of both experts: w(p) ~ exp(b L(p)) (1 + d(p)^2 / 4 s^2)^(-3 c), L the forward expert's log-likelihood at
+//! p, d the distance from p to the inverse expert's place and s its local deviation: a Student t with 4 degrees of
+//! freedom, so that neither expert can veto the other. The temperature b and the power c are those with which the
+//! left-out examples are predicted best; b = 0 and c = 0, either expert alone, are among them.
+//!
+//! Map positions stand for cells of the map's spacing h, over which a place is spread with variance h^2 / 12. Within a
+//! cell each coordinate leans by v (g + (m - x) c / s^2), v = 1 / (12 / h^2 + k + c / s^2), the mean of a product of
+//! Gaussians: g and k are slope and curvature of b L from the neighbouring positions, m is the inverse expert's place.
+//! So a posterior narrower than a cell is not rounded to the map.
+
+use std::collections::HashMap;
+
+use super::inverse::Guess;
+use crate::locator::design::squared_distance;
+use crate::locator::posterior::{ONE_SIGMA, log_student, quantile};
+use crate::locator::rows::exponentials;
+
+/// Temperatures b tried.
+const TEMPERATURES: [f64; 8] = [0.0, 0.015, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0];
+/// Doublings of the power c from a half: a half, 1, 2, 4.
+const DOUBLINGS: [u32; 4] = [0, 1, 2, 3];
+
+/// Cells less likely than this part of the likeliest do not lean.
+const LEANING: f64 = 1e-3;
+/// No such neighbour.
+const NONE: u32 = u32::MAX;
+
+/// The map's positions as cells.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Cells {
+    /// Indices of the positions left, right, below and above of each.
+    neighbours: Vec<[u32; 4]>,
+    pub spacing_m: f64,
+}
+
+impl Cells {
+    /// Finds each position's neighbours: the nearest to a spacing away along an axis, if it is within 0.6 spacings.
+    pub(super) fn new(positions: &[[f64; 2]], spacing_m: f64) -> Self {
+        let cell = |p: [f64; 2]| p.map(|v| (v / spacing_m).floor() as i64);
+        let mut buckets: HashMap<[i64; 2], Vec<u32>> = HashMap::new();
+        for (i, p) in positions.iter().enumerate() {
+            buckets.entry(cell(*p)).or_default().push(i as u32);
+        }
+        let find = |i: usize, step: [f64; 2]| {
+            let target = [0, 1].map(|a| positions[i][a] + step[a] * spacing_m);
+            let [cx, cy] = cell(target);
+            let mut best = (NONE, (0.6 * spacing_m).powi(2));
+            for at in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| [cx + dx, cy + dy])) {
+                for &j in buckets.get(&at).into_iter().flatten().filter(|j| **j as usize != i) {
+                    let d2 = squared_distance(positions[j as usize], target);
+                    if d2 < best.1 {
+                        best = (j, d2);
+                    }
+                }
+            }
+            best.0
+        };
+        let steps = [[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]];
+        let neighbours = (0..positions.len()).map(|i| steps.map(|step| find(i, step))).collect();
+        Self { neighbours, spacing_m }
+    }
+
+    /// Slope and curvature (downwards) of `values` along an axis, per metre and square metre; the curvature not negative.
+    fn shape(&self, values: &[f64], p: usize, axis: usize) -> (f64, f64) {
+        let [low, high] = [self.neighbours[p][2 * axis], self.neighbours[p][2 * axis + 1]];
+        let at = |i: u32| values[i as usize];
+        let h = self.spacing_m;
+        match (low != NONE, high != NONE) {
+            (true, true) => {
+                ((at(high) - at(low)) / (2.0 * h), ((2.0 * values[p] - at(high) - at(low)) / (h * h)).max(0.0))
+            }
+            (true, false) => ((values[p] - at(low)) / h, 0.0),
+            (false, true) => ((at(high) - values[p]) / h, 0.0),
+            (false, false) => (0.0, 0.0),
+        }
+    }
+}
+
+/// How the experts are joined.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Fusion {
+    /// b.
+    pub temperature: f64,
+    /// c is a half times two to this; none: the inverse expert is not used.
+    pub doublings: Option<u32>,
+}
+
+/// Mean and covariance of the product.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Joined {
+    pub mean_m: [f64; 2],
+    /// Variances of x and y and their covariance, square metres, before calibration.
+    pub covariance_m2: [f64; 3],
+    pub peak: usize,
+    pub log_evidence: f64,
+}
+
+impl Fusion {
+    /// Joins a log-likelihood over the map and a guess; `weights` receives the probabilities.
+    pub(super) fn join(
+        &self,
+        positions: &[[f64; 2]],
+        cells: &Cells,
+        log_likelihood: &[f64],
+        guess: Option<Guess>,
+        memory: &mut Vec<f32>,
+        weights: &mut [f64],
+    ) -> Joined {
+        let top = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let cell = cells.spacing_m * cells.spacing_m / 12.0;
+        let inverse = guess.zip(self.doublings);
+        memory.clear();
+        memory.extend(log_likelihood.iter().map(|l| (self.temperature * (top - l)) as f32));
+        exponentials(memory);
+        let (mut total, mut evidence, mut peak) = (0.0, 0.0, 0);
+        for p in 0..positions.len() {
+            let below = log_likelihood[p] - top;
+            if below > -40.0 {
+                evidence += below.exp();
+            }
+            weights[p] = if self.temperature * below < -40.0 { 0.0 } else { f64::from(memory[p]) };
+            if let Some((guess, doublings)) = inverse {
+                let d2 = squared_distance(positions[p], guess.mean_m);
+                let base = 1.0 + d2 / (4.0 * (guess.variance_m2 + cell));
+                let mut power = base * base.sqrt();
+                for _ in 0..doublings {
+                    power *= power;
+                }
+                weights[p] /= power;
+            }
+            total += weights[p];
+            if weights[p] > weights[peak] {
+                peak = p;
+            }
+        }
+        weights.iter_mut().for_each(|w| *w /= total);
+        // Precision of the inverse expert's place within a cell.
+        let pull = inverse.map_or(0.0, |(g, doublings)| 0.5 * f64::from(1_u32 << doublings.min(8)) / g.variance_m2);
+        let target = inverse.map_or([0.0; 2], |(g, _)| g.mean_m);
+        let (origin, least) = (positions[peak], LEANING * weights[peak]);
+        let (mut mean, mut square, mut cross) = ([0.0; 2], [0.0; 2], 0.0);
+        for p in 0..positions.len() {
+            let w = weights[p];
+            if w == 0.0 {
+                continue;
+            }
+            let mut at = [0.0; 2];
+            for axis in 0..2 {
+                let (mut lean, mut grain) = (0.0, cell);
+                if w > least {
+                    let (slope, curvature) = cells.shape(log_likelihood, p, axis);
+                    grain = 1.0 / (1.0 / cell + self.temperature * curvature + pull);
+                    lean = grain * (self.temperature * slope + pull * (target[axis] - positions[p][axis]));
+                }
+                at[axis] =
+                    positions[p][axis] - origin[axis] + lean.clamp(-0.5 * cells.spacing_m, 0.5 * cells.spacing_m);
+                mean[axis] += w * at[axis];
+                square[axis] += w * (at[axis] * at[axis] + grain);
+            }
+            cross += w * at[0] * at[1];
+        }
+        Joined {
+            mean_m: [origin[0] + mean[0], origin[1] + mean[1]],
+            covariance_m2: [
+                (square[0] - mean[0] * mean[0]).max(1e-3 * cell),
+                (square[1] - mean[1] * mean[1]).max(1e-3 * cell),
+                cross - mean[0] * mean[1],
+            ],
+            peak,
+            log_evidence: top + (evidence / positions.len() as f64).ln(),
+        }
+    }
+
+    /// Every way of joining that is tried, the forward expert alone first.
+    fn candidates(with_inverse: bool) -> Vec<Self> {
+        let alone = TEMPERATURES[1..].iter().map(|&temperature| Self { temperature, doublings: None });
+        let joined =
+            TEMPERATURES.iter().flat_map(|&temperature| DOUBLINGS.map(|d| Self { temperature, doublings: Some(d) }));
+        alone.chain(joined.filter(|_| with_inverse)).collect()
+    }
+
+    /// The way with which left-out examples (log-likelihood, guess, truth) are predicted best.
+    pub(super) fn choose(
+        positions: &[[f64; 2]],
+        cells: &Cells,
+        left_out: &[(&[f64], Option<Guess>, [f64; 2])],
+    ) -> Self {
+        let mut weights = vec![0.0; positions.len()];
+        let mut memory = Vec::new();
+        let mut best = (f64::NEG_INFINITY, Self { temperature: TEMPERATURES[4], doublings: None });
+        for candidate in Self::candidates(left_out.iter().all(|l| l.1.is_some())) {
+            let mut errors = Vec::with_capacity(2 * left_out.len());
+            for (log_likelihood, guess, truth) in left_out {
+                let joined = candidate.join(positions, cells, log_likelihood, *guess, &mut memory, &mut weights);
+                for axis in 0..2 {
+                    errors.push((joined.mean_m[axis] - truth[axis], joined.covariance_m2[axis].sqrt()));
+                }
+            }
+            let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
+            let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
+            let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / left_out.len() as f64;
+            if score > best.0 {
+                best = (score, candidate);
+            }
+        }
+        best.1
+    }
+}

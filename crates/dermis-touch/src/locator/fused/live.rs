@@ -1,0 +1,150 @@
+//! Locating one frame with both experts, without allocating.
+
+use super::FusedLocator;
+use super::features::Features;
+use super::inverse::{Guess, Memory};
+use crate::locator::data::{LoadEstimate, Located};
+use crate::locator::design::squared_distance;
+use crate::locator::error::{LocatorError, check_length};
+use crate::locator::live::LocatorScratch;
+use crate::locator::posterior::Spread;
+
+/// So many of the nearest pokes stand in for a missing channel.
+const STAND_INS: usize = 8;
+
+/// Working memory of [`FusedLocator::predict_into`], kept by the caller between frames.
+#[derive(Debug, Clone, Default)]
+pub struct FusedScratch {
+    unit: Vec<f64>,
+    forward_frame: Vec<f64>,
+    inverse_frame: Vec<f64>,
+    features: Vec<f32>,
+    pub(super) forward: LocatorScratch,
+    memory: Memory,
+    stand_ins: Vec<(usize, f64)>,
+}
+
+impl FusedScratch {
+    /// Probability of each of the map's positions after the last frame located; sums to 1. Empty before the first.
+    pub fn posterior(&self) -> &[f64] {
+        &self.forward.posterior
+    }
+}
+
+impl FusedLocator {
+    /// Memory for [`FusedLocator::predict_into`].
+    pub fn scratch(&self) -> FusedScratch {
+        FusedScratch { forward: self.state.forward.scratch(), ..FusedScratch::default() }
+    }
+
+    /// Locates the touch behind `frame`, difference data in the unit of the examples; NaN or infinite channels are
+    /// taken as missing.
+    ///
+    /// # Errors
+    /// Another number of channels than the examples had, too few usable ones, or a frame that is all zero.
+    pub fn predict_into(&self, frame: &[f64], scratch: &mut FusedScratch) -> Result<Located, LocatorError> {
+        let state = &self.state;
+        check_length("frame", self.channels(), frame.len())?;
+        scratch.unit.resize(frame.len(), 0.0);
+        scratch.forward_frame.resize(frame.len(), 0.0);
+        let (amplitude, seen) = state.features.unit(frame, &mut scratch.unit)?;
+        state.features.forward(frame, &scratch.unit, amplitude, &mut scratch.forward_frame);
+        let (weighed, misfit) = state.forward.compare(&scratch.forward_frame, &mut scratch.forward)?;
+        let guess = state.fusion.doublings.is_some().then(|| self.guess(scratch, seen));
+        let forward = &state.forward.state;
+        let positions = &forward.positions_m;
+        let LocatorScratch { log_likelihood, posterior, along, .. } = &mut scratch.forward;
+        let found = state.fusion.join(positions, &self.cells, log_likelihood, guess, along, posterior);
+        let unexplained: f64 = forward.variance.iter().zip(posterior.iter()).map(|(v, w)| v * w).sum();
+        let spread = |axis: usize| Spread { factor: state.sigma_factors[axis], extrapolation_m: state.extrapolation_m };
+        let sigma = |axis: usize| spread(axis).variance_m2(found.covariance_m2[axis], unexplained).sqrt();
+        let load = forward.load.as_ref().map(|law| {
+            let log_factor: f64 = law.log_factor.iter().zip(posterior.iter()).map(|(f, w)| f * w).sum();
+            let value = ((weighed.amplitude.ln() - log_factor) / law.exponent).exp();
+            LoadEstimate { value, sigma: value * law.relative_error }
+        });
+        Ok(Located {
+            x_m: found.mean_m[0],
+            y_m: found.mean_m[1],
+            sigma_x_m: sigma(0),
+            sigma_y_m: sigma(1),
+            covariance_xy_m2: found.covariance_m2[2] * state.sigma_factors[0] * state.sigma_factors[1],
+            peak_x_m: positions[found.peak][0],
+            peak_y_m: positions[found.peak][1],
+            amplitude: weighed.amplitude,
+            load,
+            log_evidence: found.log_evidence,
+            unexplained,
+            novelty: misfit / forward.usual_misfit,
+        })
+    }
+
+    /// [`FusedLocator::predict_into`] with memory of its own.
+    ///
+    /// # Errors
+    /// As [`FusedLocator::predict_into`].
+    pub fn predict(&self, frame: &[f64]) -> Result<Located, LocatorError> {
+        self.predict_into(frame, &mut self.scratch())
+    }
+
+    /// The inverse expert's place. Less of a frame seen makes it less sure.
+    fn guess(&self, scratch: &mut FusedScratch, seen: f64) -> Guess {
+        let state = &self.state;
+        let mut guess = Guess { mean_m: [0.0; 2], variance_m2: 0.0 };
+        let mut add = |share: f64, part: Guess| {
+            guess.mean_m[0] += share * part.mean_m[0];
+            guess.mean_m[1] += share * part.mean_m[1];
+            guess.variance_m2 += share * part.variance_m2 / (seen * seen);
+        };
+        if state.plain_share > 0.0 {
+            if !scratch.forward.missing_now.is_empty() {
+                self.stand_in(scratch);
+            }
+            scratch.inverse_frame.resize(state.features.inverse_len(), 0.0);
+            Features::inverse(&scratch.unit, &mut scratch.inverse_frame);
+            scratch.features.clear();
+            scratch.features.extend(scratch.inverse_frame.iter().map(|v| *v as f32));
+            add(state.plain_share, state.plain.guess(&scratch.features, &mut scratch.memory, None));
+        }
+        if let Some(whitened) = state.whitened.as_ref().filter(|_| state.plain_share < 1.0) {
+            scratch.features.clear();
+            scratch.features.extend_from_slice(&scratch.forward.whitened);
+            unit_length(&mut scratch.features);
+            add(1.0 - state.plain_share, whitened.guess(&scratch.features, &mut scratch.memory, None));
+        }
+        guess
+    }
+
+    /// Puts what the pokes nearest to the forward expert's best place measured where channels are missing.
+    fn stand_in(&self, scratch: &mut FusedScratch) {
+        let state = &self.state;
+        let log_likelihood = &scratch.forward.log_likelihood;
+        let best = (0..log_likelihood.len()).fold(0, |b, p| if log_likelihood[p] > log_likelihood[b] { p } else { b });
+        let place = state.forward.state.positions_m[best];
+        let nearest = &mut scratch.stand_ins;
+        nearest.clear();
+        nearest.reserve(STAND_INS + 1);
+        for (i, poked) in state.places_m.iter().enumerate() {
+            let d2 = squared_distance(*poked, place);
+            if nearest.len() < STAND_INS || d2 < nearest[STAND_INS - 1].1 {
+                let slot = nearest.partition_point(|n| n.1 <= d2);
+                nearest.insert(slot, (i, d2));
+                nearest.truncate(STAND_INS);
+            }
+        }
+        let share = 1.0 / nearest.len() as f64;
+        nearest.iter_mut().for_each(|n| n.1 = share);
+        for &k in &scratch.forward.missing_now {
+            scratch.unit[k] = state.plain.expected(k, nearest);
+        }
+    }
+}
+
+/// Brings a vector to unit length.
+pub(super) fn unit_length(values: &mut [f32]) {
+    let square: f32 = values.iter().map(|v| v * v).sum();
+    if square > 0.0 {
+        let scale = square.sqrt().recip();
+        values.iter_mut().for_each(|v| *v *= scale);
+    }
+}

@@ -1,0 +1,62 @@
+//! What a calibration of another skin of the family gives: the covariance between channels, and the map itself.
+
+use faer::linalg::solvers::Solve;
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::{Mat, Par, Side};
+
+use super::FusedLocator;
+use crate::locator::data::SignatureMap;
+use crate::locator::design::nearest;
+use crate::locator::error::LocatorError;
+
+/// A sister's calibration in the channels' own coordinates.
+#[derive(Debug, Clone)]
+pub(super) struct Sister {
+    /// Whether its frames were companded: its covariance holds for the same form only.
+    pub companded: bool,
+    /// Covariance between channels.
+    pub covariance: Mat<f64>,
+    positions_m: Vec<[f64; 2]>,
+    /// Signatures: channels by positions.
+    signatures: Mat<f64>,
+}
+
+impl Sister {
+    /// Undoes the whitening of a fitted locator.
+    pub(super) fn new(other: &FusedLocator) -> Result<Self, LocatorError> {
+        let state = &other.state.forward.state;
+        let (rank, channels) = (state.rank, state.weights.len());
+        let transform = Mat::from_fn(rank, channels, |r, k| f64::from(state.transform[r * channels + k]));
+        let coloured = if rank == channels {
+            let mut inverse = Mat::<f64>::identity(rank, rank);
+            solve_lower_triangular_in_place(transform.as_ref(), inverse.as_mut(), Par::Seq);
+            inverse
+        } else {
+            let gram = &transform * transform.transpose();
+            let factor =
+                gram.llt(Side::Lower).map_err(|_| LocatorError::Singular { what: "transform of the prior" })?;
+            factor.solve(&transform).transpose().to_owned()
+        };
+        let whitened = Mat::from_fn(rank, state.positions_m.len(), |r, p| f64::from(state.signatures[p * rank + r]));
+        Ok(Self {
+            companded: other.state.features.companded,
+            covariance: &coloured * coloured.transpose(),
+            positions_m: state.positions_m.clone(),
+            signatures: &coloured * &whitened,
+        })
+    }
+
+    /// Its signatures at other positions.
+    pub(super) fn map_at(&self, positions_m: &[[f64; 2]]) -> Result<SignatureMap, LocatorError> {
+        let channels = self.signatures.nrows();
+        let mut signatures = vec![0.0; channels * positions_m.len()];
+        for (p, row) in positions_m.iter().zip(signatures.chunks_exact_mut(channels)) {
+            for (q, share) in nearest(&self.positions_m, *p) {
+                for k in 0..channels {
+                    row[k] += share * self.signatures[(k, q)];
+                }
+            }
+        }
+        SignatureMap::new(channels, positions_m.to_vec(), signatures)
+    }
+}

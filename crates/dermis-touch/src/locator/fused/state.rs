@@ -1,0 +1,81 @@
+//! What a fused locator keeps, as plain arrays that can be stored and are checked when read back.
+
+use super::FusedLocator;
+use super::features::Features;
+use super::fusion::{Cells, Fusion};
+use super::inverse::Regression;
+use super::report::FusedReport;
+use crate::locator::Locator;
+use crate::locator::error::{LocatorError, check_first, check_length, check_positions};
+
+/// Version of the stored form; a fused locator of another version is refused.
+pub const FUSED_VERSION: u32 = 1;
+
+/// The stored form of a [`FusedLocator`].
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FusedState {
+    pub version: u32,
+    pub features: Features,
+    /// The forward expert, on the frames that [`Features::forward`] makes.
+    pub forward: Locator,
+    /// The inverse expert on unit frames and their roots.
+    pub plain: Regression,
+    /// The inverse expert on the forward expert's whitened frames, where there are pokes enough.
+    pub whitened: Option<Regression>,
+    /// Share of `plain` in the inverse expert's place.
+    pub plain_share: f64,
+    pub fusion: Fusion,
+    /// Factors on the posterior's standard deviations of x and y.
+    pub sigma_factors: [f64; 2],
+    /// Sigma, metres, that a wholly unexplained map adds.
+    pub extrapolation_m: f64,
+    /// Where the inverse expert's points were poked, metres.
+    pub places_m: Vec<[f64; 2]>,
+    pub report: FusedReport,
+}
+
+impl FusedState {
+    fn check(&self) -> Result<(), LocatorError> {
+        if self.version != FUSED_VERSION {
+            return Err(LocatorError::Version { expected: FUSED_VERSION, got: self.version });
+        }
+        self.features.check()?;
+        let channels = self.features.weights.len();
+        check_length("channels of the forward expert", channels, self.forward.channels())?;
+        self.plain.check(self.features.inverse_len())?;
+        if let Some(whitened) = &self.whitened {
+            whitened.check(self.forward.state.rank)?;
+        }
+        check_length("places_m", self.plain.points(), self.places_m.len())?;
+        check_positions("places_m", &self.places_m)?;
+        let share = |v: f64| (0.0..=1.0).contains(&v);
+        check_first("plain_share", std::iter::once(self.plain_share), share, "a number from 0 to 1")?;
+        if self.whitened.is_none() && self.plain_share < 1.0 {
+            let (value, expected) = (self.plain_share, "1 without the regression on whitened frames");
+            return Err(LocatorError::Value { field: "plain_share", index: 0, value, expected });
+        }
+        let not_negative = |v: f64| v.is_finite() && v >= 0.0;
+        let values = [self.fusion.temperature, self.extrapolation_m];
+        check_first("fusion", values.into_iter(), not_negative, "a finite number, zero or above")?;
+        let above = |v: f64| v.is_finite() && v > 0.0;
+        check_first("sigma_factors", self.sigma_factors.into_iter(), above, "a finite number above zero")
+    }
+}
+
+impl TryFrom<FusedState> for FusedLocator {
+    type Error = LocatorError;
+
+    fn try_from(state: FusedState) -> Result<Self, LocatorError> {
+        state.check()?;
+        let forward = &state.forward.state;
+        let cells = Cells::new(&forward.positions_m, forward.spacing_m);
+        Ok(Self { state, cells })
+    }
+}
+
+impl From<FusedLocator> for FusedState {
+    fn from(locator: FusedLocator) -> Self {
+        locator.state
+    }
+}

@@ -1,0 +1,168 @@
+//! Loops over many rows of single precision, compiled for the vector instructions that the machine has.
+
+use pulp::{Arch, Simd, WithSimd};
+
+/// Inner product of each row of `width` values with `v`.
+pub(super) fn products(rows: &[f32], width: usize, v: &[f32], out: &mut [f32]) {
+    Arch::new().dispatch(Products { rows, width, v, out });
+}
+
+struct Products<'a> {
+    rows: &'a [f32],
+    width: usize,
+    v: &'a [f32],
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Products<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (v, v_rest) = S::as_simd_f32s(self.v);
+        for (value, row) in self.out.iter_mut().zip(self.rows.chunks_exact(self.width)) {
+            let (r, r_rest) = S::as_simd_f32s(row);
+            let mut sums = [simd.splat_f32s(0.0); 4];
+            let (by_four, single) = pulp::as_arrays::<4, _>(r);
+            let (v_by_four, v_single) = pulp::as_arrays::<4, _>(v);
+            for (x, y) in by_four.iter().zip(v_by_four) {
+                for i in 0..4 {
+                    sums[i] = simd.mul_add_e_f32s(x[i], y[i], sums[i]);
+                }
+            }
+            for (x, y) in single.iter().zip(v_single) {
+                sums[0] = simd.mul_add_e_f32s(*x, *y, sums[0]);
+            }
+            let pair = simd.add_f32s(simd.add_f32s(sums[0], sums[1]), simd.add_f32s(sums[2], sums[3]));
+            *value = simd.reduce_sum_f32s(pair) + r_rest.iter().zip(v_rest).map(|(x, y)| x * y).sum::<f32>();
+        }
+    }
+}
+
+/// Applies `f` to all values, compiled for wide vectors.
+struct Each<'a, F>(&'a mut [f32], F);
+
+impl<F: Fn(f32) -> f32> WithSimd for Each<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) {
+        for value in self.0.iter_mut() {
+            *value = (self.1)(*value);
+        }
+    }
+}
+
+/// Matern 5/2 correlations in place of squared distances.
+pub(super) fn matern52(squared: &mut [f32], inverse_length: f32) {
+    Arch::new().dispatch(Each(
+        squared,
+        #[inline(always)]
+        move |d2| matern52_of(d2, inverse_length),
+    ));
+}
+
+/// exp(-s) in place of each s, none below zero.
+pub(super) fn exponentials(values: &mut [f32]) {
+    Arch::new().dispatch(Each(
+        values,
+        // A function would not be inlined into the vector code.
+        #[allow(clippy::redundant_closure)]
+        #[inline(always)]
+        |s| exp_minus(s),
+    ));
+}
+
+/// Natural logarithms in place of values above zero.
+pub(super) fn logarithms(values: &mut [f32]) {
+    Arch::new().dispatch(Each(
+        values,
+        #[allow(clippy::redundant_closure)]
+        #[inline(always)]
+        |v| logarithm(v),
+    ));
+}
+
+/// Inner product in sixteen running sums, which the compiler keeps in vector registers.
+#[inline(always)]
+pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0_f32; 16];
+    let (whole_a, whole_b) = (a.chunks_exact(16), b.chunks_exact(16));
+    let rest: f32 = whole_a.remainder().iter().zip(whole_b.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in whole_a.zip(whole_b) {
+        for lane in 0..16 {
+            sums[lane] += x[lane] * y[lane];
+        }
+    }
+    // In pairs, which vector registers add at once.
+    for half in [8, 4, 2, 1] {
+        for lane in 0..half {
+            sums[lane] += sums[lane + half];
+        }
+    }
+    sums[0] + rest
+}
+
+/// Matern 5/2 of a squared distance, in single precision. Without branches, so that loops over it are vectorised.
+#[inline(always)]
+pub(super) fn matern52_of(d2: f32, inverse_length: f32) -> f32 {
+    let s = (5.0 * d2).sqrt() * inverse_length;
+    (1.0 + s + s * s * (1.0 / 3.0)) * exp_minus(s)
+}
+
+/// exp(-s) for s from 0 up, to 4e-6 of its value; next to nothing beyond 80. 2^n times the Taylor series of the rest.
+#[inline(always)]
+fn exp_minus(s: f32) -> f32 {
+    const ROUND: f32 = 12_582_912.0;
+    let x = -s.min(80.0) * std::f32::consts::LOG2_E;
+    // Adding and taking away 1.5 * 2^23 rounds to the nearest whole number.
+    let shifted = x + ROUND;
+    let rest = (x - (shifted - ROUND)) * std::f32::consts::LN_2;
+    let series = 1.0 + rest * (1.0 + rest * (0.5 + rest * (1.0 / 6.0 + rest * (1.0 / 24.0 + rest * (1.0 / 120.0)))));
+    let whole = shifted.to_bits().wrapping_sub(ROUND.to_bits());
+    series * f32::from_bits(whole.wrapping_add(127) << 23)
+}
+
+/// ln v of a normal number above zero: v = m 2^e with m about 1, and ln m = 2 artanh((m - 1) / (m + 1)) by its series.
+#[inline(always)]
+fn logarithm(v: f32) -> f32 {
+    // Subtracting the bits of 0.7 splits so that m lies from 0.7 to 1.4.
+    let shifted = v.to_bits().wrapping_sub(0x3f33_3333) as i32;
+    let exponent = shifted >> 23;
+    let m = f32::from_bits(v.to_bits().wrapping_sub((exponent << 23) as u32));
+    let t = (m - 1.0) / (m + 1.0);
+    let t2 = t * t;
+    let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (1.0 / 5.0 + t2 * (1.0 / 7.0 + t2 * (1.0 / 9.0))));
+    exponent as f32 * std::f32::consts::LN_2 + 2.0 * t * series
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_is_that_of_the_library() {
+        for step in 0..8000 {
+            let s = step as f32 * 0.01;
+            assert!((exp_minus(s) / (-s).exp() - 1.0).abs() < 1e-5, "exp(-{s}) is {}", exp_minus(s));
+        }
+        assert!(exp_minus(1e9) < 1e-30);
+    }
+
+    #[test]
+    fn the_logarithm_is_that_of_the_library() {
+        for step in 1..8000 {
+            let v = (step as f32 * 0.01 - 40.0).exp();
+            assert!((logarithm(v) - v.ln()).abs() < 4e-6, "ln {v} is {}", logarithm(v));
+        }
+    }
+
+    #[test]
+    fn the_inner_product_of_every_length_is_right() {
+        for n in 0..70 {
+            let values: Vec<f32> = (0..n).map(|i| i as f32).collect();
+            let expected: usize = (0..n).map(|i| i * i).sum();
+            assert_eq!(dot(&values, &values), expected as f32);
+        }
+    }
+}

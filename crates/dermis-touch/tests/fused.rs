@@ -1,0 +1,246 @@
+//! The locator of two experts on a made-up skin: smooth signatures that no model knows, noise, and a nuisance that
+//! changes from touch to touch.
+
+use dermis_touch::locator::{Examples, FusedLocator, FusedOptions, LocatorError, SessionDrift, SignatureMap};
+
+const CHANNELS: usize = 24;
+
+/// Numbers from 0 to 1, the same at every run.
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.next()).sum::<f64>() - 6.0
+    }
+}
+
+/// What a touch of unit load reads, channel by channel.
+fn signature(p: [f64; 2], k: usize) -> f64 {
+    let angle = std::f64::consts::TAU * k as f64 / CHANNELS as f64;
+    let electrode = [0.06 * angle.cos(), 0.06 * angle.sin()];
+    let distance = (p[0] - electrode[0]).hypot(p[1] - electrode[1]);
+    (-distance / 0.02).exp() * (1.0 + 0.3 * (40.0 * p[0] + k as f64).sin())
+}
+
+struct Pokes {
+    frames: Vec<f64>,
+    positions_m: Vec<[f64; 2]>,
+    loads: Vec<f64>,
+}
+
+fn pokes(count: usize, seed: u64, gain: impl Fn(usize) -> f64) -> Pokes {
+    let mut random = Random(0x9e37_79b9_7f4a_7c15 ^ (seed + 1));
+    let mut made = Pokes { frames: Vec::new(), positions_m: Vec::new(), loads: Vec::new() };
+    for _ in 0..count {
+        let p = [0, 1].map(|_| 0.08 * random.next() - 0.04);
+        let load = 0.5 + random.next();
+        made.frames.extend((0..CHANNELS).map(|k| load * gain(k) * signature(p, k) + 0.004 * random.normal()));
+        made.positions_m.push(p);
+        made.loads.push(load);
+    }
+    made
+}
+
+fn plain(_: usize) -> f64 {
+    1.0
+}
+
+impl Pokes {
+    fn examples(&self) -> Examples {
+        Examples::new(CHANNELS, self.frames.clone(), self.positions_m.clone()).expect("valid pokes")
+    }
+
+    /// Median distance and shares within a sigma on these pokes.
+    fn test(&self, locator: &FusedLocator) -> (f64, [f64; 2]) {
+        let mut scratch = locator.scratch();
+        let (mut errors, mut within) = (Vec::new(), [0.0; 2]);
+        for (frame, p) in self.frames.chunks_exact(CHANNELS).zip(&self.positions_m) {
+            let found = locator.predict_into(frame, &mut scratch).expect("a place");
+            errors.push((found.x_m - p[0]).hypot(found.y_m - p[1]));
+            within[0] += f64::from(u8::from((found.x_m - p[0]).abs() <= found.sigma_x_m));
+            within[1] += f64::from(u8::from((found.y_m - p[1]).abs() <= found.sigma_y_m));
+        }
+        errors.sort_by(f64::total_cmp);
+        (errors[errors.len() / 2], within.map(|w| w / errors.len() as f64))
+    }
+}
+
+fn map() -> Vec<[f64; 2]> {
+    (0..25 * 25)
+        .map(|p| [0, 1].map(|axis| 0.004 * f64::from(if axis == 0 { p % 25 } else { p / 25 }) - 0.048))
+        .collect()
+}
+
+fn no_physics() -> SignatureMap {
+    SignatureMap::without_physics(CHANNELS, map()).expect("a map")
+}
+
+fn fit(examples: &Examples) -> FusedLocator {
+    FusedLocator::fit(examples, &no_physics(), &FusedOptions::default()).expect("a locator")
+}
+
+#[test]
+fn more_pokes_make_it_better_and_its_sigma_stays_honest() {
+    let held_out = pokes(300, 99, plain);
+    let mut before = f64::INFINITY;
+    for count in [20, 80, 320] {
+        let locator = fit(&pokes(count, 1, plain).examples());
+        let (error, within) = held_out.test(&locator);
+        assert!(error < before, "{count} pokes: {error} m after {before} m");
+        for share in within {
+            assert!((0.55..=0.85).contains(&share), "{count} pokes: {share} within one sigma");
+        }
+        before = error;
+    }
+    assert!(before < 0.8e-3, "{before} m");
+}
+
+#[test]
+fn both_experts_together_are_no_worse_than_either_alone() {
+    let report = fit(&pokes(200, 2, plain).examples()).report().clone();
+    let best = report.forward.median_m.min(report.inverse.median_m);
+    assert!(report.fused.median_m <= 1.1 * best, "{report:?}");
+}
+
+#[test]
+fn physics_is_used_where_it_helps_and_left_out_where_it_does_not() {
+    let made = pokes(30, 3, plain);
+    let right: Vec<f64> = map().iter().flat_map(|p| (0..CHANNELS).map(|k| signature(*p, k))).collect();
+    let mut random = Random(77);
+    let wrong: Vec<f64> = right.iter().map(|_| random.normal()).collect();
+    for (signatures, helps) in [(right, true), (wrong, false)] {
+        let physics = SignatureMap::new(CHANNELS, map(), signatures).expect("a map");
+        let locator = FusedLocator::fit(&made.examples(), &physics, &FusedOptions::default()).expect("a locator");
+        let physics = locator.report().physics.expect("physics was given");
+        assert_eq!(physics.used, helps, "gain {}", physics.gain);
+    }
+    assert_eq!(fit(&made.examples()).report().physics, None);
+}
+
+#[test]
+fn ten_pokes_and_a_sister_are_worth_more_than_ten_pokes() {
+    let sister = fit(&pokes(400, 4, |k| 1.0 + 0.2 * (k as f64).sin()).examples());
+    let (few, held_out) = (pokes(10, 5, plain), pokes(300, 98, plain));
+    let (alone, _) = held_out.test(&fit(&few.examples()));
+    let options = FusedOptions::default();
+    let helped = FusedLocator::fit_with_prior(&few.examples(), &no_physics(), &options, &sister).expect("a locator");
+    let (with_sister, _) = held_out.test(&helped);
+    let lent = helped.report().sister_map.expect("a sister");
+    assert!(lent.used, "gain {}", lent.gain);
+    assert!(with_sister < alone, "{with_sister} m with a sister, {alone} m without");
+}
+
+#[test]
+fn loads_are_estimated_with_their_sigma() {
+    let made = pokes(150, 6, plain);
+    let examples = made.examples().with_loads(made.loads.clone()).expect("loads");
+    let (locator, held_out) = (fit(&examples), pokes(300, 97, plain));
+    let mut within = 0;
+    for (frame, load) in held_out.frames.chunks_exact(CHANNELS).zip(&held_out.loads) {
+        let found = locator.predict(frame).expect("a place").load.expect("a load");
+        within += usize::from((found.value - load).abs() <= found.sigma);
+    }
+    assert!((150..=270).contains(&within), "{within} of 300 within one sigma");
+}
+
+#[test]
+fn many_pokes_are_fitted_by_landmarks() {
+    let options = FusedOptions { exact_examples: 200, landmarks: 150, ..FusedOptions::default() };
+    let (made, held_out) = (pokes(600, 7, plain), pokes(300, 96, plain));
+    let sparse = FusedLocator::fit(&made.examples(), &no_physics(), &options).expect("a locator");
+    let (error, within) = held_out.test(&sparse);
+    assert!(error < 0.8e-3, "{error} m");
+    for share in within {
+        assert!((0.55..=0.85).contains(&share), "{share} within one sigma");
+    }
+}
+
+#[test]
+fn what_is_stored_reads_back_the_same() {
+    let locator = fit(&pokes(40, 8, plain).examples());
+    let text = serde_json::to_string(&locator).expect("JSON");
+    let back: FusedLocator = serde_json::from_str(&text).expect("a locator");
+    let frame = &pokes(1, 95, plain).frames;
+    let (before, after) = (locator.predict(frame).expect("a place"), back.predict(frame).expect("a place"));
+    assert!((before.x_m - after.x_m).abs() < 1e-9 && (before.sigma_y_m - after.sigma_y_m).abs() < 1e-9);
+    let broken = text.replacen("\"version\":1", "\"version\":9", 1);
+    assert!(serde_json::from_str::<FusedLocator>(&broken).is_err());
+}
+
+#[test]
+fn dead_constant_and_missing_channels_are_borne() {
+    let mut made = pokes(120, 9, plain);
+    for (i, frame) in made.frames.chunks_exact_mut(CHANNELS).enumerate() {
+        frame[3] = 0.0;
+        frame[5] = f64::NAN;
+        if i % 7 == 0 {
+            frame[8] = f64::NAN;
+        }
+    }
+    let locator = fit(&made.examples());
+    let mut held_out = pokes(200, 94, plain);
+    for (i, frame) in held_out.frames.chunks_exact_mut(CHANNELS).enumerate() {
+        frame[3] = 0.0;
+        if i % 2 == 0 {
+            frame[10] = f64::INFINITY;
+        }
+    }
+    let (error, within) = held_out.test(&locator);
+    assert!(error < 2.5e-3, "{error} m");
+    assert!(within.iter().all(|w| *w > 0.5), "{within:?}");
+}
+
+#[test]
+fn contradictory_pokes_are_found_and_duplicates_are_borne() {
+    let mut made = pokes(100, 10, plain);
+    for i in 0..10 {
+        made.positions_m.push(made.positions_m[i]);
+        let frame = made.frames[i * CHANNELS..(i + 1) * CHANNELS].to_vec();
+        made.frames.extend(frame);
+    }
+    made.positions_m[40] = made.positions_m[40].map(|v| -v);
+    let locator = fit(&made.examples());
+    let report = locator.report();
+    assert!(report.doubtful.contains(&40) && report.doubtful.len() <= 3, "{:?}", report.doubtful);
+    assert!(report.doubtful_left_out);
+}
+
+#[test]
+fn errors_say_what_is_wrong() {
+    let made = pokes(4, 11, plain);
+    let few = Examples::new(CHANNELS, made.frames, made.positions_m).expect_err("four pokes are too few");
+    assert!(few.to_string().contains("at least 5"), "{few}");
+    let made = pokes(10, 11, plain);
+    let mut flat = made.frames.clone();
+    flat[CHANNELS..2 * CHANNELS].fill(0.0);
+    let flat = Examples::new(CHANNELS, flat, made.positions_m.clone()).expect("finite");
+    let refused = FusedLocator::fit(&flat, &no_physics(), &FusedOptions::default());
+    assert_eq!(refused.expect_err("a frame of zeros"), LocatorError::EmptyFrame { frame: 1 });
+    let alike = Examples::new(CHANNELS, made.frames[..CHANNELS].repeat(10), made.positions_m.clone()).expect("finite");
+    let refused = FusedLocator::fit(&alike, &no_physics(), &FusedOptions::default());
+    assert!(matches!(refused, Err(LocatorError::Singular { .. })), "{refused:?}");
+    let locator = fit(&made.examples());
+    assert!(locator.predict(&[0.0; CHANNELS]).is_err());
+    assert!(locator.predict(&[f64::NAN; CHANNELS]).is_err());
+    assert!(locator.predict(&[1.0; 3]).is_err());
+}
+
+#[test]
+fn drift_is_told_from_its_absence() {
+    let made = pokes(200, 12, plain);
+    let steady = SessionDrift::measure(&made.examples()).expect("a statistic");
+    assert!(steady.z.abs() < 3.0, "{steady:?}");
+    let mut drifting = pokes(200, 12, plain);
+    for (i, frame) in drifting.frames.chunks_exact_mut(CHANNELS).enumerate() {
+        frame.iter_mut().enumerate().for_each(|(k, v)| *v += 0.15 * i as f64 / 200.0 * (k as f64).cos());
+    }
+    let drifts = SessionDrift::measure(&drifting.examples()).expect("a statistic");
+    assert!(drifts.z > 3.0 && drifts.ratio > 1.2, "{drifts:?}");
+}

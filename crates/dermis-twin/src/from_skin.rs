@@ -1,0 +1,351 @@
+//! The twin of a skin, from its file alone: geometry, layer, instrument and what may press on it.
+//!
+//! The twin's mesh follows from size and layer, and differs from the reconstruction's: elements of a share of the side (see
+//! [`MeshSizes`]), finer at electrodes. `[twin]` in the file sets any of it.
+
+mod electronics;
+mod history;
+mod press;
+
+use dermis_mit::{CoilArray, Coupling};
+use dermis_skin::{Layer, LiquidLayer, PatchesLayer, SandwichLayer, SheetLayer, Skin};
+use dermis_tomo::eit::Protocol;
+use dermis_tomo::mesh::{ElectrodeShape, Outline};
+
+use crate::elements::{Conductor, ElementOptions, ElementSkin};
+use crate::error::TwinError;
+use crate::healing::HealingLaw;
+use crate::liquid::{LiquidOptions, LiquidSkin, LiquidSolver};
+use crate::mechanics::{ContactLaw, Cover, Memory, Springs};
+use crate::patched::{PatchedOptions, PatchedSkin};
+use crate::physics::{ConductanceMap, PatchLayout};
+use crate::sandwich::{Sandwich, SandwichOptions};
+use crate::scene::{SceneOptions, Script};
+use crate::sheet::{SheetOptions, SheetSkin};
+use crate::twin::{Frontend, Twin, TwinOptions};
+
+pub use electronics::{instrument_options, resting_voltage_v};
+pub use history::{timed_faults, timed_treatments, treatment_of};
+pub use press::{PressRange, demonstration, press_range};
+
+const MM: f64 = 1e-3;
+/// Seed where the file gives none.
+const SEED: u64 = 1;
+/// Highest degree to which elements excite each other, and sweeps over them.
+const COUPLING: (usize, usize) = (3, 2);
+/// Elements farther apart than so many cells do not excite each other: diagonal neighbours do.
+const REACH_CELLS: f64 = 1.5;
+/// R, J/(mol K).
+const GAS_CONSTANT: f64 = 8.314;
+
+/// A twin of any skin.
+pub type AnyTwin = Twin<Box<dyn Frontend>>;
+
+/// A twin with what goes with it.
+#[derive(Debug)]
+pub struct TwinKit {
+    /// The twin, at rest.
+    pub twin: AnyTwin,
+    /// What people may press with.
+    pub press: PressRange,
+    /// What touches it by itself when nobody does.
+    pub demo: Script,
+}
+
+impl AnyTwin {
+    /// The twin of a skin, with the faults and treatments that its file asks for.
+    ///
+    /// # Errors
+    /// Geometry that cannot be meshed, a combination that is not physics.
+    pub fn from_skin(skin: &Skin) -> Result<Self, TwinError> {
+        Ok(TwinKit::of(skin)?.twin)
+    }
+}
+
+impl TwinKit {
+    /// The twin of a skin, what people may press it with, and its demonstration.
+    ///
+    /// # Errors
+    /// As [`Twin::from_skin`].
+    pub fn of(skin: &Skin) -> Result<Self, TwinError> {
+        Self::built(skin, &AsBuilt::nominal(skin))
+    }
+
+    /// The same of a skin as a workshop built it.
+    ///
+    /// # Errors
+    /// As [`Twin::from_skin`].
+    pub fn built(skin: &Skin, built: &AsBuilt) -> Result<Self, TwinError> {
+        let mut frontend = frontend_of(skin, built)?;
+        let instrument = instrument_options(skin, resting_voltage_v(&mut *frontend)?);
+        let seed = skin.twin.seed.unwrap_or(SEED);
+        let options = TwinOptions { instrument, scene: SceneOptions::default(), script: None, seed };
+        let mut twin = Twin::of(frontend, &options)?;
+        twin.set_faults(timed_faults(&skin.twin))?;
+        twin.set_treatments(timed_treatments(&skin.twin))?;
+        let press = press_range(skin);
+        Ok(Self { demo: demonstration(skin, &press), twin, press })
+    }
+}
+
+/// What a workshop makes of a skin's geometry. Materials and instrument are the skin file's.
+#[derive(Clone, Debug)]
+pub struct AsBuilt {
+    /// Electrodes where they really are, in order; none of skins of coils.
+    pub electrodes: Vec<ElectrodeShape>,
+    /// A factor on the contact impedance of each electrode.
+    pub contact_factors: Vec<f64>,
+    /// Sheet conductance relative to the file's, over the skin.
+    pub conductance: ConductanceMap,
+}
+
+impl AsBuilt {
+    /// As the file says.
+    pub fn nominal(skin: &Skin) -> Self {
+        let of_coils = skin.frontend.coils.is_some();
+        let electrodes = if of_coils { Vec::new() } else { skin.electrode_shapes() };
+        let contact_factors = vec![1.0; electrodes.len()];
+        Self { electrodes, contact_factors, conductance: ConductanceMap::Even }
+    }
+}
+
+/// Edge lengths of a twin's elements, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshSizes {
+    /// Everywhere: the square root of the area over 60 (sandwich), 50 (sheet), 45 (patches), 35 (liquid).
+    pub element_m: f64,
+    /// At electrodes: a sixth of the narrowest, a quarter of small round pads; no more than elsewhere.
+    pub electrode_m: f64,
+}
+
+impl MeshSizes {
+    /// Of a skin.
+    pub fn of(skin: &Skin) -> Self {
+        let parts = match skin.frontend.layer {
+            Layer::Sandwich(_) => 60.0,
+            Layer::Sheet(_) => 50.0,
+            Layer::Patches(_) => 45.0,
+            Layer::Liquid(_) | Layer::Elements(_) => 35.0,
+        };
+        let side_m = skin.outline().area_m2().sqrt();
+        let element_m = skin.twin.element_mm.map_or(side_m / parts, |mm| mm * MM);
+        let width = |shape: &ElectrodeShape| match *shape {
+            ElectrodeShape::RimArc { width_m, .. } | ElectrodeShape::RimSegment { width_m, .. } => width_m / 6.0,
+            ElectrodeShape::PadRectangle { width_m, height_m, .. } => width_m.min(height_m) / 6.0,
+            ElectrodeShape::PadCircle { radius_m, .. } => radius_m / 2.0,
+            ElectrodeShape::Point { .. } | ElectrodeShape::RimPoint { .. } => f64::INFINITY,
+        };
+        let narrowest_m = skin.electrode_shapes().iter().map(width).fold(f64::INFINITY, f64::min);
+        // Far smaller elements than the skin's would only cost time.
+        let natural_m = narrowest_m.max(side_m / 1000.0).min(element_m);
+        Self { element_m, electrode_m: skin.twin.electrode_element_mm.map_or(natural_m, |mm| (mm * MM).min(element_m)) }
+    }
+}
+
+/// What the layers with electrodes have in common.
+struct Sheetlike {
+    outline: Outline,
+    electrodes: Vec<ElectrodeShape>,
+    contact_impedances_ohm_m2: Vec<f64>,
+    protocol: Protocol,
+    sheet_s: f64,
+    sizes: MeshSizes,
+    conductance: ConductanceMap,
+}
+
+impl Sheetlike {
+    fn of(skin: &Skin, built: &AsBuilt) -> Result<Self, TwinError> {
+        let impedances = skin.sheet_contact_impedances(&built.electrodes);
+        Ok(Self {
+            outline: skin.outline(),
+            contact_impedances_ohm_m2: impedances.zip(&built.contact_factors).map(|(z, factor)| z * factor).collect(),
+            electrodes: built.electrodes.clone(),
+            protocol: skin.protocol()?,
+            sheet_s: skin.sheet_conductance_s(),
+            sizes: MeshSizes::of(skin),
+            conductance: built.conductance.clone(),
+        })
+    }
+}
+
+/// Options of the patches of a skin, as its file says.
+///
+/// # Errors
+/// A skin of another layer, patterns that need other electrodes.
+pub fn patched_options(skin: &Skin) -> Result<PatchedOptions, TwinError> {
+    let Layer::Patches(layer) = &skin.frontend.layer else {
+        return Err(TwinError::Missing { field: "frontend.layer of kind \"patches\"", of: "a skin of patches" });
+    };
+    Ok(patches(layer, Sheetlike::of(skin, &AsBuilt::nominal(skin))?))
+}
+
+fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
+    Ok(match &skin.frontend.layer {
+        Layer::Sheet(layer) => Box::new(SheetSkin::new(sheet_options(layer, Sheetlike::of(skin, built)?))?),
+        Layer::Sandwich(layer) => Box::new(Sandwich::new(sandwich_options(skin, layer, Sheetlike::of(skin, built)?))?),
+        Layer::Patches(layer) => Box::new(PatchedSkin::new(patches(layer, Sheetlike::of(skin, built)?))?),
+        Layer::Liquid(layer) => Box::new(LiquidSkin::new(liquid_options(skin, layer, Sheetlike::of(skin, built)?))?),
+        Layer::Elements(_) => Box::new(ElementSkin::new(element_options(skin)?)?),
+    })
+}
+fn memory(memory: Option<dermis_skin::Memory>) -> Option<Memory> {
+    memory.map(|memory| Memory { share: memory.share, time_constant_s: memory.time_constant_s })
+}
+
+fn contact(law: &dermis_skin::ContactLaw) -> ContactLaw {
+    ContactLaw {
+        threshold_pa: law.threshold_kpa * 1e3,
+        reference_pa: law.reference_kpa * 1e3,
+        exponent: law.exponent,
+        saturation_s_per_m2: law.saturation_s_per_m2,
+    }
+}
+
+fn cover(smoothing_mm: f64) -> Cover {
+    Cover { smoothing_m: smoothing_mm * MM }
+}
+
+fn sheet_options(layer: &SheetLayer, sheet: Sheetlike) -> SheetOptions {
+    SheetOptions {
+        outline: sheet.outline,
+        electrodes: sheet.electrodes,
+        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
+        protocol: sheet.protocol,
+        sheet_s: sheet.sheet_s,
+        conductance: sheet.conductance,
+        pressure_coefficient_per_pa: layer.pressure_percent_per_kpa * 1e-5,
+        gauge_factor: layer.gauge_factor,
+        modulus_pa: layer.modulus_kpa * 1e3,
+        cover: cover(layer.smoothing_mm.unwrap_or((0.5 * layer.thickness_mm).max(0.5))),
+        memory: memory(layer.memory),
+        element_size_m: sheet.sizes.element_m,
+        electrode_element_size_m: sheet.sizes.electrode_m,
+    }
+}
+
+fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> SandwichOptions {
+    let healing = skin.twin.healing.map(|law| HealingLaw {
+        temperature_c: law.temperature_c,
+        duration_s: law.hours * 3600.0,
+        room_c: law.room_c,
+        activation_k: law.activation_kj_per_mol * 1e3 / GAS_CONSTANT,
+        peak_rise: law.peak_rise,
+        lasting_rise: law.lasting_rise,
+        relaxation_s: law.relaxation_hours * 3600.0,
+        scar_m: law.scar_mm * MM,
+        pad_rim_m: law.pad_rim_mm * MM,
+    });
+    SandwichOptions {
+        outline: sheet.outline,
+        electrodes: sheet.electrodes,
+        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
+        protocol: sheet.protocol,
+        sheet_s: sheet.sheet_s,
+        conductance: sheet.conductance,
+        shortcut_s: layer.shortcut_s,
+        element_size_m: sheet.sizes.element_m,
+        electrode_element_size_m: sheet.sizes.electrode_m,
+        cover: cover(layer.smoothing_mm),
+        contact: contact(&layer.contact),
+        memory: memory(layer.memory),
+        healing,
+    }
+}
+
+fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
+    PatchedOptions {
+        outline: sheet.outline,
+        electrodes: sheet.electrodes,
+        contact_impedances_ohm_m2: sheet.contact_impedances_ohm_m2,
+        protocol: sheet.protocol,
+        sheet_s: sheet.sheet_s,
+        conductance: sheet.conductance,
+        element_size_m: sheet.sizes.element_m,
+        electrode_element_size_m: sheet.sizes.electrode_m,
+        patches: PatchLayout {
+            pitch_m: layer.pitch_mm * MM,
+            gap_m: layer.gap_mm * MM,
+            cells_per_side: layer.cells_per_side,
+        },
+        cover: cover(layer.smoothing_mm),
+        contact: contact(&layer.contact),
+        memory: memory(layer.memory),
+    }
+}
+
+fn liquid_options(skin: &Skin, layer: &LiquidLayer, sheet: Sheetlike) -> LiquidOptions {
+    let depth_m = layer.depth_mm * MM;
+    let specific = skin.frontend.contact_impedance_ohm_m2;
+    let rim = |shape: &ElectrodeShape| {
+        matches!(
+            shape,
+            ElectrodeShape::RimArc { .. } | ElectrodeShape::RimSegment { .. } | ElectrodeShape::RimPoint { .. }
+        )
+    };
+    let height_m = layer.electrode_height_mm.map_or(depth_m, |mm| mm * MM);
+    // What the file gives is specific; the sheet's unit on the rim is over the height.
+    let back = |(shape, z): (&ElectrodeShape, &f64)| if rim(shape) { z * height_m } else { *z };
+    let factors = sheet.electrodes.iter().zip(&sheet.contact_impedances_ohm_m2).map(back);
+    let impedances: Vec<f64> = if factors.clone().all(|z| (z / specific - 1.0).abs() < 1e-12) {
+        vec![specific; sheet.electrodes.len()]
+    } else {
+        factors.collect()
+    };
+    LiquidOptions {
+        outline: sheet.outline,
+        electrodes: sheet.electrodes,
+        electrode_height_m: height_m,
+        electrode_middle_m: 0.5 * depth_m,
+        contact_impedances_ohm_m2: impedances,
+        protocol: sheet.protocol,
+        depth_m,
+        conductivity_s_per_m: layer.conductivity_s_per_m,
+        conductance: sheet.conductance,
+        density_kg_per_m3: layer.density_kg_per_m3,
+        tension_n_per_m: layer.tension_n_per_m,
+        gravity_m_per_s2: layer.gravity_m_per_s2,
+        cover: cover(layer.smoothing_mm),
+        memory: memory(layer.memory),
+        solver: LiquidSolver::DepthAveraged,
+        element_size_m: sheet.sizes.element_m,
+        electrode_element_size_m: sheet.sizes.electrode_m,
+    }
+}
+
+/// Options of the elements of a skin over coils.
+///
+/// # Errors
+/// A skin without elements, coils that make no sense, a body that cannot be computed.
+pub fn element_options(skin: &Skin) -> Result<ElementOptions, TwinError> {
+    let missing = |field: &'static str| TwinError::Missing { field, of: "a skin of elements over coils" };
+    let Layer::Elements(layer) = &skin.frontend.layer else {
+        return Err(missing("frontend.layer of kind \"elements\""));
+    };
+    let coils = skin.frontend.coils.as_ref().ok_or(missing("frontend.coils"))?;
+    let elements = skin.frontend.elements.as_ref().ok_or(missing("frontend.elements"))?;
+    let frequency_hz = 1e3 * skin.backend.frequency_khz.ok_or(missing("backend.frequency_khz"))?;
+    let element = skin.element().ok_or(missing("frontend.elements"))?;
+    let array: CoilArray = coils.array()?;
+    let (degree, sweeps) = COUPLING;
+    Ok(ElementOptions {
+        outline: skin.outline(),
+        coils: array,
+        places_m: elements.places_m(),
+        cell_m: elements.cell_m(),
+        rest_m: elements.rest_mm / 1e3,
+        tolerance_m: layer.height_tolerance_mm * MM,
+        element: Conductor::Body(dermis_mit::catalogue::body_of(&element, frequency_hz)?),
+        springs: Springs {
+            stiffness_n_per_m: layer.stiffness_n_per_m,
+            limit_m: elements.travel_mm / 1e3,
+            sharpness: layer.sharpness,
+            coupling_n_per_m: layer.coupling_n_per_m,
+        },
+        memory: memory(layer.memory),
+        coupling: Some(Coupling { degree, reach_m: REACH_CELLS * elements.pitch_m(), sweeps }),
+        current_a: skin.backend.current_ma / 1e3,
+        frequency_hz,
+        nearby: None,
+        seed: skin.twin.seed.unwrap_or(SEED),
+    })
+}

@@ -1,0 +1,144 @@
+//! What may press on a skin, and what its twin demonstrates: from size and layer, unless the file says otherwise.
+
+use std::f64::consts::PI;
+
+use dermis_skin::{Demonstration, Elements, ElementsLayer, Layer, LiquidLayer, PressSettings, Skin};
+use dermis_tomo::mesh::Outline;
+
+use crate::scene::{Event, Script};
+
+/// What people may press with: least and most, and where sliders begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PressRange {
+    /// Radius of the indenter.
+    pub radius_m: [f64; 2],
+    /// Pressure under it.
+    pub pressure_pa: [f64; 2],
+    /// Radius at the start.
+    pub initial_radius_m: f64,
+    /// Pressure at the start.
+    pub initial_pressure_pa: f64,
+}
+
+/// The demonstration was made for a square of this half width, and this pressure.
+const DEMO_HALF_WIDTH_M: f64 = 0.05;
+const DEMO_PRESSURE_PA: f64 = 80e3;
+/// Fingertips: radius as a share of the shorter side, and its least and most, metres.
+const FINGER_SHARE: f64 = 0.08;
+const FINGER_M: [f64; 2] = [3e-3, 11e-3];
+
+impl PressRange {
+    /// Round a radius and a pressure that a skin is made for.
+    fn about(radius_m: f64, pressure_pa: f64) -> Self {
+        Self {
+            radius_m: [0.3 * radius_m, 3.0 * radius_m],
+            pressure_pa: [0.0, 2.5 * pressure_pa],
+            initial_radius_m: radius_m,
+            initial_pressure_pa: pressure_pa,
+        }
+    }
+
+    fn written(press: &PressSettings) -> Self {
+        Self {
+            radius_m: press.radius_mm.map(|mm| mm * 1e-3),
+            pressure_pa: press.pressure_kpa.map(|kpa| kpa * 1e3),
+            initial_radius_m: press.initial_radius_mm * 1e-3,
+            initial_pressure_pa: press.initial_pressure_kpa * 1e3,
+        }
+    }
+}
+
+/// What people may press a skin with: the file's `[twin] press`, or what its size and layer are made for. A press at the start
+/// of the sliders closes a gap to about 60 % of saturation, changes a sheet's conductance by a third, dents a liquid by a
+/// quarter of its depth, or moves an element by half of its travel.
+pub fn press_range(skin: &Skin) -> PressRange {
+    if let Some(press) = &skin.twin.press {
+        return PressRange::written(press);
+    }
+    let outline = skin.outline();
+    let (low, high) = outline.bounds_m();
+    let shorter_m = (high[0] - low[0]).min(high[1] - low[1]);
+    let finger_m = (FINGER_SHARE * shorter_m).clamp(FINGER_M[0], FINGER_M[1]).min(0.2 * shorter_m);
+    match (&skin.frontend.layer, &skin.frontend.elements) {
+        (Layer::Sheet(layer), _) => PressRange::about(finger_m, 1e3 * 0.35 / layer.response_per_kpa().abs()),
+        (Layer::Sandwich(layer), _) => {
+            let law = layer.contact;
+            let ratio = (0.6_f64 / 0.4).powf(1.0 / law.exponent);
+            PressRange::about(finger_m, 1e3 * (law.threshold_kpa + ratio * law.reference_kpa))
+        }
+        (Layer::Patches(layer), _) => {
+            let law = layer.contact;
+            // Patches far from electrodes need more to be seen.
+            let ratio = 6_f64.powf(1.0 / law.exponent);
+            PressRange::about(finger_m, 1e3 * (law.threshold_kpa + ratio * law.reference_kpa))
+        }
+        (Layer::Liquid(layer), _) => PressRange::about(finger_m, denting_pa(layer, finger_m, shorter_m)),
+        (Layer::Elements(layer), Some(elements)) => {
+            let radius_m = 0.44 * elements.pitch_m();
+            PressRange::about(radius_m, moving_pa(layer, elements, radius_m))
+        }
+        (Layer::Elements(_), None) => PressRange::about(finger_m, 1e4),
+    }
+}
+
+/// Pressure under a disc that dents a liquid by a quarter of its depth: against the membrane, `p r^2 (1 + 2 ln(R/r)) / (4 T)`
+/// in the middle of a round tray, and against the liquid's own weight.
+fn denting_pa(layer: &LiquidLayer, radius_m: f64, shorter_m: f64) -> f64 {
+    let depth_m = layer.depth_mm * 1e-3;
+    let spread = 1.0 + 2.0 * (0.5 * shorter_m / radius_m).max(1.0).ln();
+    let membrane = 4.0 * layer.tension_n_per_m / (radius_m * radius_m * spread);
+    let weight = layer.density_kg_per_m3 * (-layer.gravity_m_per_s2[2]).max(0.0);
+    0.25 * depth_m * (membrane + weight)
+}
+
+/// Pressure under a disc over one element that moves it by half of its travel.
+fn moving_pa(layer: &ElementsLayer, elements: &Elements, radius_m: f64) -> f64 {
+    0.58 * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m)
+}
+
+/// What a twin demonstrates by itself: one touch wanders, others are pressed and slide. About the middle of the largest circle
+/// that fits into the skin, unless the file says otherwise.
+pub fn demonstration(skin: &Skin, press: &PressRange) -> Script {
+    let softness = press.initial_pressure_pa / DEMO_PRESSURE_PA;
+    match skin.twin.demonstration {
+        Some(Demonstration::None) => Script { duration_s: 1.0, repeat: true, events: Vec::new() },
+        Some(Demonstration::Scale(scale)) => Script::demo().scaled(scale, softness),
+        None => {
+            let (middle_m, radius_m) = largest_circle(&skin.outline());
+            let mut script = Script::demo().scaled(radius_m / DEMO_HALF_WIDTH_M, softness);
+            for event in &mut script.events {
+                if let Event::Press { x_mm, y_mm, .. } | Event::Move { x_mm, y_mm, .. } = event {
+                    (*x_mm, *y_mm) = (*x_mm + 1e3 * middle_m[0], *y_mm + 1e3 * middle_m[1]);
+                }
+            }
+            script
+        }
+    }
+}
+
+/// Middle and radius of the largest circle in an outline, to about a hundredth of its extent.
+fn largest_circle(outline: &Outline) -> ([f64; 2], f64) {
+    const STEPS: usize = 64;
+    let (low, high) = outline.bounds_m();
+    let rings: Vec<Vec<[f64; 2]>> = match outline {
+        Outline::Disc { radius_m } => return ([0.0; 2], *radius_m),
+        Outline::Rectangle { width_m, height_m } => return ([0.0; 2], 0.5 * width_m.min(*height_m)),
+        Outline::Polygon { outer, holes } => std::iter::once(outer).chain(holes).cloned().collect(),
+    };
+    let clearance = |p: [f64; 2]| {
+        let edges = rings.iter().flat_map(|ring| (0..ring.len()).map(move |k| (ring[k], ring[(k + 1) % ring.len()])));
+        edges.map(|(a, b)| dermis_tomo::mesh::to_segment(p, a, b).0).fold(f64::INFINITY, f64::min)
+    };
+    let mut best = ([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])], 0.0);
+    for k in 0..STEPS * STEPS {
+        let at = |axis: usize, step: usize| low[axis] + (high[axis] - low[axis]) * (step as f64 + 0.5) / STEPS as f64;
+        let place = [at(0, k % STEPS), at(1, k / STEPS)];
+        if outline.contains(place) {
+            let radius = clearance(place);
+            if radius > best.1 {
+                best = (place, radius);
+            }
+        }
+    }
+    best
+}

@@ -1,0 +1,164 @@
+//! A sheet with electrodes under separate shortcut patches with a gap between: pressing brings patches into contact with the
+//! sheet and raises its local conductivity. Unlike a continuous layer, patches do not join touches that are far from each
+//! other.
+//!
+//! A sheet that is bent without stretching reads as it does laid flat, so that places are always those of the flat sheet.
+
+use dermis_tomo::eit::Protocol;
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+
+use crate::error::{TwinError, check, check_positive};
+use crate::gap::Gap;
+use crate::instrument::Instrument;
+use crate::mechanics::{ContactLaw, Cover, Indenter, Memory};
+use crate::physics::{ConductanceMap, ContactCell, PatchLayout, PatchedSheet};
+use crate::twin::Frontend;
+use crate::wiring::{check_electrodes, superpose};
+
+/// Most contact cells. Each acts on each: 8000 of them are a matrix of 512 MB, and twice that while all touch.
+const MOST_CELLS: f64 = 8000.0;
+
+/// What a skin of sheet and patches is. SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PatchedOptions {
+    /// Outline of the sheet, laid flat.
+    pub outline: Outline,
+    /// Electrodes of the sheet, in order: pads or stretches of the rim.
+    pub electrodes: Vec<ElectrodeShape>,
+    /// Specific contact impedance of each electrode, or one value for all: ohm.m^2 under pads, ohm.m on the rim.
+    pub contact_impedances_ohm_m2: Vec<f64>,
+    /// Currents and measurements, amperes.
+    pub protocol: Protocol,
+    /// Sheet conductance of the sheet, siemens: conductivity times thickness.
+    pub sheet_s: f64,
+    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    pub conductance: ConductanceMap,
+    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
+    pub element_size_m: f64,
+    /// Edge length at electrodes, metres.
+    pub electrode_element_size_m: f64,
+    /// The patches, with at most 8000 contact cells on the sheet: these take `8 cells^2` bytes, 512 MB.
+    pub patches: PatchLayout,
+    /// How pressure spreads on its way to the gap.
+    pub cover: Cover,
+    /// Contact of sheet and patches.
+    pub contact: ContactLaw,
+    /// Viscoelastic memory of the cover, where wanted.
+    pub memory: Option<Memory>,
+}
+
+impl PatchedOptions {
+    fn check(&self) -> Result<(), TwinError> {
+        check_positive("sheet_s", self.sheet_s)?;
+        self.patches.check()?;
+        check_electrodes(
+            self.electrodes.len(),
+            "contact_impedances_ohm_m2",
+            &self.contact_impedances_ohm_m2,
+            &self.protocol,
+        )?;
+        let cells = self.patches.cells_on(&self.outline);
+        let expected = "at most 8000 (512 MB of memory): a larger patches pitch_m or fewer cells_per_side";
+        check("contact cells on the sheet", cells, 0.0, MOST_CELLS, expected)
+    }
+}
+
+/// The skin itself; see the module.
+#[derive(Clone, Debug)]
+pub struct PatchedSkin {
+    outline: Outline,
+    body: ElectrodedMesh,
+    protocol: Protocol,
+    sheet: PatchedSheet,
+    places_m: Vec<[f64; 2]>,
+    gap: Gap,
+    voltages_v: Vec<f64>,
+}
+
+impl PatchedSkin {
+    /// Meshes the skin and solves the sheet without contact.
+    ///
+    /// # Errors
+    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made.
+    pub fn new(options: PatchedOptions) -> Result<Self, TwinError> {
+        options.check()?;
+        let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
+        let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
+        spec.electrode_element_size_m = options.electrode_element_size_m;
+        let (body, _) = spec.build(&options.contact_impedances_ohm_m2)?;
+        let sheet = PatchedSheet::new(&body, options.sheet_s, options.patches, &options.conductance)?;
+        let places_m: Vec<[f64; 2]> = sheet.cells().iter().map(|cell| cell.centre_m).collect();
+        gap.reset(places_m.len());
+        Ok(Self {
+            voltages_v: vec![0.0; options.protocol.channel_count()],
+            outline: spec.outline,
+            protocol: options.protocol,
+            body,
+            sheet,
+            places_m,
+            gap,
+        })
+    }
+
+    /// Its mesh with electrodes, flat.
+    pub fn body(&self) -> &ElectrodedMesh {
+        &self.body
+    }
+
+    /// Stimulation and measurement.
+    pub fn stimulation(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// The sheet under its patches.
+    pub fn sheet(&self) -> &PatchedSheet {
+        &self.sheet
+    }
+
+    /// Cells of contact, in the order of [`PatchedSkin::contact_s_per_m2`].
+    pub fn cells(&self) -> &[ContactCell] {
+        self.sheet.cells()
+    }
+
+    /// Contact conductance of each cell after the last frame, S/m^2.
+    pub fn contact_s_per_m2(&self) -> &[f64] {
+        self.gap.contact_s_per_m2()
+    }
+
+    /// Replaces the contact law, as when fitting it.
+    ///
+    /// # Errors
+    /// As [`ContactLaw::check`].
+    pub fn set_contact(&mut self, contact: ContactLaw) -> Result<(), TwinError> {
+        self.gap.set_contact(contact)
+    }
+
+    fn solve(&mut self) -> Result<(), TwinError> {
+        let impedance = self.sheet.impedance(self.gap.contact_s_per_m2())?;
+        superpose(&self.protocol, impedance, &mut self.voltages_v);
+        self.gap.mark_solved();
+        Ok(())
+    }
+}
+
+impl Frontend for PatchedSkin {
+    fn channel_count(&self) -> usize {
+        self.protocol.channel_count()
+    }
+
+    fn extent(&self) -> Outline {
+        self.outline.clone()
+    }
+
+    fn wired(&self, instrument: Instrument) -> Result<Instrument, TwinError> {
+        instrument.with_protocol(&self.protocol)
+    }
+
+    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
+        if self.gap.press(indenters, &self.places_m, dt_s) {
+            self.solve()?;
+        }
+        voltages_v.copy_from_slice(&self.voltages_v);
+        Ok(())
+    }
+}

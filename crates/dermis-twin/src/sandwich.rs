@@ -1,0 +1,264 @@
+//! A sandwich: a conductive sheet with electrodes under a gap and a continuous shortcut layer that floats. Pressing closes
+//! the gap, current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet lowers it. Both
+//! follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
+
+use dermis_tomo::eit::Protocol;
+use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
+
+use crate::error::{TwinError, check, check_positive};
+use crate::gap::Gap;
+use crate::healing::{HealingLaw, Treatment, Wear, Wound};
+use crate::instrument::Instrument;
+use crate::mechanics::{ContactLaw, Cover, Indenter, Memory};
+use crate::physics::{ConductanceMap, Cut, Shortcut, TwoSheets};
+use crate::twin::Frontend;
+use crate::wiring::{check_electrodes, superpose};
+
+/// What a sandwich is. SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SandwichOptions {
+    /// Outline of the skin.
+    pub outline: Outline,
+    /// Electrodes of the sensing sheet, in order: pads or stretches of the rim.
+    pub electrodes: Vec<ElectrodeShape>,
+    /// Specific contact impedance of each electrode, or one value for all: ohm.m^2 under pads, ohm.m on the rim.
+    pub contact_impedances_ohm_m2: Vec<f64>,
+    /// Currents and measurements, amperes.
+    pub protocol: Protocol,
+    /// Sheet conductance of the sensing sheet, siemens: conductivity times thickness.
+    pub sheet_s: f64,
+    /// A factor on the sheet conductance over the skin, as of a layer that is not even.
+    pub conductance: ConductanceMap,
+    /// Sheet conductance of the shortcut layer, siemens; at least 100 times `sheet_s`.
+    pub shortcut_s: f64,
+    /// Edge length of the triangles, metres. It should differ from a reconstruction's.
+    pub element_size_m: f64,
+    /// Edge length at electrodes, metres.
+    pub electrode_element_size_m: f64,
+    /// How pressure spreads on its way to the gap.
+    pub cover: Cover,
+    /// Contact of sheet and shortcut layer.
+    pub contact: ContactLaw,
+    /// Viscoelastic memory of the cover, where wanted.
+    pub memory: Option<Memory>,
+    /// How the sheet heals under heat; `None`: it can be cut, but not healed.
+    pub healing: Option<HealingLaw>,
+}
+
+impl SandwichOptions {
+    fn check(&self) -> Result<(), TwinError> {
+        check_positive("sheet_s", self.sheet_s)?;
+        let expected = "at least 100 times sheet_s, finite";
+        check("shortcut_s", self.shortcut_s, 100.0 * self.sheet_s, f64::MAX, expected)?;
+        self.healing.as_ref().map_or(Ok(()), HealingLaw::check)?;
+        check_electrodes(
+            self.electrodes.len(),
+            "contact_impedances_ohm_m2",
+            &self.contact_impedances_ohm_m2,
+            &self.protocol,
+        )
+    }
+}
+
+/// How the cuts are in the mesh.
+#[derive(Debug, Default)]
+struct Slits {
+    /// Both ends of every cut, metres.
+    ends_m: Vec<[[f64; 2]; 2]>,
+    /// Whether the mesh is slit there; else the elements that the cut crosses are blocked whole.
+    is_slit: Vec<bool>,
+    /// The cut that each edge of the slits belongs to.
+    cut_of_edge: Vec<usize>,
+}
+
+/// The sandwich itself; see the module. The sheet is slit where it is cut, and joined again across the slit as it heals. A
+/// cut that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it crosses.
+#[derive(Debug)]
+pub struct Sandwich {
+    spec: SheetSpec,
+    contact_impedances: Vec<f64>,
+    body: ElectrodedMesh,
+    protocol: Protocol,
+    sheets: TwoSheets,
+    sheet_s: f64,
+    conductance: ConductanceMap,
+    /// Cuts set from outside.
+    cuts: Vec<Cut>,
+    /// Cuts and heat of its own life.
+    wear: Wear,
+    slits: Slits,
+    gap: Gap,
+    voltages_v: Vec<f64>,
+}
+
+impl Sandwich {
+    /// Meshes the skin and prepares its fields.
+    ///
+    /// # Errors
+    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made.
+    pub fn new(options: SandwichOptions) -> Result<Self, TwinError> {
+        options.check()?;
+        let mut gap = Gap::new(options.cover, options.contact, options.memory, 0)?;
+        let mut spec = SheetSpec::new(options.outline, options.electrodes, options.element_size_m);
+        spec.electrode_element_size_m = options.electrode_element_size_m;
+        let contact_impedances = options.contact_impedances_ohm_m2;
+        let (body, _) = spec.build(&contact_impedances)?;
+        let shortcut = Shortcut::Sheet { conductance_s: options.shortcut_s };
+        let mut sheets = TwoSheets::new(&body, options.sheet_s, shortcut)?;
+        if !options.conductance.is_even() {
+            sheets.set_sensing_by(|point| options.sheet_s * options.conductance.at(point), &[]);
+        }
+        gap.reset(sheets.positions_m().len());
+        Ok(Self {
+            voltages_v: vec![0.0; options.protocol.channel_count()],
+            protocol: options.protocol,
+            sheet_s: options.sheet_s,
+            conductance: options.conductance,
+            cuts: Vec::new(),
+            wear: Wear::new(options.healing),
+            slits: Slits::default(),
+            spec,
+            contact_impedances,
+            body,
+            sheets,
+            gap,
+        })
+    }
+
+    /// Its mesh with electrodes, slit where it is cut.
+    pub fn body(&self) -> &ElectrodedMesh {
+        &self.body
+    }
+
+    /// Stimulation and measurement.
+    pub fn stimulation(&self) -> &Protocol {
+        &self.protocol
+    }
+
+    /// The two sheets.
+    pub fn sheets(&self) -> &TwoSheets {
+        &self.sheets
+    }
+
+    /// The cuts set by [`Sandwich::set_cuts`].
+    pub fn cuts(&self) -> &[Cut] {
+        &self.cuts
+    }
+
+    /// Replaces the cuts; none heals the skin without a scar.
+    ///
+    /// # Errors
+    /// As [`Cut::check`].
+    pub fn set_cuts(&mut self, cuts: Vec<Cut>) -> Result<(), TwinError> {
+        cuts.iter().try_for_each(Cut::check)?;
+        self.cuts = cuts;
+        self.renew_sheet()
+    }
+
+    /// What has become of the sheet by [`Frontend::treat`].
+    pub fn wear(&self) -> &Wear {
+        &self.wear
+    }
+
+    fn renew_sheet(&mut self) -> Result<(), TwinError> {
+        // Each cut in equal pieces that conduct differently.
+        let cuts: Vec<Vec<Cut>> = self.wear.cuts().chain(self.cuts.iter().map(|cut| vec![*cut])).collect();
+        let ends_m: Vec<[[f64; 2]; 2]> = cuts.iter().map(|pieces| whole(pieces)).collect();
+        if ends_m != self.slits.ends_m {
+            self.slit(ends_m)?;
+        }
+        let (wear, slits) = (&self.wear, &self.slits);
+        let (sheet_s, map) = (self.sheet_s, &self.conductance);
+        let inset_m = 0.5 * self.spec.element_size_m;
+        let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
+        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
+        self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point) * map.at(point), &blocking);
+        self.sheets.set_joints(|edge, middle| {
+            let cut = slits.cut_of_edge[edge];
+            let ([from, to], pieces) = (slits.ends_m[cut], &cuts[cut]);
+            let along = [to[0] - from[0], to[1] - from[1]];
+            let share = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
+                / (along[0] * along[0] + along[1] * along[1]);
+            let piece = &pieces[((share * pieces.len() as f64) as usize).min(pieces.len() - 1)];
+            sheet_s * wear.share_at(middle) * map.at(middle) * piece.joining_per_m()
+        });
+        self.gap.mark_stale();
+        Ok(())
+    }
+
+    /// Meshes the skin anew with slits along cuts, as many as can be slit.
+    fn slit(&mut self, ends_m: Vec<[[f64; 2]; 2]>) -> Result<(), TwinError> {
+        let (slit, is_slit) = self.spec.build_slit(&self.contact_impedances, &ends_m)?;
+        let slit_cuts = is_slit.iter().enumerate().filter(|(_, is_slit)| **is_slit).map(|(cut, _)| cut);
+        let cut_of_edge = slit_cuts.zip(&slit.slits).flat_map(|(cut, edges)| edges.iter().map(move |_| cut)).collect();
+        self.sheets = TwoSheets::with_slits(&slit.mesh, &slit.slits.concat(), self.sheet_s, self.sheets.shortcut())?;
+        self.body = slit.mesh;
+        self.slits = Slits { ends_m, is_slit, cut_of_edge };
+        self.gap.reset(self.sheets.positions_m().len());
+        Ok(())
+    }
+
+    /// Contact conductance at each node after the last frame, S/m^2.
+    pub fn contact_s_per_m2(&self) -> &[f64] {
+        self.gap.contact_s_per_m2()
+    }
+
+    fn solve(&mut self) -> Result<(), TwinError> {
+        let impedance = self.sheets.impedance(self.gap.contact_s_per_m2())?;
+        superpose(&self.protocol, impedance, &mut self.voltages_v);
+        self.gap.mark_solved();
+        Ok(())
+    }
+}
+
+/// Both ends of a cut in pieces.
+fn whole(pieces: &[Cut]) -> [[f64; 2]; 2] {
+    [pieces[0].from_m, pieces[pieces.len() - 1].to_m]
+}
+
+/// A cut in pieces, shorter by this at both ends ([`Cut::shortened`]).
+fn drawn_in(pieces: &[Cut], by_m: f64) -> Vec<Cut> {
+    let [from_m, to_m] = whole(pieces);
+    let cut = Cut { from_m, to_m, ..pieces[0] }.shortened(by_m);
+    let count = pieces.len() as f64;
+    let piece = |(k, piece): (usize, &Cut)| Cut {
+        from_m: cut.at(k as f64 / count),
+        to_m: cut.at((k + 1) as f64 / count),
+        ..*piece
+    };
+    pieces.iter().enumerate().map(piece).collect()
+}
+
+impl Frontend for Sandwich {
+    fn channel_count(&self) -> usize {
+        self.protocol.channel_count()
+    }
+
+    fn extent(&self) -> Outline {
+        self.spec.outline.clone()
+    }
+
+    fn wired(&self, instrument: Instrument) -> Result<Instrument, TwinError> {
+        instrument.with_protocol(&self.protocol)
+    }
+
+    fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
+        self.wear.treat(treatment)?;
+        self.renew_sheet()
+    }
+
+    fn wounds(&self) -> Vec<Wound> {
+        self.wear.wounds().collect()
+    }
+
+    fn voltages(&mut self, indenters: &[Indenter], dt_s: f64, voltages_v: &mut [f64]) -> Result<(), TwinError> {
+        if self.wear.advance(dt_s) {
+            self.renew_sheet()?;
+        }
+        if self.gap.press(indenters, self.sheets.positions_m(), dt_s) {
+            self.solve()?;
+        }
+        voltages_v.copy_from_slice(&self.voltages_v);
+        Ok(())
+    }
+}

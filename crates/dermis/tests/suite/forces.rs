@@ -1,0 +1,76 @@
+//! Force calibrations on the liquid skin's twin, read where and as hard as they were not made.
+
+use dermis::lab::forces::{PressPlan, fit_forces, press_twin};
+use dermis::lab::twin_bench::Rig;
+use dermis::live::forces::{load_forces, save_forces};
+use dermis::skin::Skin;
+use dermis_touch::force::{CalibrationScope, CurveKind};
+use dermis_twin::mechanics::{Indenter, Load, Shape};
+
+fn scope(skin: &str, plan: &PressPlan) -> CalibrationScope {
+    let indenter_area_m2 = 0.25 * std::f64::consts::PI * plan.indenter_m.powi(2);
+    CalibrationScope { skin: skin.into(), indenter_area_m2, date: "2026-01-31".into() }
+}
+
+#[test]
+fn forces_are_read_where_and_as_hard_as_they_were_not_calibrated() {
+    let skin = Skin::open("ionic-disc").unwrap();
+    let plan = PressPlan { steps: 4, most_n: 0.58, ..PressPlan::of(&skin).unwrap() };
+    let mut seen = 0;
+    let samples = press_twin(&skin, &plan, |done, _| seen = done).unwrap();
+    assert_eq!((samples.len(), seen), (36, 36));
+    let calibration = fit_forces(&samples, CurveKind::Quadratic, scope("ionic-disc", &plan)).unwrap();
+    let range = calibration.valid_force_n[1] - calibration.valid_force_n[0];
+    println!("residual {:.4} N of {range:.3} N", calibration.residual_n);
+    // One line for all places once gains are compensated (paper I, its single calibration line), within a twentieth.
+    assert!(calibration.residual_n < 0.05 * range, "{calibration:?}");
+
+    let mut rig = Rig::new("ionic-disc").unwrap();
+    rig.set_forces(Some(calibration.clone()));
+    let mut press = |place: [f64; 2], force_n: f64| {
+        let shape = Shape::Disc { radius_m: 0.5 * plan.indenter_m };
+        let indenter = Indenter { centre_m: place, shape, load: Load::ForceN(force_n) };
+        let frame = rig.mean_frame(&[indenter], 10).unwrap();
+        let image = rig.image(&frame).unwrap();
+        rig.touches(&image).unwrap()[0].force.unwrap()
+    };
+    for (place, force_n) in [([0.01, 0.02], 0.3), ([-0.03, 0.015], 0.2), ([0.02, -0.04], 0.5)] {
+        let reading = press(place, force_n);
+        println!("{force_n} N at {place:?}: {reading:?}");
+        // Places between those of the gain map: twice the calibration's own residual and a tenth.
+        let off = (reading.valid_n().unwrap() - force_n).abs();
+        assert!(off < 2.0 * calibration.residual_n + 0.1 * force_n, "{force_n}: {reading:?}");
+    }
+    // What is outside says so.
+    assert_eq!(press([0.0, 0.0], 1.2).range(), "above");
+    assert_eq!(press([0.0, 0.0], 0.07).range(), "below");
+}
+
+#[test]
+fn files_say_what_is_wrong_with_them() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("forces.json");
+    let skin = Skin::open("ionic-disc").unwrap();
+    let plan = PressPlan { steps: 2, ..PressPlan::of(&skin).unwrap() };
+    let samples: Vec<_> = (1..=4)
+        .map(|k| dermis_touch::force::ForceSample {
+            position_m: [0.0; 2],
+            force_n: 0.1 * f64::from(k),
+            signal: f64::from(k),
+        })
+        .collect();
+    let calibration = fit_forces(&samples, CurveKind::Linear, scope("ionic-disc", &plan)).unwrap();
+    assert!(calibration.gain.is_none());
+    save_forces(&calibration, &path).unwrap();
+    assert_eq!(load_forces(&path, "ionic-disc").unwrap(), calibration);
+    let other = load_forces(&path, "piezo-disc").unwrap_err().to_string();
+    assert!(other.contains("forces.json") && other.contains("ionic-disc") && other.contains("piezo-disc"), "{other}");
+    std::fs::write(&path, "{\"scope\": 3}").unwrap();
+    let broken = load_forces(&path, "ionic-disc").unwrap_err().to_string();
+    assert!(broken.contains("line 1"), "{broken}");
+
+    assert!(press_twin(&skin, &PressPlan { most_n: -1.0, ..plan.clone() }, |_, _| {}).is_err());
+    assert!(press_twin(&skin, &PressPlan { indenter_m: f64::NAN, ..plan.clone() }, |_, _| {}).is_err());
+    // A tank has a twin as well, into which things are dipped.
+    assert!(PressPlan::of(&Skin::open("ktc-tank").unwrap()).is_ok());
+}

@@ -1,0 +1,80 @@
+//! Skin files, cases, calibrations and tables of pokes made of arbitrary bytes, and of damaged real ones: refused or read,
+//! never a panic. `PROPTEST_CASES` sets how many are tried.
+
+use std::path::Path;
+
+use dermis::lab::case::Case;
+use dermis::live::calibration::{Calibration, read_pokes};
+use dermis::skin::{BUILTIN_NAMES, Skin, builtin_text};
+use proptest::prelude::*;
+
+const CASE: &str = r#"{"nodes": [[0,0],[1,0],[1,1],[0,1],[0.5,0.5]], "elems": [[0,1,4],[1,2,4],[2,3,4],[3,0,4]],
+"electrodes": [{"type": "CEM", "z_contact": 0.1, "faces": [[0,1]]}, {"type": "CEM", "z_contact": 0.1, "faces": [[2,3]]},
+{"type": "PEM", "node": 4}], "stim": [[1,-1,0]], "meas": [[0,1,-1]], "meas_stim": [0], "sigma_hom": [1,1,1,1]}"#;
+
+/// A text with some bytes changed, some taken out, and an end that may be missing.
+fn damaged(text: &'static str) -> impl Strategy<Value = Vec<u8>> {
+    let length = text.len();
+    let edits = proptest::collection::vec((0..length, any::<u8>(), any::<bool>()), 0..6);
+    (edits, 0..=length).prop_map(move |(edits, end)| {
+        let mut bytes = text.as_bytes()[..end.max(length / 2)].to_vec();
+        for (at, byte, remove) in edits {
+            if at < bytes.len() && remove {
+                bytes.remove(at);
+            } else if at < bytes.len() {
+                bytes[at] = byte;
+            }
+        }
+        bytes
+    })
+}
+
+fn skin(bytes: &[u8]) {
+    if let Ok(skin) = Skin::parse(&String::from_utf8_lossy(bytes), "fuzzed.toml") {
+        // What parses must also say whether it has a protocol; meshing it could take as long as it pleases.
+        let _ = skin.protocol();
+        assert!(Skin::parse(&skin.to_toml(), "written.toml").is_ok());
+    }
+}
+
+fn with_file(bytes: &[u8], read: impl Fn(&Path)) {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), bytes).unwrap();
+    read(file.path());
+}
+
+proptest! {
+    #[test]
+    fn damaged_skin_files(which in 0..BUILTIN_NAMES.len(), bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        skin(&bytes);
+        let text = builtin_text(BUILTIN_NAMES[which]).unwrap();
+        prop_assert!(Skin::parse(text, "built-in").is_ok());
+    }
+
+    #[test]
+    fn damaged_built_in_skin_files(bytes in damaged(builtin_text("golfball-tank").unwrap())) {
+        skin(&bytes);
+    }
+
+    #[test]
+    fn damaged_cases(bytes in damaged(CASE)) {
+        let _ = Case::parse(&bytes, Path::new("fuzzed.json"));
+    }
+
+    #[test]
+    fn damaged_calibrations(bytes in damaged(r#"{"version":1,"skin":"x","channels":3,"load":null,"frames":[],"positions_m":[],"loads":null,"locator":{}}"#)) {
+        with_file(&bytes, |path| assert!(Calibration::load(path).is_err()));
+    }
+
+    #[test]
+    fn damaged_pokes(bytes in damaged("x_m,y_m,depth_m\n0.01,0.02,0.01\n-0.01,0.03,0.02\n")) {
+        with_file(&bytes, |path| {
+            let _ = read_pokes(path);
+        });
+    }
+}
+
+#[test]
+fn the_case_that_is_damaged_is_sound() {
+    Case::parse(CASE.as_bytes(), Path::new("case.json")).unwrap();
+}

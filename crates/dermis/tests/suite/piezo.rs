@@ -1,0 +1,167 @@
+//! The piezoresistive skins, twin to touches: their noisy twins are pressed and the whole pipeline says where. One backend
+//! file serves all three.
+
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
+use dermis::skin::{Layer, Skin};
+use dermis::twin::AnyTwin;
+use dermis_device::{Frame, HostStamp, Layout};
+use dermis_tomo::mesh::{ElectrodeShape, Surface};
+use dermis_touch::Touch;
+use dermis_twin::from_skin::patched_options;
+use dermis_twin::physics::PatchLayout;
+
+/// Time between frames, 30 a second.
+const PERIOD_NS: u64 = 33_333_333;
+/// Frames until a press stands: fading in, and the frames that a touch must last.
+const SETTLE: usize = 12;
+/// The paper's indenter.
+const RADIUS_M: f64 = 0.011;
+
+/// A twin with the noise and converter of its file, and the pipeline of the built-in skin behind it.
+struct Bench {
+    twin: AnyTwin,
+    pipeline: Pipeline,
+    frame: Frame,
+    values: Vec<f64>,
+    frames: u64,
+    touches: Vec<Touch>,
+    strongest: f64,
+}
+
+impl Bench {
+    /// With a baseline.
+    fn new(name: &str) -> Self {
+        let mut skin = Skin::open(name).unwrap();
+        // Coarser images than the file's 32 pixels a side, and so an operator in half the time.
+        skin.imaging.grid = 24;
+        let twin = AnyTwin::from_skin(&skin).unwrap();
+        let prepared = Prepared::new(skin).unwrap();
+        let layout = Layout::Channels { count: prepared.channels() };
+        let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
+        let (touches, values) = (Vec::new(), Vec::new());
+        let mut bench = Self { twin, pipeline, frame: Frame::default(), values, frames: 0, touches, strongest: 0.0 };
+        bench.run(32);
+        assert!(bench.pipeline.reference().is_some(), "32 frames make the baseline");
+        bench
+    }
+
+    fn run(&mut self, frames: usize) {
+        for _ in 0..frames {
+            let time_ns = self.frames * PERIOD_NS;
+            self.twin.step(time_ns as f64 * 1e-9, &mut self.values).unwrap();
+            let at = HostStamp { monotonic_ns: time_ns, wall_ns: time_ns };
+            self.frame.refill(self.frames, at, &self.values, &[]);
+            let output = self.pipeline.process(&self.frame, time_ns).unwrap();
+            self.touches = output.touches.to_vec();
+            self.strongest = output.image.iter().filter(|v| v.is_finite()).fold(0.0, |most, v| most.max(f64::from(*v)));
+            self.frames += 1;
+        }
+    }
+
+    fn press(&mut self, pointer: u64, [x_mm, y_mm]: [f64; 2], pressure_pa: f64) {
+        self.twin.scene_mut().press(pointer, x_mm * 1e-3, y_mm * 1e-3, RADIUS_M, pressure_pa).unwrap();
+    }
+
+    fn release(&mut self) {
+        self.twin.scene_mut().release_all();
+        self.run(SETTLE);
+        assert!(self.touches.is_empty(), "released, and still {:?}", self.touches);
+    }
+
+    fn nearest_mm(&self, [x_mm, y_mm]: [f64; 2]) -> f64 {
+        let distance = |touch: &Touch| (touch.position_m[0] * 1e3 - x_mm).hypot(touch.position_m[1] * 1e3 - y_mm);
+        self.touches.iter().map(distance).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Largest and mean error of single touches, mm.
+    fn errors(&mut self, places: &[[f64; 2]], pressure_pa: f64) -> (f64, f64) {
+        let mut errors = Vec::new();
+        for &place in places {
+            self.press(0, place, pressure_pa);
+            self.run(SETTLE);
+            assert_eq!(self.touches.len(), 1, "pressed at {place:?} mm: {:?}", self.touches);
+            errors.push(self.nearest_mm(place));
+            self.release();
+        }
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        (errors.iter().copied().fold(0.0, f64::max), mean)
+    }
+}
+
+#[test]
+fn one_backend_serves_three_frontends() {
+    let [square, disc, cylinder] = ["piezo-square", "piezo-disc", "piezo-cylinder"].map(|n| Skin::open(n).unwrap());
+    assert_eq!(square.backend, disc.backend);
+    assert_eq!(square.backend, cylinder.backend);
+    assert_eq!(cylinder.surface(), Surface::Cylinder { radius_m: 0.095 });
+    assert_eq!(square.surface(), Surface::Flat);
+    for skin in [square, disc, cylinder] {
+        let options = patched_options(&skin).unwrap();
+        assert_eq!(skin.protocol().unwrap(), options.protocol, "{}", skin.name);
+        assert_eq!(skin.protocol().unwrap().channel_count(), 4096);
+        assert!((skin.sheet_conductance_s() / options.sheet_s - 1.0).abs() < 1e-12);
+        assert!((skin.sheet_conductance_s() * 2e3 - 1.0).abs() < 1e-12, "2 kohm");
+        let pads = skin.electrode_shapes();
+        assert_eq!(pads, options.electrodes);
+        assert_eq!(options.contact_impedances_ohm_m2, [skin.frontend.contact_impedance_ohm_m2; 64]);
+        for pad in &pads {
+            let ElectrodeShape::PadCircle { radius_m, .. } = pad else { panic!("{pad:?} is not round") };
+            assert_eq!(*radius_m, 1.5e-3);
+        }
+        let Layer::Patches(layer) = &skin.frontend.layer else { panic!("{} has no patches", skin.name) };
+        let PatchLayout { pitch_m, gap_m, cells_per_side } = options.patches;
+        assert!((1e3 * pitch_m - layer.pitch_mm).abs() < 1e-12 && (1e3 * gap_m - layer.gap_mm).abs() < 1e-12);
+        assert_eq!(cells_per_side, layer.cells_per_side);
+        assert!((1e3 * options.cover.smoothing_m - layer.smoothing_mm).abs() < 1e-12);
+        assert!((1e-3 * options.contact.threshold_pa - layer.contact.threshold_kpa).abs() < 1e-12);
+        assert!((1e-3 * options.contact.reference_pa - layer.contact.reference_kpa).abs() < 1e-12);
+        assert_eq!(options.contact.exponent, layer.contact.exponent);
+        assert_eq!(options.contact.saturation_s_per_m2, layer.contact.saturation_s_per_m2);
+        // The file says itself in one piece: what a recording keeps needs no other file.
+        assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
+    }
+}
+
+#[test]
+fn single_touches_on_the_disc_are_found_in_their_places() {
+    let mut bench = Bench::new("piezo-disc");
+    let places: Vec<[f64; 2]> = (0..12)
+        .map(|k| {
+            let (angle, radius) = (2.4 * f64::from(k), 13.0 * f64::from(k).sqrt());
+            [radius * angle.cos(), radius * angle.sin()]
+        })
+        .collect();
+    let (largest, mean) = bench.errors(&places, 5e3);
+    println!("disc: mean {mean:.2} mm, largest {largest:.2} mm");
+    // Patches are shorted whole: their pitch of 10 mm shows in the positions.
+    assert!(mean < 3.0 && largest < 6.0, "mean {mean:.2} mm, largest {largest:.2} mm");
+}
+
+/// P3: a light touch, a hard one at the same place, two at once, on the skin bent round the cylinder.
+#[test]
+fn the_cylinder_tells_light_from_hard_and_one_from_two() {
+    let mut bench = Bench::new("piezo-cylinder");
+    let places = [[-37.0, 34.0], [29.0, -21.0]];
+    bench.press(0, places[0], 1e3);
+    bench.run(SETTLE);
+    let light = bench.strongest;
+    let error = bench.nearest_mm(places[0]);
+    assert!(error < 4.0, "light touch {error:.1} mm off");
+    bench.press(0, places[0], 10e3);
+    bench.run(SETTLE);
+    let hard = bench.strongest;
+    assert!(hard > 1.5 * light, "hard {hard:.3}, light {light:.3}");
+    bench.press(1, places[1], 10e3);
+    bench.run(SETTLE);
+    assert_eq!(bench.touches.len(), 2, "{:?}", bench.touches);
+    let errors = places.map(|place| bench.nearest_mm(place));
+    println!("cylinder: light {light:.3}, hard {hard:.3}, two touches {errors:.2?} mm off");
+    assert!(errors.iter().all(|error| *error < 5.0), "{errors:?} mm");
+    bench.release();
+    let places: Vec<[f64; 2]> =
+        (0..9).map(|k| [-52.0 + 50.0 * f64::from(k % 3), -47.0 + 51.0 * f64::from(k / 3)]).collect();
+    let (largest, mean) = bench.errors(&places, 5e3);
+    println!("cylinder: mean {mean:.2} mm, largest {largest:.2} mm");
+    assert!(mean < 2.5 && largest < 5.0, "mean {mean:.2} mm, largest {largest:.2} mm");
+}

@@ -1,0 +1,167 @@
+//! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin that is
+//! killed and started again is found again with its gap counted.
+
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use dermis::lab::serve::{Door, Served, device_info, serve};
+use dermis::lab::twin_source::TwinSource;
+use dermis::skin::Skin;
+use dermis::twin::TwinKit;
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{Frame, Source, SourceEvent, open_stream};
+
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// A twin that is being served.
+struct Instrument {
+    stop: Arc<AtomicBool>,
+    thread: JoinHandle<Served>,
+}
+
+impl Instrument {
+    fn start(listener: TcpListener) -> Self {
+        let skin = Skin::open("healing-square").expect("a built-in skin");
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = thread::spawn(move || {
+            let (twin, _commands) = TwinSource::new(&skin).expect("it has a twin");
+            let mut door = Door::tcp(listener).expect("a socket");
+            serve(&mut door, twin, device_info(&skin).expect("a protocol"), None, &stopped).expect("it goes on")
+        });
+        Self { stop, thread }
+    }
+
+    fn kill(self) -> Served {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.join().expect("it ends in order")
+    }
+}
+
+fn collect(source: &mut StreamSource, count: usize) -> Vec<Frame> {
+    let mut seen = Vec::new();
+    let began = Instant::now();
+    while seen.len() < count {
+        assert!(began.elapsed() < LIMIT, "{} of {count} frames; {:?}", seen.len(), source.problem());
+        let mut frame = Frame::default();
+        if source.next_frame(&mut frame, Duration::from_millis(50)).expect("a stream never ends") == SourceEvent::Frame
+        {
+            seen.push(frame);
+        }
+    }
+    seen
+}
+
+/// What is still on its way once the instrument has gone.
+fn drain(source: &mut StreamSource, seen: &mut Vec<Frame>) {
+    for _ in 0..10_000 {
+        let mut frame = Frame::default();
+        match source.next_frame(&mut frame, Duration::from_millis(300)).expect("a stream never ends") {
+            SourceEvent::Frame => seen.push(frame),
+            _ => return,
+        }
+    }
+}
+
+#[test]
+fn frames_are_the_twins_and_a_restart_is_survived() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let instrument = Instrument::start(listener);
+    let options = StreamOptions { patience: LIMIT, longest_wait: Duration::from_millis(50), ..Default::default() };
+    let mut source = open_stream(&format!("tcp:{address}").parse().expect("a selector"), options).expect("it answers");
+    assert!(source.identity().expect("it said").starts_with("dermis twin of healing-square twin"));
+
+    let mut first = collect(&mut source, 30);
+    assert_eq!(instrument.kill().hosts, 1);
+    drain(&mut source, &mut first);
+    let skin = Skin::open("healing-square").expect("a built-in skin");
+    let rate = skin.backend.frames_per_s.expect("a rate");
+    let mut twin = TwinKit::of(&skin).expect("it has a twin").twin;
+    let mut values = Vec::new();
+    for frame in &first {
+        let time_s = frame.device_time_ns.expect("a twin has a clock") as f64 * 1e-9;
+        assert!((time_s - frame.sequence as f64 / rate).abs() < 2e-9, "frame {} at {time_s} s", frame.sequence);
+        twin.step(frame.sequence as f64 * (1.0 / rate), &mut values).expect("it goes on");
+        let sent: Vec<f64> = values.iter().map(|value| f64::from(*value as f32)).collect();
+        assert_eq!(frame.values, sent, "frame {}", frame.sequence);
+    }
+
+    let instrument = Instrument::start(TcpListener::bind(address).expect("the same port"));
+    let mut again = collect(&mut source, 10);
+    assert_eq!(instrument.kill().skipped, 0);
+    drain(&mut source, &mut again);
+    let (last, next) = (first.last().expect("frames"), &again[0]);
+    // The count goes on over the gap, which the clock and the rate give after a restart.
+    let periods = (next.host_monotonic_ns - last.host_monotonic_ns) as f64 * 1e-9 * rate;
+    assert_eq!(next.sequence - last.sequence - 1, (periods.round() as u64).saturating_sub(1));
+    assert_eq!(next.device_time_ns, Some(0), "the twin began anew");
+    let all: Vec<u64> = first.iter().chain(&again).map(|frame| frame.sequence).collect();
+    let gaps: u64 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
+    assert_eq!(source.counters().lost, gaps);
+}
+
+/// The twin stands at a pseudo-terminal as a board at a serial port; a host goes and another one comes.
+#[cfg(unix)]
+#[test]
+fn a_twin_at_a_pseudo_terminal_is_a_board_at_a_serial_port() {
+    use dermis::lab::serve::command_of;
+    use dermis_device::stream::Pty;
+
+    let Ok(pty) = Pty::open() else {
+        eprintln!("skipped: this machine gives no pseudo-terminal");
+        return;
+    };
+    let selector = format!("serial:{}", pty.path());
+    let skin = Skin::open("healing-square").expect("a built-in skin");
+    let (twin, commands) = TwinSource::new(&skin).expect("it has a twin");
+    let (twin, press) = (twin.undemonstrated(), twin_range(&skin));
+    let say = |line: &str| {
+        let command = command_of(line, &press).expect("it means something").expect("a command");
+        commands.send(command).expect("the twin listens");
+    };
+    let stop = Arc::new(AtomicBool::new(false));
+    let stopped = stop.clone();
+    let info = device_info(&skin).expect("a protocol");
+    let thread = thread::spawn(move || serve(&mut Door::Pty(pty), twin, info, None, &stopped).expect("it goes on"));
+    let options = StreamOptions { patience: LIMIT, longest_wait: Duration::from_millis(50), ..Default::default() };
+    let open = || open_stream(&selector.parse().expect("a selector"), options).expect("it answers");
+
+    let mut source = open();
+    let rest = collect(&mut source, 10).pop().expect("frames");
+    say("press 10 -5 20");
+    let changed = |frame: &Frame| {
+        let difference = frame.values.iter().zip(&rest.values).map(|(now, before)| (now - before).powi(2)).sum::<f64>();
+        (difference / rest.values.iter().map(|value| value.powi(2)).sum::<f64>()).sqrt()
+    };
+    let pressed = collect(&mut source, 40).pop().expect("frames");
+    assert!(changed(&pressed) > 0.01, "the press changes the frame by {}", changed(&pressed));
+    say("release");
+    say("fault channel 7 stuck 2.5");
+    let broken = collect(&mut source, 60).pop().expect("frames");
+    assert!((broken.values[6] - 2.5e-3).abs() < 1e-9, "{} V", broken.values[6]);
+    say("repair");
+    let sound = collect(&mut source, 40).pop().expect("frames");
+    assert!(changed(&sound) < 0.01, "{}", changed(&sound));
+
+    // This host goes; the twin measures on, and the next host is told how it is numbered.
+    let last_ns = sound.device_time_ns.expect("a clock");
+    drop(source);
+    thread::sleep(Duration::from_millis(300));
+    let mut source = open();
+    let next = collect(&mut source, 5);
+    assert!(next[0].device_time_ns.expect("a clock") > last_ns + 200_000_000, "it went on");
+    assert!(next.windows(2).all(|pair| pair[1].sequence == pair[0].sequence + 1));
+    drop(source);
+    stop.store(true, Ordering::Relaxed);
+    let served = thread.join().expect("it ends in order");
+    assert_eq!((served.hosts, served.skipped), (2, 0));
+}
+
+#[cfg(unix)]
+fn twin_range(skin: &Skin) -> dermis::twin::PressRange {
+    TwinKit::of(skin).expect("it has a twin").press
+}

@@ -1,0 +1,126 @@
+//! A broken or turned instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and an open
+//! electrode reaches the channels that use it.
+
+use std::time::Duration;
+
+use dermis::device::acquire::{Acquisition, AcquisitionCounters, Next};
+use dermis::lab::twin_source::TwinSource;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
+use dermis::skin::{Skin, builtin_text};
+use dermis::twin::TwinKit;
+use dermis_device::Layout;
+use dermis_twin::instrument::FrameFate;
+
+/// Frames that may wait for the pipeline.
+const QUEUE: usize = 4;
+
+fn broken(faults: &str) -> Skin {
+    let text = builtin_text("healing-square").unwrap();
+    Skin::parse(&crate::with_twin(text, &format!("seed = 5\nfaults = [{faults}]")), "a test").unwrap()
+}
+
+/// Runs so many frames of a skin's twin through acquisition and pipeline; the frames' numbers and raw channels.
+fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>, AcquisitionCounters) {
+    let (source, _commands) = TwinSource::new(skin).unwrap();
+    let layout = Layout::Channels { count: skin.protocol().unwrap().channel_count() };
+    let mut pipeline = Pipeline::new(Prepared::new(skin.clone()).unwrap(), &layout, None).unwrap();
+    let mut acquisition = Acquisition::spawn(Box::new(source.unpaced()), QUEUE, true);
+    let (mut numbers, mut raw) = (Vec::new(), Vec::new());
+    while numbers.len() < frames {
+        match acquisition.next(Duration::from_secs(20)).unwrap() {
+            Next::Frame(frame) => {
+                let output = pipeline.process(&frame, frame.host_monotonic_ns).unwrap();
+                numbers.push(output.sequence);
+                raw.push(output.raw.to_vec());
+                acquisition.recycle(frame);
+            }
+            other => panic!("{other:?} after {} frames", numbers.len()),
+        }
+    }
+    // The thread runs ahead until its queue is full: its counts then stand still.
+    let mut counters = acquisition.counters();
+    for _ in 0..100 {
+        std::thread::sleep(Duration::from_millis(20));
+        let now = acquisition.counters();
+        if now == counters && acquisition.waiting() == QUEUE {
+            break;
+        }
+        counters = now;
+    }
+    (numbers, raw, counters)
+}
+
+#[test]
+fn dropped_and_repeated_frames_are_counted_exactly() {
+    let skin = broken("{ dropped_share = 0.15, repeated_share = 0.1 }");
+    let mut twin = TwinKit::of(&skin).unwrap().twin;
+    let (mut delivered, mut frame) = (Vec::new(), Vec::new());
+    let (mut lost_before, mut repeated_before) = (Vec::new(), Vec::new());
+    let (mut lost, mut repeated) = (0, 0);
+    for tick in 0..200 {
+        let truth = twin.step(f64::from(tick) / 25.0, &mut frame).unwrap();
+        match truth.fate {
+            FrameFate::Delivered => {
+                delivered.push(truth.sequence);
+                lost_before.push(lost);
+                repeated_before.push(repeated);
+            }
+            FrameFate::Dropped => lost += 1,
+            FrameFate::Duplicated => repeated += 1,
+        }
+    }
+    let count = 100;
+    let (numbers, _, counters) = run(&skin, count);
+    assert_eq!(numbers, delivered[..count]);
+    // The gaps in the numbers are the frames lost.
+    let gaps = numbers.windows(2).map(|pair| pair[1] - pair[0] - 1).sum::<u64>() + numbers[0];
+    assert_eq!(gaps, lost_before[count - 1]);
+    assert!(gaps > 5 && repeated_before[count - 1] > 3, "{gaps} {}", repeated_before[count - 1]);
+    // The source has run ahead by the queue of four and the frame that waits for room, and then stands.
+    assert_eq!((counters.lost, counters.repeated), (lost_before[count + 4], repeated_before[count + 4]));
+    assert_eq!((counters.dropped, counters.bad), (0, 0));
+}
+
+#[test]
+fn an_open_electrode_comes_and_goes_in_its_time() {
+    // 25 frames/s: frames 35 and 36 alone, while nothing touches yet.
+    let skin = broken("{ open_electrodes = [5], from_s = 1.39, until_s = 1.45 }");
+    let sound = broken("");
+    let protocol = skin.protocol().unwrap();
+    let (numbers, raw, _) = run(&skin, 38);
+    let (_, expected, _) = run(&sound, 38);
+    assert_eq!(numbers, (0..38).collect::<Vec<u64>>());
+    for frame in 0..38 {
+        let changed: Vec<usize> = (0..208).filter(|&k| raw[frame][k] != expected[frame][k]).collect();
+        if !(35..=36).contains(&frame) {
+            assert_eq!(changed, [0; 0], "frame {frame}");
+            continue;
+        }
+        let uses = |k: &usize| protocol.stimulation_of(*k).touches(4) || protocol.pattern_of(*k).touches(4);
+        assert!(changed.iter().all(uses), "frame {frame}: {changed:?}");
+        // 16 drives of 13 channels: electrode 5 drives in 2 of them and is read in 2 channels of each of the others but
+        // those that share its partners; all floating channels change, dead ones too unless they read 0 before.
+        let used = (0..208).filter(uses).count();
+        assert!(changed.len() > used * 9 / 10, "frame {frame}: {} of {used}", changed.len());
+    }
+}
+
+#[test]
+fn complex_and_rectified_readings_come_to_the_same_channels() {
+    let skin = |reads: &str, phase_deg: f64| {
+        let text =
+            builtin_text("healing-square").unwrap().replace("[backend]", &format!("[backend]\nreads = \"{reads}\""));
+        Skin::parse(&crate::with_twin(&text, &format!("phase_error_deg = {phase_deg:.1}")), "a test").unwrap()
+    };
+    let (_, signed, _) = run(&skin("signed", 0.0), 33);
+    let (_, complex, _) = run(&skin("complex", 30.0), 33);
+    let (_, magnitude, _) = run(&skin("magnitude", 30.0), 33);
+    let largest = signed[32].iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+    for channel in 0..208 {
+        // In phase with the baseline the complex reading has its whole size; noise is 3e-4 of the largest channel.
+        let size = signed[32][channel].abs();
+        let apart = (complex[32][channel].abs() - size).abs().max((magnitude[32][channel].abs() - size).abs());
+        assert!(apart < 5e-3 * largest, "channel {channel}: {apart} of {largest}");
+    }
+}
