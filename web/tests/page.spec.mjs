@@ -136,7 +136,7 @@ test("an electrode that is lost is named, with since when, and cleared when it i
   const skin = join(folder, "broken.toml");
   const sound = await readFile(new URL("../../skins/healing-square.toml", import.meta.url), "utf8");
   // Long after the baseline; long enough that a slow machine opens the page meanwhile.
-  await writeFile(skin, `${sound}\n[twin]\nfaults = [{ open_electrodes = [5], from_s = 5.0, until_s = 20.0 }]\n`);
+  await writeFile(skin, `${sound}\n[[twin.faults]]\nopen_electrodes = [5]\nfrom_s = 5.0\nuntil_s = 20.0\n`);
   const broken = await startServer(0, [skin]);
   try {
     const { page } = await openPage(browser, broken.address);

@@ -128,7 +128,11 @@ impl DamageStage {
         let lags = self.pending.is_some();
         // Of a free skin nothing is asked: what was gathered waits for the next frame that is not free.
         let is_cut = frame.loaded && self.unexplained.is_cut(frame, &self.intact, &self.cuts, lags, prepared)?;
-        let frame = &DamageFrame { loaded: frame.loaded && !is_cut, ..*frame };
+        // What begins no touch on a healed or renewed skin that reads as the intact one is in the baseline of touches alone.
+        let damages = self.monitor.damages();
+        let is_mended = !damages.is_empty() && !damages.iter().any(Damage::is_open);
+        let is_intact = is_mended && frame.touches.is_empty() && self.intact.is_read(frame.noise);
+        let frame = &DamageFrame { loaded: frame.loaded && !is_cut && !is_intact, ..*frame };
         self.monitor.process(&MonitorFrame {
             time_ns: frame.time_ns,
             image: self.intact.image(),
