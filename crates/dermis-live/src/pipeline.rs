@@ -140,10 +140,8 @@ impl Pipeline {
         }
         let at = (frame.host_monotonic_ns, frame.sequence);
         let seen = self.see(time_ns, at, start)?;
-        if seen.believed {
-            self.watch_damage(time_ns, at, seen.touched)?;
-        }
-        let change = self.baseline.learn(if seen.touched { Load::Touched } else { Load::Free });
+        let is_free = seen.believed && self.watch_damage(time_ns, at, seen.touched)?;
+        let change = self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free });
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
             self.use_baseline(at)?;
             let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
@@ -257,9 +255,9 @@ impl Pipeline {
     }
 
     /// Looks for damage in the frame just seen, and applies what follows: a damage that is believed is taken into the
-    /// baseline of touches.
-    fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), loaded: bool) -> Result<(), Error> {
-        let (Some(damage), State::Running(running)) = (&mut self.damage, &mut self.state) else { return Ok(()) };
+    /// baseline of touches. True where nothing lies on the skin whatever that baseline makes of it.
+    fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), loaded: bool) -> Result<bool, Error> {
+        let (Some(damage), State::Running(running)) = (&mut self.damage, &mut self.state) else { return Ok(false) };
         let Running { reference, reconstructor } = &mut **running;
         let (difference, scale) = (&self.buffers.difference, &reference.scale);
         let (change, image) = damage.compare(&self.baseline, difference, scale);
@@ -278,7 +276,7 @@ impl Pipeline {
             patches: reconstructor.refinement.patches(),
             loaded,
         };
-        let DamageDecision { adopt, hold_drift, follow_rest } = damage.process(&frame, &self.prepared)?;
+        let DamageDecision { adopt, hold_drift, follow_rest, is_free } = damage.process(&frame, &self.prepared)?;
         if let Some(adoption) = &adopt {
             self.baseline.adopt(time_ns, &adoption.readings, adoption.frames, &adoption.reason)?;
         }
@@ -287,7 +285,7 @@ impl Pipeline {
         if adopt.is_some() {
             self.use_baseline(at)?;
         }
-        Ok(())
+        Ok(is_free)
     }
 
     /// Damage, the baselines that were in use, and a new one where that is proposed.

@@ -36,6 +36,8 @@ pub(crate) struct DamageDecision {
     pub hold_drift: bool,
     /// Damage is in the baseline, which has to follow the resting skin as it heals.
     pub follow_rest: bool,
+    /// Nothing lies on the skin: what begins no touch is in the baseline alone.
+    pub is_free: bool,
 }
 
 /// Readings to adopt as a baseline.

@@ -162,7 +162,7 @@ impl DamageStage {
             self.rest.update(frame.time_ns, &self.readings, frame.baseline, &self.monitor, healing);
         }
         let follow_rest = self.pending.is_none() && self.monitor.damages().iter().any(Damage::is_open);
-        Ok(DamageDecision { adopt, hold_drift: self.monitor.is_suspicious(), follow_rest })
+        Ok(DamageDecision { adopt, hold_drift: self.monitor.is_suspicious(), follow_rest, is_free: is_intact })
     }
 
     /// Fits cuts to damage that is new or has grown. Where the baseline of touches has all the others, a new one is what
