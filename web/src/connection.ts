@@ -21,6 +21,8 @@ export interface Listener {
 const SILENCE_MS = 5000;
 /** No update for this long: the pipeline is silent. */
 const STALE_MS = 2000;
+/** The close code of a server that stops. */
+const SERVER_STOPS = 1001;
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
 
 export class Connection {
@@ -29,6 +31,8 @@ export class Connection {
   private nextId = 1;
   private heard = 0;
   private updated = 0;
+  /** What the server said when it stopped. */
+  private farewell = "";
 
   constructor(private readonly listener: Listener) {
     this.open();
@@ -55,7 +59,10 @@ export class Connection {
       this.updated = this.heard;
     };
     socket.onmessage = (event) => this.receive(event.data);
-    socket.onclose = (event) => this.lost(socket, event.reason);
+    socket.onclose = (event) => {
+      if (event.code === SERVER_STOPS) this.farewell = event.reason;
+      this.lost(socket, event.reason);
+    };
     this.socket = socket;
   }
 
@@ -64,7 +71,7 @@ export class Connection {
     this.socket = null;
     const wait = RETRY_MS[Math.min(this.attempts, RETRY_MS.length - 1)];
     this.attempts += 1;
-    this.listener.link("lost", reason || "no connection; trying again");
+    this.listener.link("lost", reason || this.farewell || "no connection; trying again");
     setTimeout(() => this.open(), wait);
   }
 
@@ -98,6 +105,7 @@ export class Connection {
     switch (message.type) {
       case "scene":
         this.attempts = 0;
+        this.farewell = "";
         this.listener.scene(message);
         this.listener.link("live", "live");
         break;

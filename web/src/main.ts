@@ -90,7 +90,7 @@ function begin(next: Scene): void {
   find("amplitude-unit").textContent = next.image_unit;
   for (const id of ["channel-unit", "noise-unit"]) find(id).textContent = next.channel_unit;
   find("range-unit").textContent = [next.image_quantity, next.image_unit && `(${next.image_unit})`].filter(Boolean).join(" ");
-  find("press-controls").hidden = !next.is_twin;
+  for (const id of ["press-controls", "demo-controls"]) find(id).hidden = !next.is_twin;
   slider.disabled = !(next.hyperparameter_range[0] > 0 && next.hyperparameter_range[1] > next.hyperparameter_range[0]);
   view.stage.classList.toggle("twin", next.is_twin);
   showSolid(false);
@@ -219,6 +219,7 @@ function bindControls(): void {
   find("tare-force").addEventListener("click", () => tare(true));
   find("record").addEventListener("click", record);
   find("pause").addEventListener("click", pause);
+  find("demo").addEventListener("click", () => connection.ask({ demonstrate: !state?.state.demonstrates }));
   find("tool").addEventListener("change", (event) => chooseTool((event.target as HTMLSelectElement).value as Tool));
   find("time-lapse").addEventListener("change", (event) => treater.timeLapse(Number((event.target as HTMLSelectElement).value)));
   find("renew").addEventListener("click", () => treater.renew());

@@ -113,7 +113,7 @@ export function showBadges(scene: Scene): void {
   );
 }
 
-export function showPipeline({ source, tare, baseline_age_s, recording, recorded_frames }: Pipeline): void {
+export function showPipeline({ source, tare, baseline_age_s, recording, recorded_frames, demonstrates }: Pipeline): void {
   const age = baseline_age_s === null ? "" : `, ${baseline_age_s < 120 ? `${baseline_age_s.toFixed(0)} s` : `${(baseline_age_s / 60).toFixed(0)} min`} old`;
   const texts = { none: "no baseline", taring: `taring, ${tare.frames_left ?? 0} frames left`, tared: `baseline${age}` };
   write(find("tare-state"), texts[tare.kind]);
@@ -121,6 +121,9 @@ export function showPipeline({ source, tare, baseline_age_s, recording, recorded
   write(find("record-label"), recording === null ? "Record" : "Stop");
   write(find("record-state"), recording === null ? "" : `${recorded_frames} frames to ${recording}`);
   find("record-state").title = recording ?? "";
+  write(find("demo-state"), demonstrates ? "Demonstration: these touches are the twin's own." : "");
+  write(find("demo"), demonstrates ? "Stop demonstration" : "Show demonstration");
+  find("demo").setAttribute("aria-pressed", String(demonstrates));
   document.body.dataset.source = source.kind;
   if (source.kind !== "running" && document.body.dataset.connection === "live") {
     const text = { waiting: "source waiting", lost: "source lost", ended: "recording ended" }[source.kind];

@@ -66,6 +66,8 @@ export interface Pipeline {
   recording: string | null;
   recorded_frames: number;
   hyperparameter: number;
+  /** The twin shows touches by itself while nobody presses. */
+  demonstrates: boolean;
 }
 
 export interface Fault {
@@ -173,6 +175,7 @@ export type Command =
   | { move: Press }
   | { release: { pointer_id: number } }
   | { treat: Treatment }
+  | { demonstrate: boolean }
   | { choose_channels: number[] };
 
 type Binary = { kind: "image"; image: Image } | { kind: "channels"; channels: Channels } | { kind: "noise"; noise: Float32Array } | { kind: "classes"; classes: Classes };

@@ -169,6 +169,17 @@ test("a page whose server comes back goes on by itself", async () => {
   await second.stop();
 });
 
+test("the demonstration is announced, and a button stops and shows it", async () => {
+  const { page } = opened;
+  await page.waitForFunction(() => document.querySelector("#demo-state").textContent.startsWith("Demonstration"));
+  await page.locator("#demo").click();
+  await page.waitForFunction(() => document.querySelector("#demo-state").textContent === "");
+  await waitForRows(page, (now) => now.length === 0, 30_000);
+  await page.locator("#demo").click();
+  await page.waitForFunction(() => document.querySelector("#demo").textContent === "Stop demonstration");
+  await waitForRows(page, (now) => now.length > 0, 30_000);
+});
+
 test("a token lets in who has it, and leaves the address bar", { skip: !isDemo }, async () => {
   const guarded = await startServer(0, ["--token"]);
   const { page } = await openPage(browser, guarded.address);

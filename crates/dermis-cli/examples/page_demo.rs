@@ -61,6 +61,7 @@ impl Demo {
         update.counters = [("frames", false), ("lost frames", true), ("dropped for sinks", true)]
             .map(|(name, is_loss)| Counter { name: name.into(), value: 0, is_loss })
             .into();
+        update.state.demonstrates = true;
         let now = Instant::now();
         Self { hub, update, presses: BTreeMap::new(), touched: Vec::new(), started: now, tared: now }
     }
@@ -107,6 +108,7 @@ impl Demo {
                 self.hub.announce(Level::Info, format!("{} frames recorded", self.update.state.recorded_frames));
             }
             Command::Hyperparameter(value) => self.update.state.hyperparameter = value,
+            Command::Demonstrate(wanted) => self.update.state.demonstrates = wanted,
             Command::ChooseChannels(_) => {}
             other => reply.refuse(format!("the demo does not know {other:?}")),
         }
@@ -129,7 +131,8 @@ impl Demo {
             radius_mm: CIRCLING_RADIUS_MM,
             pressure_kpa: 50.0 + 10.0 * (TAU * time_s / 3.0).sin(),
         };
-        let blobs: Vec<Press> = std::iter::once(circling).chain(self.presses.values().copied()).collect();
+        let circling = update.state.demonstrates.then_some(circling);
+        let blobs: Vec<Press> = circling.into_iter().chain(self.presses.values().copied()).collect();
         paint(&blobs, update.image.rows, &mut update.image.values);
         update.touches = blobs.iter().map(|blob| touch(blob, &self.touched)).collect();
         self.touched = update.touches.iter().map(|touch| touch.id).collect();

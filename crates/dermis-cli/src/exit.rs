@@ -1,7 +1,6 @@
 //! Exit codes and error messages. The mapping from errors to codes is by type, not by text.
 
 use std::io;
-use std::process::ExitCode;
 
 use dermis::device::acquire::AcquisitionCounters;
 use dermis_device::DeviceError;
@@ -9,8 +8,10 @@ use dermis_learn::LearnError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
 
+use crate::terminal::plain;
+
 const FAILED: u8 = 1;
-const BAD_INPUT: u8 = 2;
+pub const BAD_INPUT: u8 = 2;
 const DATA_LOST: u8 = 3;
 
 /// How a command that did not fail ended.
@@ -40,11 +41,11 @@ impl Outcome {
     }
 
     /// The code for the shell.
-    pub fn code(self) -> ExitCode {
+    pub fn code(self) -> u8 {
         match self {
-            Outcome::Done => ExitCode::SUCCESS,
-            Outcome::ProblemsFound => ExitCode::from(FAILED),
-            Outcome::DataLost => ExitCode::from(DATA_LOST),
+            Outcome::Done => 0,
+            Outcome::ProblemsFound => FAILED,
+            Outcome::DataLost => DATA_LOST,
         }
     }
 }
@@ -56,13 +57,76 @@ pub struct UsageError(pub String);
 
 /// Prints `error: ...`, then the causes that the message does not contain already, one a line.
 pub fn report(error: &anyhow::Error) {
-    let mut said = error.to_string();
+    let mut said = plain(&error.to_string());
     eprintln!("error: {said}");
-    for cause in error.chain().skip(1).map(ToString::to_string) {
+    for cause in error.chain().skip(1).map(|cause| plain(&cause.to_string())) {
         if !said.contains(&cause) {
             eprintln!("  caused by: {cause}");
             said = cause;
         }
+    }
+    if let Some(hint) = error.chain().find_map(hint_of) {
+        eprintln!("hint: {hint}");
+    }
+}
+
+/// What to try, for errors that are met first.
+fn hint_of(cause: &(dyn std::error::Error + 'static)) -> Option<&'static str> {
+    if let Some(error) = cause.downcast_ref() {
+        return hint_of_dermis(error);
+    }
+    if let Some(error) = cause.downcast_ref::<dermis::record::Error>() {
+        return match error {
+            dermis::record::Error::Live(error) => hint_of_live(error),
+            dermis::record::Error::Skin(error) => hint_of_skin(error),
+            dermis::record::Error::Device(error) => hint_of_device(error),
+            _ => None,
+        };
+    }
+    let of_live = cause.downcast_ref().and_then(hint_of_live);
+    of_live
+        .or_else(|| cause.downcast_ref().and_then(hint_of_skin))
+        .or_else(|| cause.downcast_ref().and_then(hint_of_device))
+}
+
+fn hint_of_dermis(error: &dermis::Error) -> Option<&'static str> {
+    match error {
+        dermis::Error::Skin(error) => hint_of_skin(error),
+        dermis::Error::Live(error) => hint_of_live(error),
+        dermis::Error::Record(error) => hint_of(error),
+        dermis::Error::Device(error) => hint_of_device(error),
+        _ => None,
+    }
+}
+
+fn hint_of_skin(error: &dermis::skin::Error) -> Option<&'static str> {
+    let is_unknown = matches!(error, dermis::skin::Error::UnknownSkin { .. });
+    is_unknown.then_some("`dermis skins list` lists the built-in skins, `dermis new NAME` begins one of your own")
+}
+
+fn hint_of_live(error: &dermis::live::Error) -> Option<&'static str> {
+    match error {
+        dermis::live::Error::Skin(error) => hint_of_skin(error),
+        dermis::live::Error::Device(error) => hint_of_device(error),
+        dermis::live::Error::Frames { expected, .. } if expected.ends_with("channels") => {
+            Some("`dermis order --baseline FILE` finds out which protocol gives as many numbers, for the skin file")
+        }
+        _ => None,
+    }
+}
+
+fn hint_of_device(error: &DeviceError) -> Option<&'static str> {
+    match error {
+        DeviceError::SourceFailed { .. } => {
+            Some("`dermis doctor SKIN --source SOURCE` says what is wrong, `dermis devices` what is there")
+        }
+        DeviceError::Foreign { found, .. } if found.contains("Parquet") => {
+            Some("`dermis export FILE.mcap --format csv` or npy writes tables that are read here")
+        }
+        DeviceError::Foreign { .. } => {
+            Some("frames are read from CSV, NumPy, recordings (.mcap), Sciospec .eit and others: see --format")
+        }
+        _ => None,
     }
 }
 
@@ -72,8 +136,8 @@ pub fn reader_has_gone(error: &anyhow::Error) -> bool {
 }
 
 /// 2 where the input is to blame, 1 where the machine is.
-pub fn code_of(error: &anyhow::Error) -> ExitCode {
-    ExitCode::from(error.chain().find_map(code_of_cause).unwrap_or(FAILED))
+pub fn code_of(error: &anyhow::Error) -> u8 {
+    error.chain().find_map(code_of_cause).unwrap_or(FAILED)
 }
 
 fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
@@ -194,8 +258,8 @@ mod tests {
         ];
         for (error, expected) in cases {
             let context = format!("{error:?}");
-            assert_eq!(code_of(&error), ExitCode::from(expected), "{context}");
-            assert_eq!(code_of(&error.context("while reading")), ExitCode::from(expected), "{context}");
+            assert_eq!(code_of(&error), expected, "{context}");
+            assert_eq!(code_of(&error.context("while reading")), expected, "{context}");
         }
     }
 

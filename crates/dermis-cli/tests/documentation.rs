@@ -1,6 +1,8 @@
 //! The documentation says what is: its links lead somewhere, its skin file is one, and every key of a skin file is in it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use dermis::skin::{BUILTIN_NAMES, Skin};
 
@@ -15,10 +17,19 @@ fn text(path: &Path) -> String {
 /// Every Markdown file that people read first, and every chapter.
 fn pages() -> Vec<PathBuf> {
     let root = root();
-    let mut pages: Vec<PathBuf> =
-        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "benches/peers/README.md"]
-            .map(|name| root.join(name))
-            .to_vec();
+    let mut pages: Vec<PathBuf> = [
+        "README.md",
+        "ARCHITECTURE.md",
+        "CONTRIBUTING.md",
+        "CODE_OF_CONDUCT.md",
+        "SECURITY.md",
+        "CHANGELOG.md",
+        "benches/peers/README.md",
+        "tests/data/README.md",
+        "tests/data/oracle/README.md",
+    ]
+    .map(|name| root.join(name))
+    .to_vec();
     let chapters = std::fs::read_dir(root.join("docs/src")).expect("the chapters").flatten().map(|entry| entry.path());
     pages.extend(chapters.filter(|path| path.extension().is_some_and(|extension| extension == "md")));
     pages
@@ -69,13 +80,25 @@ fn every_chapter_is_in_the_summary() {
     }
 }
 
+/// TOML blocks of a page that are whole skin files.
+fn skins_of(page: &str) -> Vec<&str> {
+    let blocks = page.split("```toml\n").skip(1).filter_map(|rest| rest.split("\n```").next());
+    blocks.filter(|block| block.starts_with("name = ") && block.contains("[backend]")).collect()
+}
+
 #[test]
-fn the_skin_file_of_the_book_is_one() {
-    let chapter = text(&root().join("docs/src/skin-file.md"));
-    let example = chapter.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("an example");
-    let skin = Skin::parse(example, "docs/src/skin-file.md").expect("the example is a skin file");
-    assert_eq!(skin.body().expect("it can be meshed").mesh.electrodes.len(), 16);
-    assert_eq!(skin.protocol().expect("it has a protocol").channel_count(), 208);
+fn skin_files_of_the_book_are_some() {
+    let mut channels = Vec::new();
+    for page in pages() {
+        let content = text(&page);
+        for example in skins_of(&content) {
+            let skin = Skin::parse(example, &page.display().to_string()).unwrap_or_else(|error| panic!("{error}"));
+            let electrodes = skin.body().expect("it can be meshed").mesh.electrodes.len();
+            channels.push((electrodes, skin.protocol().expect("it has a protocol").channel_count()));
+        }
+    }
+    // The tutorial's, which the sketch for the Arduino sends 40 numbers for, and that of the chapter on skin files.
+    assert!(channels.contains(&(8, 40)) && channels.contains(&(16, 208)), "{channels:?}");
 }
 
 #[test]
@@ -87,4 +110,33 @@ fn every_key_of_a_skin_file_is_in_the_book() {
             assert!(chapter.contains(key), "{key} (as in {name}) is not in docs/src/skin-file.md");
         }
     }
+}
+
+/// What a command says of itself.
+fn help(words: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_dermis")).args(words).arg("--help").output();
+    String::from_utf8_lossy(&output.expect("the command starts").stdout).into_owned()
+}
+
+#[test]
+fn commands_and_flags_of_the_book_are_those_of_the_command() {
+    let mut known: BTreeMap<Vec<String>, String> = BTreeMap::new();
+    let mut seen = 0;
+    for page in pages() {
+        let content = text(&page);
+        let blocks = content.split("```sh\n").skip(1).filter_map(|rest| rest.split("```").next());
+        for line in blocks.flat_map(str::lines).filter_map(|line| line.trim().strip_prefix("dermis ")) {
+            // A comment begins with a number sign after a space; a choice of frames does not.
+            let words: Vec<&str> = line.split(" #").next().unwrap_or(line).split_whitespace().collect();
+            let depth = if matches!(words[0], "skins" | "twin") { 2 } else { 1 };
+            let command: Vec<String> = words.iter().take(depth).map(ToString::to_string).collect();
+            let said = known.entry(command).or_insert_with(|| help(&words[..depth.min(words.len())]));
+            assert!(!said.is_empty(), "{}: there is no such command: dermis {line}", page.display());
+            for flag in words.iter().filter(|word| word.starts_with("--")) {
+                assert!(said.contains(flag), "{}: no {flag} in: dermis {line}", page.display());
+            }
+            seen += 1;
+        }
+    }
+    assert!(seen > 40, "only {seen} commands were found in the book");
 }

@@ -108,8 +108,10 @@ fn killed(directory: &Path, lines: usize) -> u64 {
 
 #[test]
 fn a_run_that_is_killed_loses_at_most_its_last_second() {
-    // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame.
-    for lines in [26, 35, 44, 60] {
+    // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame; `DERMIS_KILLS` adds some.
+    let more: usize = std::env::var("DERMIS_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
+    let anywhere = (0..more).map(|k| 26 + (k * 37) % 60);
+    for lines in [26, 35, 44, 60].into_iter().chain(anywhere) {
         let desk = tempfile::tempdir().expect("a directory");
         let printed = killed(desk.path(), lines);
         let partial = info(desk.path(), "k.partial.mcap");
@@ -118,6 +120,9 @@ fn a_run_that_is_killed_loses_at_most_its_last_second() {
         assert!(said.contains("at most its last second"), "{said}");
         let recovered = info(desk.path(), "k.mcap");
         assert_eq!((&recovered["whole"], &recovered["frames"]), (&true.into(), &partial["frames"]));
+        // None twice: every number from the first to the last is there or in a gap.
+        let count = |key: &str| recovered[key].as_u64().expect("a count");
+        assert_eq!(count("last") - count("first") + 1, count("frames") + count("missing"), "{recovered}");
         // The twin numbers its frames by the clock, 25 a second, whether or not this machine keeps up.
         let saved = recovered["last"].as_u64().expect("frames survive");
         println!("killed after {lines} lines: the last {} ms are missing", 40 * printed.saturating_sub(saved));
@@ -174,6 +179,10 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
     assert!(said.contains("the recording has stopped: a.mcap: "), "{said}");
     let saved = info(desk.path(), "a.partial.mcap")["frames"].as_u64().expect("a count");
     assert!(saved > 100, "what fitted is there: {saved}");
+    let stopped = info(desk.path(), "a.partial.mcap")["stopped"].as_str().map(str::to_owned);
+    assert!(stopped.as_ref().is_some_and(|reason| reason.starts_with("a.mcap: ")), "{stopped:?}");
+    let recovered = done(desk.path(), &["recover", "a.partial.mcap", "--out", "r.mcap"]);
+    assert!(recovered.contains("stopped by itself") && !recovered.contains("killed"), "{recovered}");
     assert!(said.contains(&format!("not_recorded={}", 3000 - saved)), "{saved} saved: {said}");
     assert!(!desk.path().join("a.mcap").exists());
 
@@ -211,4 +220,82 @@ fn what_the_source_lost_is_counted_again_by_the_replay() {
 /// The skin with a twin that loses frames.
 fn lossy(skin: &str) -> String {
     skin.replacen("[twin]\n", "[twin]\nfaults = [{ dropped_share = 0.1 }]\n", 1)
+}
+
+/// Sends a running command the signal that Ctrl-C sends.
+#[cfg(unix)]
+fn interrupt(running: &Running) {
+    let sent = Command::new("kill").args(["-INT", &running.0.id().to_string()]).status();
+    assert!(sent.expect("a kill command").success());
+}
+
+#[cfg(unix)]
+fn recording(directory: &Path, seconds: &str) -> Running {
+    let child = Command::new(env!("CARGO_BIN_EXE_dermis"))
+        .args(["record", "--seconds", seconds, "--out", "a.mcap"])
+        .current_dir(directory)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    Running(child.expect("the command starts"))
+}
+
+#[cfg(unix)]
+fn wait_for(file: &Path) {
+    for _ in 0..3000 {
+        if file.exists() {
+            return;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    panic!("{} never came", file.display());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_appears_meanwhile_is_not_replaced() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let mut running = recording(desk.path(), "3");
+    wait_for(&desk.path().join("a.partial.mcap"));
+    std::fs::write(desk.path().join("a.mcap"), "another program's").expect("a file");
+    let ended = running.0.wait().expect("it ends");
+    assert_eq!(ended.code(), Some(3));
+    let mut said = String::new();
+    std::io::Read::read_to_string(&mut running.0.stderr.take().expect("a pipe"), &mut said).expect("text");
+    assert!(said.contains("not replaced") && said.contains("a.partial.mcap"), "{said}");
+    assert_eq!(std::fs::read(desk.path().join("a.mcap")).expect("a file"), b"another program's");
+    let kept = info(desk.path(), "a.partial.mcap");
+    assert_eq!((&kept["whole"], &kept["stopped"]), (&true.into(), &Value::Null));
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interruption_at_any_moment_leaves_a_whole_recording_or_none() {
+    for milliseconds in [1, 60, 150, 300, 500, 1200] {
+        let desk = tempfile::tempdir().expect("a directory");
+        let mut running = recording(desk.path(), "20");
+        std::thread::sleep(std::time::Duration::from_millis(milliseconds));
+        interrupt(&running);
+        let ended = running.0.wait().expect("it ends");
+        // Before the command has taken signals over, the system ends it; nothing has been written then either.
+        assert!(matches!(ended.code(), Some(0 | 130) | None), "after {milliseconds} ms: {ended:?}");
+        assert!(!desk.path().join("a.partial.mcap").exists(), "after {milliseconds} ms a partial file is left");
+        if desk.path().join("a.mcap").exists() {
+            assert_eq!(info(desk.path(), "a.mcap")["whole"], true);
+        }
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn the_second_interruption_ends_it_with_the_recording_whole() {
+    let desk = tempfile::tempdir().expect("a directory");
+    let mut running = recording(desk.path(), "60");
+    wait_for(&desk.path().join("a.partial.mcap"));
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    interrupt(&running);
+    interrupt(&running);
+    let ended = running.0.wait().expect("it ends");
+    assert!(matches!(ended.code(), Some(0 | 130)), "{ended:?}");
+    assert_eq!(info(desk.path(), "a.mcap")["whole"], true);
 }

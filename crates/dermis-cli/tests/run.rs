@@ -160,11 +160,12 @@ fn every_kind_of_file_is_a_source() {
         assert_eq!(output.status.code(), Some(0), "{source}: {}", message(&output));
         assert_eq!(lines(&output).len(), frames, "{source}");
     }
-    let measured = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/sciospec/run1/setup");
-    if !measured.exists() {
-        println!("skipped: measured data is missing at {}", measured.display());
-        return;
-    }
+}
+
+#[test]
+fn a_folder_of_sciospec_files_is_a_source() {
+    let Some(measured) = dermis_testdata::set("sciospec").map(|folder| folder.join("run1/setup")) else { return };
+    let desk = tempfile::tempdir().expect("a folder");
     let source = format!("file:{}#0..40", measured.display());
     let output = run(desk.path(), &["sciospec-tank", "--source", &source, "--speed", "0", "--headless"]);
     assert_eq!(output.status.code(), Some(0), "{}", message(&output));

@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::DeviceError;
+use crate::place::Place;
 
 /// Writes a file through `fill` so that `path` never holds a part of it.
 ///
-/// The bytes go to a temporary file in the same directory, are synchronised to disk and renamed over `path`. When
-/// `fill` fails, the temporary file is removed and whatever stood at `path` stays. Links are followed; a `path` that
+/// The bytes go to a temporary file in the same directory, are synchronised to disk and renamed to `path`. What stood there
+/// from the beginning is replaced; what appeared or changed there meanwhile is not, and the error names the finished
+/// file. When `fill` fails, the temporary file is removed and whatever stood at `path` stays. Links are followed; a `path` that
 /// exists and is no regular file (a pipe, a terminal) is written directly.
 ///
 /// # Errors
@@ -32,22 +34,24 @@ pub fn write_atomic<T>(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Res
         let mut out = OpenOptions::new().write(true).open(&target).map_err(failed("open"))?;
         return fill(&mut out).map_err(failed("write"));
     }
+    let place = Place::at(&target);
     let (mut temporary, file) = Temporary::create_beside(&target).map_err(failed("create a file beside"))?;
     let mut out = BufWriter::new(file);
     let value = fill(&mut out).map_err(failed("write"))?;
     let file = out.into_inner().map_err(|error| failed("write")(error.into_error()))?;
     file.sync_all().map_err(failed("flush"))?;
     drop(file);
-    fs::rename(&temporary.path, &target).map_err(failed("put the finished file at"))?;
-    temporary.renamed = true;
+    // A finished file is kept even where its name was taken meanwhile.
+    temporary.finished = true;
+    place.put(&temporary.path).map_err(failed("put the finished file at"))?;
     sync_directory(&target);
     Ok(value)
 }
 
-/// A file that disappears unless it was renamed.
+/// A file that disappears unless it was finished.
 struct Temporary {
     path: PathBuf,
-    renamed: bool,
+    finished: bool,
 }
 
 impl Temporary {
@@ -61,7 +65,7 @@ impl Temporary {
             hidden.push(format!(".{}-{count}.part", std::process::id()));
             let path = target.with_file_name(hidden);
             match OpenOptions::new().write(true).create_new(true).open(&path) {
-                Ok(file) => return Ok((Self { path, renamed: false }, file)),
+                Ok(file) => return Ok((Self { path, finished: false }, file)),
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
                 Err(error) => return Err(error),
             }
@@ -71,7 +75,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if !self.renamed {
+        if !self.finished {
             let _ = fs::remove_file(&self.path);
         }
     }
@@ -113,6 +117,20 @@ mod tests {
         let path = directory.path().join("out.csv");
         assert!(write_atomic(&path, |_| Err::<(), _>(io::Error::other("no"))).is_err());
         assert!(names_in(directory.path()).is_empty());
+    }
+
+    #[test]
+    fn what_appears_meanwhile_is_not_replaced() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("out.csv");
+        let error = write_atomic(&path, |out| {
+            fs::write(&path, "another program's")?;
+            out.write_all(b"ours")
+        });
+        let message = error.unwrap_err().to_string();
+        assert!(message.contains("not replaced") && message.contains(".out.csv."), "{message}");
+        assert_eq!(fs::read(&path).unwrap(), b"another program's");
+        assert_eq!(names_in(directory.path()).len(), 2);
     }
 
     #[test]

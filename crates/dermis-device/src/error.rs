@@ -51,6 +51,18 @@ pub enum DeviceError {
         /// Cells in this row.
         found: usize,
     },
+    /// A line has more cells than any frame.
+    #[error("{}:{line}: expected at most {limit} values in a line, found {found}", file.display())]
+    Wide {
+        /// File concerned.
+        file: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// Most cells.
+        limit: usize,
+        /// Cells in this line.
+        found: usize,
+    },
     /// A cell is no number, or is infinite.
     #[error("{}:{line}: column {column}: expected {expected}, found '{found}'", file.display())]
     Cell {

@@ -6,6 +6,34 @@
 //!
 //! Live instruments are behind a [`stream::StreamSource`], opened by [`open_stream`].
 //!
+//! ```
+//! use dermis_device::{Format, Frame, Pacing, Playback, Repeat, Source, SourceEvent, SourceSelector, decode};
+//! use std::time::Duration;
+//!
+//! // Three frames of two channels, as any spreadsheet writes them.
+//! let text = b"time_s,left,right\n0.00,1.0,2.0\n0.02,1.1,2.0\n0.04,,2.1\n";
+//! let table = decode(Format::Csv, text, "frames.csv".as_ref())?;
+//! assert_eq!((table.frames(), table.channels()), (3, 2));
+//! assert!(table.row(2).is_some_and(|row| row[0].is_nan()), "an empty cell is a missing reading");
+//!
+//! // The same as a source, as an instrument would be.
+//! let (mut source, mut frame) = (Playback::new(table, Pacing::Immediate, Repeat::Once)?, Frame::default());
+//! assert_eq!(source.next_frame(&mut frame, Duration::ZERO)?, SourceEvent::Frame);
+//! assert_eq!(frame.values, [1.0, 2.0]);
+//!
+//! // How users name one.
+//! assert!("serial:/dev/ttyACM0@115200#lines".parse::<SourceSelector>().is_ok());
+//! # Ok::<(), dermis_device::DeviceError>(())
+//! ```
+//!
+//! | | |
+//! |---|---|
+//! | [`Source`], [`Frame`], [`acquire`] | frames one after the other; a thread that reads them into a queue |
+//! | [`FrameTable`], [`read`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
+//! | [`instruments`] | formats of files and streams, one module each |
+//! | [`SourceSelector`], [`open_stream`], [`open_wire`], [`stream`] | live instruments by name, ports, sockets |
+//! | [`Playback`], [`write_atomic`] | tables played as sources; files that are whole or not there |
+//!
 //! Decoders take bytes and return values, so they can be tested without a file system; [`read`] is the one place where
 //! bytes come from disk, and [`stream`] the one where they come from ports and sockets.
 
@@ -15,6 +43,7 @@ mod error;
 mod frame;
 pub mod instruments;
 mod open;
+mod place;
 mod playback;
 mod select;
 mod selector;
@@ -28,6 +57,7 @@ pub use error::DeviceError;
 pub use frame::{Frame, HostStamp};
 pub use instruments::{Format, decode, read};
 pub use open::{open_stream, open_wire};
+pub use place::{Place, partial_name, rename_new};
 pub use playback::{Pacing, Playback, Repeat};
 pub use select::{FileSpec, FrameItem, FrameSelect};
 pub use selector::{Instrument, SerialName, SourceSelector};

@@ -1,16 +1,12 @@
-//! Recordings of real instruments, where they are at hand beside the repository.
+//! Recordings of real instruments; without them each test counts as skipped.
 
 use std::path::PathBuf;
 
 use dermis_device::{FileSpec, Format, FrameTable, Layout, read};
 
-fn measured(path: &str) -> Option<PathBuf> {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(path);
-    if data.exists() {
-        return Some(data);
-    }
-    println!("skipped: measured data is missing at {}", data.display());
-    None
+/// A file or folder of a set of measured data.
+fn measured(set: &str, path: &str) -> Option<PathBuf> {
+    Some(dermis_testdata::set(set)?.join(path))
 }
 
 fn table(path: PathBuf, select: &str) -> FrameTable {
@@ -28,7 +24,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
 
 #[test]
 fn sciospec_directory() {
-    let Some(path) = measured("sciospec/run1") else { return };
+    let Some(path) = measured("sciospec", "run1") else { return };
     let run = table(path, "");
     let adjacent = (0..16).map(|k| (k, (k + 1) % 16)).collect();
     assert_eq!(run.layout(), &Layout::SingleEnded { electrodes: 16, stimulations: adjacent });
@@ -48,13 +44,13 @@ fn sciospec_directory() {
 
 #[test]
 fn sciospec_choice_of_frames() {
-    let Some(path) = measured("sciospec/run1/setup") else { return };
+    let Some(path) = measured("sciospec", "run1/setup") else { return };
     assert_eq!(table(path, "0..60").frames(), 60);
 }
 
 #[test]
 fn ktc_columns() {
-    let Some(path) = measured("ktc/voltages.csv") else { return };
+    let Some(path) = measured("ktc", "voltages.csv") else { return };
     let frames = table(path.clone(), "");
     assert_eq!((frames.frames(), frames.channels()), (5, 2356));
     assert_eq!(frames.names().unwrap(), ["ref", "train1", "train2", "train3", "train4"]);
@@ -69,7 +65,7 @@ fn ktc_columns() {
 
 #[test]
 fn golfball_matrices() {
-    let Some(path) = measured("golfball/phantom_A.csv") else { return };
+    let Some(path) = measured("golfball", "phantom_A.csv") else { return };
     let frames = table(path, "");
     assert_eq!(frames.layout(), &Layout::FullMatrix { electrodes: 16 });
     assert_eq!(frames.names().unwrap()[0], "ref");
@@ -83,7 +79,7 @@ fn golfball_matrices() {
 
 #[test]
 fn pyeidors_pairs() {
-    let Some(directory) = measured("pyeidors-tank/electrode01_metal") else { return };
+    let Some(directory) = measured("pyeidors-tank", "electrode01_metal") else { return };
     for entry in std::fs::read_dir(directory).unwrap() {
         let frames = table(entry.unwrap().path(), "");
         assert_eq!((frames.frames(), frames.channels()), (2, 208));
@@ -95,7 +91,7 @@ fn pyeidors_pairs() {
 
 #[test]
 fn hydrogel_rows() {
-    let Some(path) = measured("hydrogel/ohmc16_before.csv") else { return };
+    let Some(path) = measured("hydrogel", "ohmc16_before.csv") else { return };
     let content = std::fs::read(&path).unwrap();
     assert_eq!(Format::detect(&path, &content).unwrap(), Format::Csv);
     let before = table(path.clone(), "");

@@ -8,10 +8,12 @@
 //! Statistical Signal Processing, 1993, eq. 3.31). The smallest amplitude is 3.3 deviations of the matched filter's,
 //! `3.3 / sqrt(s' C^-1 s)`.
 
+mod compare;
 mod force;
 mod search;
 mod spread;
 
+pub use compare::{SharedInstrument, verdict};
 pub use force::{ForceMap, smallest_force};
 pub use search::{Candidate, Freedom, Search, improve};
 pub use spread::spread_width;

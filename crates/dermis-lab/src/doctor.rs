@@ -1,15 +1,16 @@
-//! The examination behind `dermis doctor`: frames of an untouched skin are looked at one question after the other, and each
-//! answer says in plain words what was found and what to do.
+//! The examination behind `dermis doctor`: frames of an untouched skin are looked at one question after the other, and
+//! each answer says in plain words what was found and what to do.
 
 mod wiring;
 
 use std::time::{Duration, Instant};
 
-use dermis_device::{Frame, Layout, Source, SourceEvent};
+use dermis_device::{Frame, FrameTable, Layout, Source, SourceEvent};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use serde::Serialize;
 
 use crate::Error;
+use crate::channel_search::find_order;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{Modality, Skin};
@@ -86,8 +87,8 @@ struct Seen {
 }
 
 /// Examines the frames of a source, at most `most` of them, waiting at most `patience` for each: what was found, in the
-/// order in which it is worth looking at. The skin must not be touched. `contacts_ohm` is what the instrument has measured
-/// of its electrodes' contacts, where it can.
+/// order in which it is worth looking at. The skin must not be touched. `contacts_ohm` is what the instrument has
+/// measured of its electrodes' contacts, where it can.
 ///
 /// # Errors
 /// A skin that cannot be prepared. What is wrong with the source is an answer.
@@ -303,6 +304,20 @@ impl Seen {
         Check::good("reciprocity", found)
     }
 
+    /// The lines of a skin file that say which order the readings are in, where that is clear. Frames that hold more
+    /// than the skin's channels were put in order already.
+    fn order_lines(&self) -> Option<String> {
+        let Layout::Channels { count } = self.layout else { return None };
+        let (rest, _) = self.pipeline.baseline();
+        if count != rest.len() {
+            return None;
+        }
+        let table = FrameTable::new(self.layout.clone(), rest.to_vec(), "baseline").ok()?;
+        let found = find_order(&table, Some(&self.pipeline.prepared().skin)).ok()?;
+        let best = found.candidates.first().filter(|_| found.is_clear)?;
+        Some(best.lines().trim_end().replace('\n', "; "))
+    }
+
     fn order(&self) -> Check {
         let Some(reference) = self.pipeline.reference() else {
             return Check::skipped("channel order", "no baseline");
@@ -311,11 +326,11 @@ impl Seen {
         let stated = format!("the baseline correlates {:.3} with the model", order.correlation);
         if let Some(better) = &order.better {
             let found = format!("{stated}, but {:.3} with: {}", better.correlation, better.description);
-            return Check::bad(
-                "channel order",
-                found,
-                "change the order, start or sign in the skin file or the instrument",
+            let advice = self.order_lines().map_or_else(
+                || "change the order, start or sign in the skin file or the instrument".to_string(),
+                |lines| format!("write this into [backend] of the skin file: {lines}"),
             );
+            return Check::bad("channel order", found, advice);
         }
         if let Some(swap) = self.swapped(order.correlation) {
             let [a, b] = swap.electrodes.map(|e| e + 1);

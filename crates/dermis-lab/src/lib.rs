@@ -1,7 +1,32 @@
-//! What happens at a desk, not on a robot: twins as instruments, design, examination, offline images, calibration, training
-//! sets and the published experiments.
+//! What happens at a desk, not on a robot: twins as instruments, design, examination, offline images, calibration,
+//! training sets and the published experiments.
+//!
+//! ```
+//! use dermis_lab::design::{Maps, Noise, Summary};
+//! use dermis_live::prepare::Prepared;
+//! use dermis_skin::{Layer, SheetLayer, Skin};
+//!
+//! // How well could a gel of 100 x 100 mm place a touch that changes its conductivity by a tenth, before it is built?
+//! let gel = Layer::Sheet(SheetLayer::gel(5.0, 0.2));
+//! let mut skin = Skin::rectangle("pad", 100.0, 100.0, gel);
+//! skin.imaging.elements = 800;
+//! let maps = Maps::new(&Prepared::new(skin)?, Noise::Assumed, 0.1, 8)?;
+//! let bound = Summary::of(&maps.position_m);
+//! assert!(bound.best < bound.median && bound.median < 0.05, "{bound:?}");
+//! # Ok::<(), dermis_lab::Error>(())
+//! ```
+//!
+//! | module | |
+//! |---|---|
+//! | [`twin_source`], [`twin_sample`], [`serve`](mod@serve) | twins as sources, as labelled data, behind a socket |
+//! | [`design`], [`tolerances`](mod@tolerances) | what a skin can do before it is built; what a workshop's errors cost |
+//! | [`doctor`], [`channel_search`], [`measured_list`] | what is wrong with an instrument; the order of its readings; what it is told |
+//! | [`reconstruct`](mod@reconstruct), [`forces`], [`learning`] | files to images and touches; force calibrations; training sets, labels |
+//! | [`case`], [`solve`] | single forward problems |
+//! | [`experiments`], [`report`], [`twin_bench`] | published experiments again |
 
 pub mod case;
+pub mod channel_search;
 pub mod design;
 pub mod doctor;
 mod error;
@@ -15,6 +40,7 @@ pub mod serve;
 pub mod solve;
 pub mod tolerances;
 pub mod twin_bench;
+pub mod twin_commands;
 pub mod twin_sample;
 pub mod twin_source;
 

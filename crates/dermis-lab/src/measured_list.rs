@@ -1,15 +1,31 @@
-//! A skin's protocol as instruments are told it over the wire: for each channel four electrodes, those of the current and
-//! those of the voltage.
+//! A skin's protocol as instruments are told it over the wire: for each channel four electrodes, those of the current
+//! and those of the voltage.
 
+use dermis_device::instruments::wire::Order;
+use dermis_skin::Skin;
 use dermis_tomo::eit::{Pattern, Protocol};
 use dermis_wire::NO_ELECTRODE;
 
-/// The channels of a protocol in order, each as the electrode where the current enters, where it leaves, where the voltage is
-/// taken, against which; [`NO_ELECTRODE`] where there is none. A channel that reads an electrode against itself reads the sink
-/// against itself.
+use crate::Error;
+
+/// What makes an instrument on the wire measure as a skin file says, as far as it can be told: protocol, current,
+/// frequency.
 ///
-/// `None` for protocols that four electrodes do not describe: currents or voltages of more than two electrodes, weights that
-/// are not opposite, electrodes beyond 254.
+/// # Errors
+/// A skin whose protocol does not work out.
+pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
+    let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
+    let amplitude = Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32);
+    let frequency = skin.backend.frequency_khz.map(|khz| Order::FrequencyHz((khz * 1e3) as f32));
+    Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())
+}
+
+/// The channels of a protocol in order, each as the electrode where the current enters, where it leaves, where the
+/// voltage is taken, against which; [`NO_ELECTRODE`] where there is none. A channel that reads an electrode against
+/// itself reads the sink against itself.
+///
+/// `None` for protocols that four electrodes do not describe: currents or voltages of more than two electrodes, weights
+/// that are not opposite, electrodes beyond 254.
 pub fn measured_list(protocol: &Protocol) -> Option<Vec<[u8; 4]>> {
     let quadruple = |channel: usize| {
         let [source, sink] = ends(protocol.stimulation_of(channel))?;
@@ -36,7 +52,7 @@ fn ends(pattern: &Pattern) -> Option<[u8; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_skin::{BUILTIN_NAMES, Skin};
+    use dermis_skin::BUILTIN_NAMES;
 
     #[test]
     fn four_electrodes_describe_the_channels_of_the_built_in_skins() {

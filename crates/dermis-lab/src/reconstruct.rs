@@ -9,16 +9,16 @@ use dermis_touch::health::Health;
 use dermis_touch::{Observation, Touch};
 
 use crate::Error;
-use dermis_live::calibration::{CalibratedImager, Calibration};
+use dermis_live::calibration::{CalibratedImager, Calibration, CircuitFit, find_circuit, relative_changes};
 use dermis_live::channels::ChannelReader;
 use dermis_live::forces::load_forces;
 use dermis_live::output::Output;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
-use dermis_live::reference::Reference;
+use dermis_live::reference::{NoiseSource, Reference};
 use dermis_live::stages::refinement::Refinement;
 use dermis_record::sink::{ImageStack, Sink, TouchTable};
-use dermis_skin::{HyperparameterChoice, Skin};
+use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 
 /// What to reconstruct and where to put it.
 #[derive(Clone, Debug)]
@@ -26,8 +26,8 @@ pub struct Request {
     /// The skin.
     pub skin: Skin,
     /// Baseline frames: one or more, or as many as there are frames (then each frame has its own, and frames have nothing
-    /// to do with each other).
-    pub baseline: FileSpec,
+    /// to do with each other). `None`: the frames are differences from the untouched skin already.
+    pub baseline: Option<FileSpec>,
     /// The frames.
     pub frames: FileSpec,
     /// Format of both files; detected where `None`.
@@ -56,10 +56,12 @@ pub struct Report {
     pub hyperparameter: f64,
     /// Frames in which channels were missing.
     pub frames_with_missing: usize,
-    /// True where the channel noise was measured from the baseline, false where it was assumed.
-    pub noise_measured: bool,
+    /// Where the channel noise comes from.
+    pub noise_source: NoiseSource,
     /// Does the baseline look like the skin's model?
     pub order: OrderReport,
+    /// The circuit found, where the skin file asks for that (`backend.circuit = "learn"`).
+    pub circuit: Option<CircuitFit>,
 }
 
 /// Rate at which frames without times are taken to come, where the skin file gives none.
@@ -78,27 +80,48 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     }
     // Offline every frame counts at once: a touch need not be seen twice before it is reported.
     skin.touch.least_frames = 1;
-    let baseline_table = dermis_device::read(&request.baseline, request.format)?;
-    let frame_table = dermis_device::read(&request.frames, request.format)?;
+    skin.backend.differences |= request.baseline.is_none();
+    let read = |file| dermis_record::read_frames(file, request.format);
+    let baseline_table = request.baseline.as_ref().map(read).transpose()?;
+    let frame_table = dermis_record::read_frames(&request.frames, request.format)?;
     let calibration = request.calibration.as_deref().map(Calibration::load).transpose()?;
     let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
-    let prepared = Prepared::new(skin)?;
+    let mut prepared = Prepared::new(skin)?;
     let reads = prepared.skin.backend.reads;
     let reader = |table: &dermis_device::FrameTable| {
         ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
     };
-    let mut baseline_reader = reader(&baseline_table)?;
-    let baselines = baseline_reader.read_table(&baseline_table)?;
     let mut frame_reader = reader(&frame_table)?;
-    frame_reader.share_phase_of(&baseline_reader);
+    let mut baselines = Vec::new();
+    if let Some(table) = &baseline_table {
+        let mut baseline_reader = reader(table)?;
+        baselines = baseline_reader.read_table(table)?;
+        frame_reader.share_phase_of(&baseline_reader);
+    }
     let frames = frame_reader.read_table(&frame_table)?;
     let paired = frames.len() > 1 && baselines.len() == frames.len();
-    let reference = Reference::of(&prepared, &baselines)?;
+    let circuit = match (prepared.skin.backend.circuit, &baseline_table) {
+        (Some(CircuitChoice::ToLearn(_)), Some(_)) if calibration.is_none() => {
+            let fit = find_circuit(&prepared, &relative_changes(&prepared, &baselines, &frames)?, |_| {})?;
+            let mut skin = prepared.skin.clone();
+            skin.backend.circuit = fit.circuit.map(CircuitChoice::Known);
+            prepared = Prepared::new(skin)?;
+            Some(fit)
+        }
+        _ => None,
+    };
+    let mut reference = match &baseline_table {
+        Some(_) => Reference::of(&prepared, &baselines)?,
+        None => Reference::of_differences(&prepared, &frames)?,
+    };
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences_to = |reference: &Reference| -> Vec<Vec<f64>> {
         frames.iter().enumerate().map(|(index, frame)| reference.difference(frame, own(index))).collect()
     };
     let data = differences_to(&reference);
+    if !paired {
+        reference.estimate_noise(&data);
+    }
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(&prepared, calibration.as_ref(), reference, &data)?;
     // A calibration may have scaled the channels anew.
@@ -121,9 +144,10 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
     reconstructor.touches.set_forces(forces.clone());
     let grid = prepared.map.grid();
+    let load = calibration.as_ref().and_then(Calibration::load_quantity);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
-        sinks.push(Box::new(TouchTable::create(path, forces.is_some())?));
+        sinks.push(Box::new(TouchTable::create_with_load(path, forces.is_some(), load)?));
     }
     if let Some(path) = &request.images {
         sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
@@ -184,7 +208,8 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         touch_rows,
         hyperparameter,
         frames_with_missing: differences.iter().filter(|d| d.iter().any(|v| !v.is_finite())).count(),
-        noise_measured: reference.noise_measured,
+        noise_source: reference.noise_source,
         order: reference.order,
+        circuit,
     })
 }

@@ -1,6 +1,6 @@
 //! A twin behind the real wire: on a socket or a pseudo-terminal it answers and streams as an instrument with firmware does, so
-//! that everything between port and picture is tried without hardware. One host at a time; frames that a slow host does not
-//! take are skipped and show in the sequence numbers.
+//! that everything between port and picture is tried without hardware. Up to eight hosts at a time, one that says nothing is
+//! sent away; frames that a slow host does not take are skipped and show in its sequence numbers.
 
 mod background;
 mod commands;
@@ -71,6 +71,14 @@ pub fn device_info(skin: &Skin) -> Result<DeviceInfo, Error> {
     })
 }
 
+/// A host and the instrument that it talks to: each has its own link, all have the same frames.
+struct Guest {
+    host: Host,
+    device: WireDevice,
+    /// Frames were skipped since the last one sent.
+    overrun: bool,
+}
+
 /// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a host
 /// first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it goes on,
 /// host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument, to an impedance
@@ -86,32 +94,31 @@ pub fn serve(
     stop: &AtomicBool,
 ) -> Result<Served, Error> {
     let failed = |source| Error::Io { file: "port of the served twin".into(), source };
-    let mut device = WireDevice::new(info);
     let mut faults: Option<Vec<Fault>> = None;
-    let mut host: Option<Host> = None;
+    let mut measured = (Vec::new(), Vec::new());
+    let mut guests: Vec<Guest> = Vec::new();
     let mut frame = Frame::default();
     let mut served = Served::default();
     let mut measuring = most.is_some();
-    let mut overrun = false;
     while !stop.load(Ordering::Relaxed) && most.is_none_or(|most| served.frames < most) {
         if faults.as_deref() != Some(twin.acting_faults()) {
             let acting = twin.acting_faults().to_vec();
-            device.set_measured(&[acting.len() as f32], &twin.contacts_ohm());
+            measured = (vec![acting.len() as f32], twin.contacts_ohm());
+            guests.iter_mut().for_each(|guest| guest.device.set_measured(&measured.0, &measured.1));
             faults = Some(acting);
         }
-        if let Some(new) = door.knock(host.is_some()).map_err(failed)? {
-            device.reset_link();
-            twin.calm()?;
+        if let Some(host) = door.knock(guests.len()).map_err(failed)? {
+            let mut device = WireDevice::new(info.clone());
+            device.set_measured(&measured.0, &measured.1);
+            // Whoever is here sees the demonstration go on; the first wants a skin at rest.
+            if guests.is_empty() {
+                twin.calm()?;
+            }
             served.hosts += 1;
-            host = Some(new);
+            guests.push(Guest { host, device, overrun: false });
         }
-        if let Some(talking) = &mut host
-            && !talking.serve(door, &mut device)
-        {
-            host = None;
-            device.reset_link();
-        }
-        measuring |= device.wants_frames();
+        guests.retain_mut(|Guest { host, device, .. }| host.serve(door, device) && !host.is_mute(device));
+        measuring |= guests.iter().any(|guest| guest.device.wants_frames());
         if !measuring {
             std::thread::sleep(NAP);
             continue;
@@ -121,14 +128,15 @@ pub fn serve(
             SourceEvent::End => break,
             SourceEvent::Frame => {
                 served.frames += 1;
-                let Some(host) = &mut host else { continue };
-                if host.waiting() > MOST_WAITING {
-                    served.skipped += 1;
-                    overrun = true;
-                    continue;
+                for Guest { host, device, overrun } in &mut guests {
+                    if host.waiting() > MOST_WAITING {
+                        served.skipped += 1;
+                        *overrun = true;
+                        continue;
+                    }
+                    let status = if std::mem::take(overrun) { Status::OVERRUN } else { Status::default() };
+                    host.send(door, |waiting| device.frame(&frame, status, waiting));
                 }
-                let status = if std::mem::take(&mut overrun) { Status::OVERRUN } else { Status::default() };
-                host.send(door, |waiting| device.frame(&frame, status, waiting));
             }
         }
     }

@@ -9,6 +9,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use dermis_device::instruments::{csv, npy};
+use dermis_device::{FrameTable, Layout};
 use dermis_skin::Skin;
 use dermis_tomo::mesh::Outline;
 use dermis_twin::instrument::Instrument;
@@ -167,24 +168,70 @@ pub fn random_presses(outline: &Outline, usual: &PressRange, count: usize, seed:
 ///
 /// # Errors
 /// A twin that cannot be made, presses off the skin (with their number), files that cannot be written.
-pub fn sample(request: &SampleRequest, mut progress: impl FnMut(usize, usize)) -> Result<Sampled, Error> {
-    let mut skin = request.skin.clone();
-    skin.twin.seed = request.seed.or(skin.twin.seed);
+pub fn sample(request: &SampleRequest, progress: impl FnMut(usize, usize)) -> Result<Sampled, Error> {
+    let formats = [&request.baseline, &request.frames].map(|path| Format::of(path));
+    let [baseline_format, frames_format] = [formats[0].clone()?, formats[1].clone()?];
+    let Pressed { baseline, rows, reader, outside_validity } =
+        press(&request.skin, &request.presses, request.repeats, request.seed, progress)?;
+    let channels = reader.channels;
+    baseline_format.write(&request.baseline, channels, &baseline, reader.complex)?;
+    frames_format.write(&request.frames, channels, &rows, reader.complex)?;
+    if let Some(path) = &request.truth {
+        write_truth(path, &request.presses, request.repeats)?;
+    }
+    let frames = request.presses.len() * request.repeats;
+    Ok(Sampled { frames, presses: request.presses.len(), channels, outside_validity })
+}
+
+/// The same in memory: frames of the untouched skin, and one frame of each press.
+///
+/// # Errors
+/// A twin that cannot be made, presses off the skin (with their number).
+pub fn sample_tables(
+    skin: &Skin,
+    presses: &[Vec<Indenter>],
+    seed: Option<u64>,
+    progress: impl FnMut(usize, usize),
+) -> Result<[FrameTable; 2], Error> {
+    let Pressed { baseline, rows, reader, .. } = press(skin, presses, 1, seed, progress)?;
+    let table = |rows: Rows, name: &str| -> Result<FrameTable, Error> {
+        let name = format!("twin:{}, {name}", skin.name);
+        let table = FrameTable::new(Layout::Channels { count: reader.channels }, rows.values, name)?;
+        Ok(if reader.complex { table.with_imaginary(rows.imaginary)? } else { table })
+    };
+    Ok([table(baseline, "untouched")?, table(rows, "pressed")?])
+}
+
+/// Frames of a twin.
+struct Pressed {
+    baseline: Rows,
+    rows: Rows,
+    reader: Reader,
+    outside_validity: usize,
+}
+
+fn press(
+    skin: &Skin,
+    presses: &[Vec<Indenter>],
+    repeats: usize,
+    seed: Option<u64>,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Pressed, Error> {
+    let mut skin = skin.clone();
+    skin.twin.seed = seed.or(skin.twin.seed);
     let channels = skin.protocol()?.channel_count();
-    let frames = request.presses.len().saturating_mul(request.repeats);
+    let frames = presses.len().saturating_mul(repeats);
     let refuse = |what: &str, expected: String, got: String| Err(Error::Frames { what: what.into(), expected, got });
-    if request.repeats == 0 || frames == 0 || frames > MOST_FRAMES {
+    if repeats == 0 || frames == 0 || frames > MOST_FRAMES {
         return refuse("frames to make", format!("1 to {MOST_FRAMES}"), frames.to_string());
     }
     if frames.saturating_mul(channels) > MOST_READINGS {
         let got = format!("{frames} frames of {channels} channels");
         return refuse("readings to make", format!("at most {MOST_READINGS}; fewer presses or repeats"), got);
     }
-    let formats = [&request.baseline, &request.frames].map(|path| Format::of(path));
-    let [baseline_format, frames_format] = [formats[0].clone()?, formats[1].clone()?];
     let rate_hz = skin.backend.frame_rate_hz();
     let (mut frontend, mut instrument, _) = TwinKit::of(&skin)?.twin.into_parts();
-    for (k, group) in request.presses.iter().enumerate() {
+    for (k, group) in presses.iter().enumerate() {
         for indenter in group {
             let refused = |error: dermis_twin::TwinError| Error::Frames {
                 what: format!("press {}", k + 1),
@@ -202,21 +249,16 @@ pub fn sample(request: &SampleRequest, mut progress: impl FnMut(usize, usize)) -
     }
     let mut rows = Rows::default();
     let mut outside_validity = 0;
-    for (k, group) in request.presses.iter().enumerate() {
+    for (k, group) in presses.iter().enumerate() {
         reader.hold(&mut *frontend, &[], REST_S)?;
         reader.hold(&mut *frontend, group, HELD_S)?;
         outside_validity += usize::from(frontend.outside_validity().is_some());
-        for _ in 0..request.repeats {
+        for _ in 0..repeats {
             reader.read(&mut instrument, &mut rows);
         }
-        progress(k + 1, request.presses.len());
+        progress(k + 1, presses.len());
     }
-    baseline_format.write(&request.baseline, channels, &baseline, reader.complex)?;
-    frames_format.write(&request.frames, channels, &rows, reader.complex)?;
-    if let Some(path) = &request.truth {
-        write_truth(path, &request.presses, request.repeats)?;
-    }
-    Ok(Sampled { frames, presses: request.presses.len(), channels, outside_validity })
+    Ok(Pressed { baseline, rows, reader, outside_validity })
 }
 
 /// Frames one after the other, and their imaginary parts where there are any.

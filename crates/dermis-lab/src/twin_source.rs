@@ -1,44 +1,23 @@
 //! A digital twin behind the same interface as hardware: frames at the instrument's rate, and people may press on it.
 
+use std::any::Any;
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, Sender, TryRecvError};
 use dermis_device::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
 use dermis_twin::instrument::{Fault, FrameFate, TimedFault};
 use dermis_twin::scene::Script;
-use dermis_twin::{Frontend, Treatment, TwinError};
+use dermis_twin::{Frontend, Preparation, Treatment, TwinError};
 
 use crate::Error;
+use crate::twin_commands::CommandQueue;
 use dermis_skin::Skin;
 use dermis_twin::{AnyTwin, PressRange, TwinKit};
 
-/// What can be done to a running twin.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TwinCommand {
-    /// Press, or go on pressing elsewhere or otherwise.
-    Press {
-        /// Who presses.
-        pointer: u64,
-        /// Where, metres.
-        position_m: [f64; 2],
-        /// Radius of the indenter, metres.
-        radius_m: f64,
-        /// Pressure under it, pascal.
-        pressure_pa: f64,
-    },
-    /// Stop pressing.
-    Release {
-        /// Who stops.
-        pointer: u64,
-    },
-    /// Something of the instrument breaks, with all that is broken already.
-    Break(Fault),
-    /// Cut, heat or renew a self-healing sheet.
-    Treat(Treatment),
-    /// Nothing is broken any more, whatever the skin file says.
-    Repair,
-}
+pub use crate::twin_commands::{TwinCommand, TwinCommands};
 
 /// A twin as a [`Source`].
 #[derive(Debug)]
@@ -48,6 +27,8 @@ pub struct TwinSource {
     twin: AnyTwin,
     press: PressRange,
     demo: Option<Script>,
+    /// The demonstration is wanted.
+    wants_demo: bool,
     /// The demonstration is what touches the twin.
     demonstrates: bool,
     /// Until this frame nothing is demonstrated.
@@ -56,10 +37,14 @@ pub struct TwinSource {
     faults: Vec<TimedFault>,
     /// Contact impedances with all electrodes in contact.
     contacts_ohm: Vec<f64>,
-    commands: Receiver<TwinCommand>,
+    commands: CommandQueue,
+    /// Treatments that are being prepared beside the frames.
+    preparing: Option<Preparing>,
     notices: (Sender<String>, Receiver<String>),
     /// Pointers whose last press was refused.
     refused: BTreeSet<u64>,
+    /// Pointers that press.
+    pressing: BTreeSet<u64>,
     /// That the model left its validity has been said.
     warned: bool,
     period: Duration,
@@ -76,8 +61,9 @@ pub struct TwinSource {
     values: Vec<f64>,
 }
 
-/// Commands that may wait for the next frame.
-const QUEUE: usize = 256;
+/// Most that may press at once, and most that may be broken at once.
+const MOST_POINTERS: usize = 32;
+const MOST_FAULTS: usize = 256;
 /// Notices that may wait for a reader.
 const NOTICES: usize = 64;
 /// Hosts make their operators while frames come already.
@@ -91,9 +77,10 @@ impl TwinSource {
     ///
     /// # Errors
     /// A skin without twin, or one that cannot be made.
-    pub fn new(skin: &Skin) -> Result<(Self, Sender<TwinCommand>), Error> {
+    pub fn new(skin: &Skin) -> Result<(Self, TwinCommands), Error> {
         let TwinKit { twin, press, demo } = TwinKit::of(skin)?;
-        let (sender, commands) = crossbeam_channel::bounded(QUEUE);
+        let commands = CommandQueue::default();
+        let sender = commands.sender();
         let rate = skin.backend.frames_per_s.unwrap_or(50.0);
         let source = Self {
             name: format!("twin:{}", skin.name),
@@ -101,13 +88,16 @@ impl TwinSource {
             twin,
             press,
             demo: Some(demo),
+            wants_demo: true,
             demonstrates: false,
             calm_until: REST_FRAMES,
             faults: dermis_twin::from_skin::timed_faults(&skin.twin),
             contacts_ohm: skin.contact_impedances_ohm(),
             commands,
+            preparing: None,
             notices: crossbeam_channel::bounded(NOTICES),
             refused: BTreeSet::new(),
+            pressing: BTreeSet::new(),
             warned: false,
             period: Duration::from_secs_f64(1.0 / rate),
             started: None,
@@ -190,31 +180,31 @@ impl TwinSource {
 
     fn obey(&mut self) -> Result<(), TwinError> {
         if self.ticks >= self.calm_until
+            && self.wants_demo
             && !self.demonstrates
             && let Some(demo) = &self.demo
         {
             self.twin.scene_mut().set_script(Some(demo.clone()))?;
             self.demonstrates = true;
         }
-        while let Ok(command) = self.commands.try_recv() {
+        while let Some(command) = self.commands.next() {
             match command {
                 TwinCommand::Press { pointer, position_m, radius_m, pressure_pa } => {
                     self.press(pointer, position_m, radius_m, pressure_pa);
                 }
                 TwinCommand::Release { pointer } => {
                     self.refused.remove(&pointer);
+                    self.pressing.remove(&pointer);
                     self.twin.scene_mut().release(pointer);
                 }
-                TwinCommand::Treat(treatment) => {
-                    // Who cuts and heals wants to see that, and not a demonstration of touches.
-                    self.demo = None;
-                    if std::mem::take(&mut self.demonstrates) {
+                TwinCommand::Demonstrate(wanted) => {
+                    self.wants_demo = wanted;
+                    if !wanted && std::mem::take(&mut self.demonstrates) {
                         self.twin.scene_mut().set_script(None)?;
                     }
-                    if let Err(error) = self.twin.frontend_mut().treat(&treatment) {
-                        self.notice(format!("treatment refused: {error}"));
-                    }
                 }
+                // Treatments have a queue of their own.
+                TwinCommand::Treat(_) => {}
                 TwinCommand::Break(fault) => self.break_(fault),
                 TwinCommand::Repair => {
                     self.faults.clear();
@@ -222,23 +212,104 @@ impl TwinSource {
                 }
             }
         }
+        self.treat()
+    }
+
+    /// Treats the sheet as far as that is prepared, and begins to prepare what waits.
+    fn treat(&mut self) -> Result<(), TwinError> {
+        if self.commands.renews()
+            && let Some(preparing) = self.preparing.take()
+        {
+            preparing.stop.store(true, Ordering::Relaxed);
+        }
+        if let Some(preparing) = &self.preparing {
+            let prepared = match preparing.prepared.try_recv() {
+                Ok(prepared) => Ok(prepared),
+                Err(TryRecvError::Empty) => return Ok(()),
+                Err(TryRecvError::Disconnected) => Err(()),
+            };
+            self.preparing = None;
+            match prepared {
+                Ok(prepared) => self.adopt(prepared),
+                Err(()) => self.notice("treatment refused: it could not be prepared".to_owned()),
+            }
+        }
+        let treatments = self.commands.treatments();
+        if treatments.is_empty() {
+            return Ok(());
+        }
+        // Who cuts and heals wants to see that, and not a demonstration of touches.
+        self.wants_demo = false;
+        if std::mem::take(&mut self.demonstrates) {
+            self.twin.scene_mut().set_script(None)?;
+        }
+        let is_slow = |treatment: &Treatment| matches!(treatment, Treatment::Cut(_) | Treatment::Renew);
+        match self.twin.frontend().preparation(&treatments) {
+            // Frames that nobody waits for may wait themselves.
+            Some(work) if self.paced && treatments.iter().any(is_slow) => {
+                self.preparing = Some(Preparing::spawn(work));
+            }
+            Some(work) => {
+                let prepared = work(&AtomicBool::new(false));
+                self.adopt(prepared);
+            }
+            None => {
+                for treatment in treatments {
+                    if let Err(error) = self.twin.frontend_mut().treat(&treatment) {
+                        self.notice(format!("treatment refused: {error}"));
+                    }
+                }
+            }
+        }
         Ok(())
+    }
+
+    fn adopt(&mut self, prepared: Box<dyn Any + Send>) {
+        for error in self.twin.frontend_mut().adopt(prepared) {
+            self.notice(format!("treatment refused: {error}"));
+        }
+    }
+
+    /// Steps the twin. A sheet whose fields cannot be solved any more is replaced by a new one, which is said.
+    fn step(&mut self, time_s: f64) -> Result<(u64, FrameFate), TwinError> {
+        let stepped = self.twin.step(time_s, &mut self.values).map(|truth| (truth.sequence, truth.fate));
+        let error = match stepped {
+            Err(error @ TwinError::Fields(_)) if !self.twin.frontend().wounds().is_empty() => error,
+            other => return other,
+        };
+        self.twin.frontend_mut().treat(&Treatment::Renew)?;
+        self.notice(format!("{error}: the sheet with its cuts was replaced by a new one"));
+        self.twin.step(time_s, &mut self.values).map(|truth| (truth.sequence, truth.fate))
     }
 
     /// Presses, or says why not: a press that makes no sense must not end the source. A pointer that slides off the skin
     /// lets go without a word, and presses again where it comes back.
     fn press(&mut self, pointer: u64, [x_m, y_m]: [f64; 2], radius_m: f64, pressure_pa: f64) {
+        if self.pressing.len() >= MOST_POINTERS && !self.pressing.contains(&pointer) {
+            if self.refused.len() < MOST_POINTERS && self.refused.insert(pointer) {
+                self.notice(format!(
+                    "press refused: {MOST_POINTERS} press already; expected one of them to let go first"
+                ));
+            }
+            return;
+        }
         let scene = self.twin.scene_mut();
         let slides = scene.is_pressed_by(pointer);
         match scene.press(pointer, x_m, y_m, radius_m, pressure_pa) {
             Ok(()) => {
                 self.refused.remove(&pointer);
+                self.pressing.insert(pointer);
             }
             Err(error) => {
                 // Whoever slides off the skin lets go; a press that makes no sense leaves what was pressed as it is.
                 let off = !self.twin.frontend().extent().contains([x_m, y_m]);
                 if slides && off {
+                    self.pressing.remove(&pointer);
                     self.twin.scene_mut().release(pointer);
+                }
+                // Pointers that are not remembered are told again.
+                if self.refused.len() >= MOST_POINTERS {
+                    self.refused.clear();
                 }
                 if self.refused.insert(pointer) && !(slides && off) {
                     self.notice(format!("press refused: {error}"));
@@ -249,7 +320,14 @@ impl TwinSource {
 
     /// Breaks something more, or says why it cannot be broken.
     fn break_(&mut self, fault: Fault) {
-        self.faults.push(fault.into());
+        let timed = TimedFault::from(fault);
+        if self.faults.contains(&timed) {
+            return;
+        }
+        if self.faults.len() >= MOST_FAULTS {
+            return self.notice(format!("fault refused: {MOST_FAULTS} faults act already; expected a repair first"));
+        }
+        self.faults.push(timed);
         if let Err(error) = self.twin.set_faults(self.faults.clone()) {
             self.faults.pop();
             self.notice(format!("fault refused: {error}"));
@@ -273,6 +351,33 @@ impl TwinSource {
     }
 }
 
+/// Work on treatments in a thread of its own.
+#[derive(Debug)]
+struct Preparing {
+    prepared: Receiver<Box<dyn Any + Send>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Preparing {
+    fn spawn(work: Preparation) -> Self {
+        let (done, prepared) = crossbeam_channel::bounded(1);
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let thread = std::thread::Builder::new().name("dermis-treatment".to_owned());
+        // Without a thread the sender is gone, and the treatment refused.
+        let _ = thread.spawn(move || {
+            let _ = done.send(work(&stopped));
+        });
+        Self { prepared, stop }
+    }
+}
+
+impl Drop for Preparing {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}
+
 impl Source for TwinSource {
     fn layout(&self) -> &Layout {
         &self.layout
@@ -288,8 +393,7 @@ impl Source for TwinSource {
         }
         let time_s = (self.ticks + self.skipped) as f64 * self.period.as_secs_f64();
         let obeyed = self.obey();
-        let stepped = obeyed.and_then(|()| self.twin.step(time_s, &mut self.values));
-        let stepped = stepped.map(|truth| (truth.sequence, truth.fate));
+        let stepped = obeyed.and_then(|()| self.step(time_s));
         let (sequence, fate) = stepped
             .map_err(|error| DeviceError::SourceFailed { name: self.name.clone(), reason: error.to_string() })?;
         self.ticks += 1;
@@ -354,6 +458,91 @@ mod tests {
         assert!(told("healing-square", &[nowhere])[0].contains("treatment refused: time-lapse: NaN"));
         let refused = told("ionic-disc", &[cut]);
         assert!(refused[0].contains("cannot be treated"), "{refused:?}");
+    }
+
+    #[test]
+    fn a_demonstration_that_is_not_wanted_ends_and_may_begin_again() {
+        let (source, sender) = TwinSource::new(&Skin::open("healing-square").unwrap()).unwrap();
+        let (mut source, mut frame) = (source.unpaced(), Frame::default());
+        let mut rest = Vec::new();
+        let mut changes = |frames: usize| {
+            let moved = |values: &[f64], rest: &[f64]| {
+                let size = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+                size(&mut values.iter().zip(rest).map(|(a, b)| a - b)) / size(&mut rest.iter().copied())
+            };
+            let mut largest: f64 = 0.0;
+            for _ in 0..frames {
+                source.next_frame(&mut frame, Duration::ZERO).unwrap();
+                if rest.is_empty() {
+                    rest.clone_from(&frame.values);
+                }
+                largest = largest.max(moved(&frame.values, &rest));
+            }
+            largest
+        };
+        // Noise is below a thousandth of the readings, a touch is far above.
+        assert!(changes(30) < 5e-3);
+        assert!(changes(120) > 2e-2, "it demonstrates by itself");
+        sender.send(TwinCommand::Demonstrate(false)).unwrap();
+        changes(50);
+        assert!(changes(150) < 5e-3, "nothing touches it any more");
+        sender.send(TwinCommand::Demonstrate(true)).unwrap();
+        assert!(changes(150) > 2e-2, "it demonstrates again");
+    }
+
+    #[test]
+    fn equal_cuts_heals_and_cuts_of_any_length_leave_a_skin_that_runs() {
+        let cut = |from_m, to_m| TwinCommand::Treat(Treatment::Cut(dermis_twin::physics::Cut::open(from_m, to_m)));
+        let middle = cut([0.0, 0.0], [0.02, 0.0]);
+        // In one frame and in one after the other.
+        assert_eq!(told("healing-square", &[middle, middle, middle, middle]), [""; 0]);
+        let far = told("healing-square", &[cut([-50.0, 0.0], [50.0, 0.0]), middle]);
+        assert!(far.len() == 1 && far[0].contains("no farther from the skin than the skin is long"), "{far:?}");
+        let heating = |k: u32| dermis_twin::Heating {
+            centre_m: [f64::from(k) * 1e-5, 0.0],
+            radius_m: 0.01,
+            temperature_c: 90.0,
+            duration_s: 7200.0,
+        };
+        let heats: Vec<TwinCommand> = (0..40).map(|k| TwinCommand::Treat(Treatment::Heat(heating(k)))).collect();
+        let told = told("healing-square", &heats);
+        assert!(told.iter().all(|text| text.contains("heat pads: 25 refused; expected at most 24")), "{told:?}");
+        assert_eq!(told.len(), 16);
+    }
+
+    #[test]
+    fn bursts_of_cuts_are_prepared_beside_the_frames() {
+        let (source, sender) = TwinSource::new(&Skin::open("healing-square").unwrap()).unwrap();
+        let (mut source, mut frame) = (source.undemonstrated(), Frame::default());
+        for k in 0..12 {
+            let y_m = -0.03 + 0.004 * f64::from(k);
+            let cut = dermis_twin::physics::Cut::open([-0.01, y_m], [0.01, y_m]);
+            sender.send(TwinCommand::Treat(Treatment::Cut(cut))).unwrap();
+        }
+        let mut during = 0;
+        while source.twin.frontend().wounds().is_empty() {
+            source.next_frame(&mut frame, Duration::from_millis(100)).unwrap();
+            during += u32::from(source.preparing.is_some());
+            assert!(during < 100_000, "the cuts never came");
+        }
+        assert!(during > 0, "the frames waited for the cuts");
+        assert_eq!(source.twin.frontend().wounds().len(), 12);
+        assert_eq!(source.notices().try_iter().collect::<Vec<_>>(), [""; 0]);
+    }
+
+    #[test]
+    fn any_number_of_pointers_and_faults_is_borne() {
+        let (source, sender) = TwinSource::new(&Skin::open("healing-square").unwrap()).unwrap();
+        let (mut source, mut frame) = (source.unpaced(), Frame::default());
+        for k in 0..600 {
+            let _ = sender.send(press(k, 0.0, 1e3));
+            let fault = Fault::NoisyChannel { channel: 0, deviation_v: 1e-6 * k as f64 };
+            let _ = sender.send(TwinCommand::Break(fault));
+            source.next_frame(&mut frame, Duration::ZERO).unwrap();
+        }
+        assert_eq!((source.pressing.len(), source.faults.len()), (MOST_POINTERS, MOST_FAULTS));
+        let told: Vec<String> = source.notices().try_iter().collect();
+        assert!(told.iter().any(|text| text.contains("32 press already")), "{told:?}");
     }
 
     #[test]

@@ -1,6 +1,31 @@
 //! Segmentation of tactile images by a U-Net (second step of two-step imaging): every pixel is compressed, background or
 //! damaged, with probabilities. Inference and training on the processor need no machine-learning framework, and inference
-//! allocates nothing per frame; feature `train` adds training on the backends of `burn`.
+//! allocates nothing per frame. On graphics processors networks are trained by PyTorch, from the same training sets.
+//!
+//! ```
+//! use dermis_learn::metrics::{Confusion, most_likely};
+//! use dermis_learn::{LearnError, Network, Tensors, UNetShape};
+//!
+//! // The smallest network: one input image, three classes. Its weights have the names of a PyTorch `state_dict`.
+//! let shape = UNetShape { inputs: 1, classes: 3, width: 4, levels: 2 };
+//! let missing = Network::new(shape, &Tensors::default(), 16, 16).unwrap_err();
+//! assert!(missing.to_string().contains("weight"), "{missing}");
+//!
+//! // From what a network says of two pixels (classes x pixels) to labels, and how these agree with what is true.
+//! let mut labels = [0; 2];
+//! most_likely(&[0.9, 0.1, 0.05, 0.2, 0.05, 0.7], 3, &mut labels);
+//! let mut confusion = Confusion::new(3);
+//! confusion.add(&[0, 2], &labels)?;
+//! assert_eq!((labels, confusion.intersection_over_union(2)), ([0, 2], Some(1.0)));
+//! # Ok::<(), LearnError>(())
+//! ```
+//!
+//! | | |
+//! |---|---|
+//! | [`Network`], [`UNetShape`], [`Tensors`] | the network, its form, its weights |
+//! | [`Model`], [`ModelCard`], [`Novelty`] | a trained network with its card; how unlike its training a frame is |
+//! | [`scene`], [`TrainingSet`] | what training samples are made of; sets of them on disk |
+//! | [`train`], [`metrics`] | training; how good labels are |
 
 mod error;
 mod kernels;

@@ -249,12 +249,30 @@ pub(crate) fn write_whole(file: &Path, bytes: &[u8]) -> Result<(), LearnError> {
     let mut name = file.file_name().map(|name| name.to_os_string()).unwrap_or_default();
     name.push(".part");
     let part = file.with_file_name(name);
-    let outcome = fs::write(&part, bytes).and_then(|()| fs::rename(&part, file));
-    outcome.map_err(|error| {
+    let stands = file.exists();
+    let failed = |source| LearnError::Io { file: file.to_path_buf(), source };
+    fs::write(&part, bytes).map_err(|error| {
         // What could not be finished is not left behind; that it may not be removable changes nothing.
         let _ = fs::remove_file(&part);
-        LearnError::Io { file: file.to_path_buf(), source: error }
-    })
+        failed(error)
+    })?;
+    // What stood there is replaced, what appeared meanwhile is not.
+    let put = if stands { fs::rename(&part, file) } else { rename_new(&part, file) };
+    put.map_err(failed)
+}
+
+/// Renames a file unless another one has the new name: by a second name, where the file system knows these.
+fn rename_new(from: &Path, to: &Path) -> std::io::Result<()> {
+    use std::io::{Error, ErrorKind};
+    match fs::hard_link(from, to) {
+        Ok(()) => fs::remove_file(from),
+        Err(_) if fs::symlink_metadata(to).is_ok() => {
+            let text =
+                format!("appeared meanwhile and was not replaced; the finished one stands at {}", from.display());
+            Err(Error::new(ErrorKind::AlreadyExists, text))
+        }
+        Err(_) => fs::rename(from, to),
+    }
 }
 
 #[cfg(test)]

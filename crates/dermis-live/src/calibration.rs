@@ -2,14 +2,19 @@
 //! places single touches. Skins whose readout circuit is known only in kind calibrate themselves.
 
 mod calibrated_imager;
+mod circuit_search;
 mod matched;
+mod place_locator;
 mod placement_finder;
 mod poke_calibration;
+mod poke_check;
 mod pokes;
 mod self_calibrated;
 
 pub use calibrated_imager::CalibratedImager;
+pub(crate) use calibrated_imager::check_wiring;
+pub use circuit_search::{CircuitFit, TRUSTED_SCORE, find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
-pub use poke_calibration::Calibration;
+pub use poke_calibration::{Calibration, CalibrationOptions, PokeFrames, PokeReview};
 pub use pokes::{LoadQuantity, Pokes, read_pokes};

@@ -43,8 +43,9 @@ impl ChannelLayout {
                 })?
             }
             Layout::SingleEnded { electrodes, stimulations } if *electrodes == protocol.electrode_count() => {
-                single_ended(protocol, *electrodes, stimulations)
-                    .map_err(|label| refuse(format!("the drive of channel {label}"), "no such injection".into()))?
+                single_ended(protocol, *electrodes, stimulations).map_err(|label| {
+                    refuse(format!("the drive of channel {label}"), drives_of(*electrodes, stimulations))
+                })?
             }
             Layout::FullMatrix { electrodes } | Layout::SingleEnded { electrodes, .. } => {
                 return Err(refuse(
@@ -114,6 +115,44 @@ fn single_ended(
             Ok(entries.map(|&(e, w)| ((row * electrodes + e as usize) as u32, sign * w)).collect())
         })
         .collect()
+}
+
+/// What a file drives, and how a skin file says so: "drives 1-4, 2-5, ...: `drive = { skip = 2 }`".
+fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
+    const SHOWN: usize = 3;
+    const LISTED: usize = 8;
+    let some: Vec<String> = stimulations.iter().take(SHOWN).map(|(a, b)| format!("{}-{}", a + 1, b + 1)).collect();
+    let more = if stimulations.len() > SHOWN { ", ..." } else { "" };
+    // Of the two ways round, the shorter: a pair and its reverse are one drive of the other sign.
+    let apart = |&(from, to): &(usize, usize)| {
+        let forward = (to + electrodes - from) % electrodes;
+        forward.min(electrodes - forward)
+    };
+    let first = stimulations.first().map_or(0, apart);
+    let every = |count: usize| {
+        let mut starts: Vec<usize> =
+            stimulations.iter().map(|&(from, to)| from.min(to) * electrodes + from.max(to)).collect();
+        starts.sort_unstable();
+        starts.dedup();
+        starts.len() == count
+    };
+    let is_even = stimulations.iter().all(|pair| apart(pair) == first);
+    let opposite = electrodes.is_multiple_of(2) && first == electrodes / 2;
+    let all = if opposite { electrodes / 2 } else { electrodes };
+    let key = if is_even && first > 0 && every(all) {
+        match first {
+            1 => "`drive = \"adjacent\"`".to_string(),
+            _ if opposite => "`drive = \"opposite\"`".to_string(),
+            step => format!("`drive = {{ skip = {} }}`", step - 1),
+        }
+    } else {
+        // The current enters at the first electrode of an injection; a skin file lists [sink, source].
+        let pairs: Vec<String> =
+            stimulations.iter().take(LISTED).map(|(from, to)| format!("[{}, {}]", to + 1, from + 1)).collect();
+        let more = if stimulations.len() > LISTED { ", ..." } else { "" };
+        format!("`drive = {{ pairs = [{}{more}] }}`", pairs.join(", "))
+    };
+    format!("no such injection: the file drives {}{more}: {key}", some.join(", "))
 }
 
 /// Turns an instrument's frames into channels of a protocol, as real numbers.
@@ -215,6 +254,23 @@ mod tests {
         let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
         let error = ChannelLayout::new(&Layout::Channels { count: 207 }, &protocol, "x.csv").unwrap_err();
         assert_eq!(error.to_string(), "frames of x.csv: expected 208 channels, got 207 channels");
+    }
+
+    #[test]
+    fn a_file_of_other_drives_says_which_it_holds() {
+        let protocol = Skin::open("sciospec-tank").unwrap().protocol().unwrap();
+        let refused = |stimulations: Vec<(usize, usize)>| {
+            let layout = Layout::SingleEnded { electrodes: 16, stimulations };
+            ChannelLayout::new(&layout, &protocol, "run.eit").unwrap_err().to_string()
+        };
+        let skipped = |step: usize| refused((0..16).map(|k| (k, (k + step) % 16)).collect());
+        let message = skipped(3);
+        assert!(message.ends_with("the file drives 1-4, 2-5, 3-6, ...: `drive = { skip = 2 }`"), "{message}");
+        // The other way round the ring is the same drive.
+        assert!(skipped(13).ends_with("`drive = { skip = 2 }`"), "{}", skipped(13));
+        assert!(refused((0..8).map(|k| (k, k + 8)).collect()).ends_with("`drive = \"opposite\"`"));
+        let message = refused(vec![(0, 3), (5, 1)]);
+        assert!(message.ends_with("the file drives 1-4, 6-2: `drive = { pairs = [[4, 1], [2, 6]] }`"), "{message}");
     }
 
     #[test]

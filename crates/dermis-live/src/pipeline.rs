@@ -1,23 +1,25 @@
 //! The live pipeline: frame, channels, baseline, image, touches. Typed stages called one after another; after start-up
-//! nothing is allocated per frame, but where touches are fitted as contacts or elements are solved for. It knows neither
-//! where frames come from nor where results go. Stages know nothing of each other: those that look at health, damage and
-//! classes return what follows, and it is applied here.
+//! nothing is allocated per frame, but where touches are fitted as contacts or elements are solved for. It knows
+//! neither where frames come from nor where results go. Stages know nothing of each other: those that look at health,
+//! damage and classes return what follows, and it is applied here.
 
 mod stage_latencies;
 mod state;
 
 use std::time::{Duration, Instant};
 
-use dermis_device::{Frame, Layout};
+use dermis_device::{Frame, FrameTable, Layout};
 use dermis_learn::Model;
+use dermis_skin::CircuitChoice;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
 use dermis_touch::{
-    Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceRecord, TareGuard,
+    Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceOrigin, ReferenceRecord,
+    TareGuard,
 };
 
 use crate::Error;
-use crate::calibration::Calibration;
+use crate::calibration::{Calibration, LoadQuantity, check_wiring};
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
 use crate::output::Output;
@@ -32,6 +34,9 @@ use state::{Choices, Running, Starting, State};
 
 /// Frames averaged by a tare.
 pub const TARE_FRAMES: usize = 32;
+
+/// Before the first baseline, a frame counts where one in so many of its channels has a reading.
+const LEAST_START: usize = 4;
 
 /// The stages of one skin with their memory.
 #[derive(Debug)]
@@ -66,8 +71,8 @@ struct Timing {
     /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
     timed_from_ns: u64,
     frames: u64,
-    /// What happens on the skin is timed by the device where it has a clock, so that a replay at another pace gives the same
-    /// touches.
+    /// What happens on the skin is timed by the device where it has a clock, so that a replay at another pace gives the
+    /// same touches.
     clock: FrameClock,
 }
 
@@ -89,12 +94,19 @@ impl Pipeline {
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let drift = drift_compensation(&prepared);
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;
-        if let Some(calibration) = &calibration {
-            calibration.check(&prepared)?;
+        match &calibration {
+            Some(calibration) => calibration.check(&prepared)?,
+            None => {
+                check_wiring(&prepared)?;
+                check_circuit(&prepared)?;
+            }
         }
         // An operator that does not depend on the baseline is built before any frame has to wait for it.
         let starting = Starting::new(&prepared, calibration.as_ref())?;
-        let health = if prepared.skin.health.watch { Some(HealthStage::new(&prepared)?) } else { None };
+        // Neither unknown wiring nor differences can be compared with the model's resting values.
+        let backend = &prepared.skin.backend;
+        let is_watched = prepared.skin.health.watch && backend.wiring.is_known() && !backend.differences;
+        let health = if is_watched { Some(HealthStage::new(&prepared)?) } else { None };
         let damage = if prepared.skin.damage.watch { Some(DamageStage::new(&prepared)?) } else { None };
         let image = vec![f32::NAN; prepared.map.grid().len()];
         Ok(Self {
@@ -134,16 +146,14 @@ impl Pipeline {
             // The frames before this one were lost for so long that other touches may have begun.
             running.reconstructor.interrupt(time_ns);
         }
-        self.baseline.observe(time_ns, &self.buffers.channels)?;
-        if let Some(health) = &mut self.health {
-            health.read(self.baseline.raw())?;
-        }
         let at = (frame.host_monotonic_ns, frame.sequence);
-        let seen = self.see(time_ns, at, start)?;
-        let is_free = seen.believed && self.watch_damage(time_ns, at, seen.touched)?;
-        let change = self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free });
+        let change = match self.is_blank() {
+            // Nothing to learn from: the baseline begins with the first frame that has readings.
+            true => BaselineChange::None,
+            false => self.learn_from(time_ns, at, start)?,
+        };
         if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
-            self.use_baseline(at)?;
+            self.use_new_baseline(time_ns, at)?;
             let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
             self.timing.timed_from_ns = now_ns.saturating_add(took_ns);
         }
@@ -176,6 +186,40 @@ impl Pipeline {
             damage: self.damage(),
             anomalies,
         })
+    }
+
+    /// Whether a frame before the first baseline has hardly any reading.
+    fn is_blank(&self) -> bool {
+        let channels = &self.buffers.channels;
+        let finite = channels.iter().filter(|value| value.is_finite()).count();
+        matches!(self.state, State::Starting(_)) && LEAST_START * finite < channels.len()
+    }
+
+    /// Looks at the frame just read, and lets the baseline learn from it.
+    fn learn_from(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<BaselineChange, Error> {
+        self.baseline.observe(time_ns, &self.buffers.channels)?;
+        if let Some(health) = &mut self.health {
+            health.read(self.baseline.raw())?;
+        }
+        let seen = self.see(time_ns, at, start)?;
+        let is_free = seen.believed && self.watch_damage(time_ns, at, seen.touched)?;
+        Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
+    }
+
+    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before.
+    fn use_new_baseline(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
+        let Err(error) = self.use_baseline(at) else { return Ok(()) };
+        let Some(before) = self.baseline.records().len().checked_sub(2).filter(|_| self.is_running()) else {
+            return Err(error);
+        };
+        let reason = format!("the tare gave no baseline: {error}");
+        tracing::warn!("{reason}");
+        self.baseline.reuse(time_ns, before, &reason)?;
+        self.use_baseline(at)
+    }
+
+    fn is_running(&self) -> bool {
+        matches!(self.state, State::Running(_))
     }
 
     /// From the frame just observed to touches, once there is a baseline.
@@ -223,8 +267,8 @@ impl Pipeline {
         Ok(Seen { touched: reconstructor.is_loaded(), believed: true })
     }
 
-    /// Examines the health of the frame at hand and applies what follows: channels without a say are taken out of it, and
-    /// operator, image noise and refinement go on with those that are left.
+    /// Examines the health of the frame at hand and applies what follows: channels without a say are taken out of it,
+    /// and operator, image noise and refinement go on with those that are left.
     fn examine_health(&mut self, at: (u64, u64)) -> Result<Sight, Error> {
         let (Some(health), State::Running(running)) = (&mut self.health, &mut self.state) else {
             return Ok(Sight::Clear);
@@ -369,8 +413,8 @@ impl Pipeline {
         self.use_baseline((0, self.timing.frames))
     }
 
-    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the channels
-    /// at rest, in place of learning one from the first frames.
+    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the
+    /// channels at rest, in place of learning one from the first frames.
     ///
     /// # Errors
     /// Another number of channels than the skin's, or a baseline that does not fit its model.
@@ -382,6 +426,25 @@ impl Pipeline {
     ) -> Result<(), Error> {
         self.baseline.restore(record, values, noise_std)?;
         self.use_baseline((0, self.timing.frames))
+    }
+
+    /// Goes on from frames of the untouched skin, in place of learning the baseline from the first frames that come.
+    /// Their mean is the baseline, and from 8 frames on their scatter is the noise, which is else the one that the skin
+    /// file assumes.
+    ///
+    /// # Errors
+    /// A table that does not hold the skin's channels, or one without readings.
+    pub fn set_baseline(&mut self, table: &FrameTable) -> Result<(), Error> {
+        let file = table.source().display().to_string();
+        let reads = self.prepared.skin.backend.reads;
+        let mut reader = ChannelReader::new(table.layout(), &self.prepared.protocol, reads, &file)?;
+        let frames = reader.read_table(table)?;
+        let Reference { baseline, scale, noise, .. } = Reference::of(&self.prepared, &frames)?;
+        self.reader.share_phase_of(&reader);
+        let as_measured: Vec<f64> = noise.iter().zip(&scale).map(|(volts, scale)| volts / scale.abs()).collect();
+        let (reason, origin) = (format!("frames of {file}"), ReferenceOrigin::Given);
+        let record = ReferenceRecord { time_ns: 0, frames: frames.len(), origin, reason };
+        self.restore_baseline(record, &baseline, &as_measured)
     }
 
     /// Rebuilds the operator at another lambda.
@@ -422,6 +485,11 @@ impl Pipeline {
         }
         self.choices.forces = Some(forces);
         Ok(())
+    }
+
+    /// What touches' loads are read as, where a calibration by pokes reads them.
+    pub fn load_quantity(&self) -> Option<LoadQuantity> {
+        self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
     }
 
     /// lambda in use, once the baseline stands.
@@ -470,6 +538,18 @@ impl Pipeline {
             State::Running(running) => Some(running),
         }
     }
+}
+
+/// Refuses a circuit that is still to be found: live frames would be read through a voltmeter that is not there.
+fn check_circuit(prepared: &Prepared) -> Result<(), Error> {
+    if !matches!(prepared.skin.backend.circuit, Some(CircuitChoice::ToLearn(_))) {
+        return Ok(());
+    }
+    Err(Error::Frames {
+        what: format!("skin {}, backend.circuit", prepared.skin.name),
+        expected: "the circuit that dermis calibrate --write-skin finds from recorded touches, or a calibration".into(),
+        got: "\"learn\"".into(),
+    })
 }
 
 /// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.

@@ -8,10 +8,14 @@ use dermis_tomo::mesh::PixelMap;
 
 use crate::Error;
 use crate::magnetic_model::MagneticModel;
-use dermis_skin::{MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
+use dermis_skin::budget::Budget;
+use dermis_skin::{CircuitChoice, Imaging, MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 
 /// Below this share of a pixel there is no skin to speak of.
 const LEAST_RIM_COVERAGE: f64 = 5e-3;
+
+/// Preparations that take longer than this, seconds, are announced.
+const LONG_S: f64 = 60.0;
 
 /// A skin's forward model at rest, on the grid that its images live on. Its parts belong together: where one of them is
 /// changed, imagers made before and after may not fit it.
@@ -38,11 +42,16 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// Meshes the skin and solves it at rest.
+    /// Meshes the skin and solves it at rest, provided that its sizes let that be done with the memory that may be used.
     ///
     /// # Errors
     /// Shapes, electrodes or patterns that do not work out; see [`Error`].
     pub fn new(skin: Skin) -> Result<Self, Error> {
+        let budget = Budget::of_imaging(&skin);
+        budget.check(&skin, "its image")?;
+        if budget.seconds > LONG_S {
+            tracing::warn!("{}: its image takes {budget}; {}", skin.name, budget.change);
+        }
         let body = skin.body()?;
         let protocol = skin.protocol()?;
         let mesh_error = |source| Error::Mesh { skin: skin.name.clone(), source };
@@ -57,7 +66,7 @@ impl Prepared {
         let sigma = vec![conductance; body.mesh.mesh.element_count()];
         let model = ForwardModel::new(body.mesh.clone(), protocol.clone())?;
         let solution = model.solve(&sigma)?;
-        let (voltages, mut jacobian) = match &skin.backend.circuit {
+        let (voltages, mut jacobian) = match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
             None => (solution.voltages(), solution.jacobian_to_pixels(&map)),
             Some(circuit) => {
                 let response = circuit.readout().response(&solution, conductance)?;
@@ -68,6 +77,26 @@ impl Prepared {
         jacobian.values.iter_mut().for_each(|value| *value *= conductance);
         let basis = pixel_basis(&map);
         Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() })
+    }
+
+    /// The same skin with other settings of its images: neither mesh nor fields are computed anew. The grid and the number
+    /// of elements stay as they are.
+    ///
+    /// # Errors
+    /// Settings that a skin file could not have.
+    pub fn with_imaging(&self, imaging: Imaging) -> Result<Self, Error> {
+        let imaging = Imaging { grid: self.skin.imaging.grid, elements: self.skin.imaging.elements, ..imaging };
+        let skin = Skin { imaging, ..self.skin.clone() }.checked()?;
+        Ok(Self {
+            skin,
+            body: self.body.clone(),
+            protocol: self.protocol.clone(),
+            map: self.map.clone(),
+            voltages: self.voltages.clone(),
+            jacobian: self.jacobian.clone(),
+            basis: self.basis.clone(),
+            problem: OnceLock::new(),
+        })
     }
 
     /// Number of channels of a frame.

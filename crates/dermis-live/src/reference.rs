@@ -6,12 +6,39 @@ use dermis_tomo::eit::OrderReport;
 use dermis_skin::{GainMatch, Reads};
 
 use crate::Error;
+use crate::frame_noise::noise_of_frames;
 use crate::prepare::Prepared;
 
 /// Fewest baseline frames from which noise is estimated.
 const FEWEST_FOR_NOISE: usize = 8;
+/// Noise assumed of differences whose frames are too few to tell, relative to their root mean square.
+const ASSUMED_OF_DIFFERENCES: f64 = 0.01;
+/// Noise estimated from frames is at least this part of what would be assumed.
+const LEAST_OF_ASSUMED: f64 = 0.02;
 /// A channel whose model voltage is below this share of the largest is not matched by itself.
 const SMALLEST_SHARE: f64 = 1e-6;
+
+/// Where the noise of channels comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NoiseSource {
+    /// The scatter of the baseline's frames.
+    Baseline,
+    /// The frames themselves, see [`noise_of_frames`].
+    Frames,
+    /// The skin file's `touch.assumed_noise_share`.
+    Assumed,
+}
+
+impl NoiseSource {
+    /// In words, for people.
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::Baseline => "measured from the baseline",
+            Self::Frames => "estimated from the frames themselves",
+            Self::Assumed => "assumed",
+        }
+    }
+}
 
 /// A baseline made comparable to the model.
 #[derive(Clone, Debug)]
@@ -22,8 +49,8 @@ pub struct Reference {
     pub scale: Vec<f64>,
     /// Noise standard deviation of difference data, model volts.
     pub noise: Vec<f64>,
-    /// True where the noise was measured, false where it was assumed.
-    pub noise_measured: bool,
+    /// Where `noise` comes from.
+    pub noise_source: NoiseSource,
     /// Full noise covariance in model volts (row-major), where enough frames were given.
     pub covariance: Option<Vec<f64>>,
     /// Differences of successive baseline frames, as measured: what drift and noise look like.
@@ -58,7 +85,53 @@ impl Reference {
         let difference =
             |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
         let successive = frames.windows(2).map(difference).collect();
-        Ok(Self { baseline, scale, noise, noise_measured, covariance, successive, order })
+        let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
+        Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order })
+    }
+
+    /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the signs
+    /// that rectified readings have lost. The noise is that of [`noise_of_frames`], where there are frames enough.
+    ///
+    /// # Errors
+    /// No frames, frames of the wrong length, or frames that are zero everywhere.
+    pub fn of_differences(prepared: &Prepared, frames: &[Vec<f64>]) -> Result<Self, Error> {
+        let channels = prepared.channels();
+        check_frames("difference", frames, channels)?;
+        let scale = signs(prepared);
+        let squares = frames.iter().flatten().map(|v| v * v);
+        let level = finite_mean(squares).sqrt();
+        if level.is_nan() || level <= 0.0 {
+            return Err(Error::Frames {
+                what: "differences".into(),
+                expected: "values that are not all zero".into(),
+                got: "zeros, or nothing but missing values".into(),
+            });
+        }
+        let mut reference = Self {
+            baseline: vec![0.0; channels],
+            scale,
+            noise: vec![ASSUMED_OF_DIFFERENCES * level; channels],
+            noise_source: NoiseSource::Assumed,
+            covariance: None,
+            successive: Vec::new(),
+            order: prepared.diagnose(&prepared.voltages),
+        };
+        reference.estimate_noise(frames);
+        Ok(reference)
+    }
+
+    /// Where the noise is only assumed, takes that of [`noise_of_frames`] of these difference data, if there are enough;
+    /// never less than a small part of what was assumed, so that frames without noise are no certainty.
+    pub fn estimate_noise(&mut self, differences: &[Vec<f64>]) {
+        if self.noise_source != NoiseSource::Assumed {
+            return;
+        }
+        let Some(estimate) = noise_of_frames(differences) else { return };
+        for (noise, sigma) in self.noise.iter_mut().zip(estimate) {
+            let least = LEAST_OF_ASSUMED * *noise;
+            *noise = if sigma.is_finite() { sigma.max(least) } else { *noise };
+        }
+        self.noise_source = NoiseSource::Frames;
     }
 
     /// Makes a reference from a baseline and the standard deviation of its noise, both as measured (`None` or NaN where
@@ -75,7 +148,7 @@ impl Reference {
                     *noise = volts;
                 }
             }
-            reference.noise_measured = true;
+            reference.noise_source = NoiseSource::Baseline;
         }
         Ok(reference)
     }
@@ -87,8 +160,19 @@ impl Reference {
     }
 }
 
+/// The signs that rectified readings have lost; 1 where nothing is rectified or the wiring is unknown.
+fn signs(prepared: &Prepared) -> Vec<f64> {
+    let backend = &prepared.skin.backend;
+    let rectified = backend.reads == Reads::Magnitude && backend.wiring.is_known();
+    prepared.voltages.iter().map(|v| if rectified { v.signum() } else { 1.0 }).collect()
+}
+
 /// Factors from measured differences to model volts.
 fn match_gain(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> {
+    if prepared.skin.backend.differences || !prepared.skin.backend.wiring.is_known() {
+        // There is nothing to compare with the model.
+        return Ok(signs(prepared));
+    }
     let magnitudes = prepared.skin.backend.reads == Reads::Magnitude;
     let model = &prepared.voltages;
     // A rectified reading has lost its sign; the model's is put back, channel by channel.

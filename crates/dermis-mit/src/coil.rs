@@ -5,10 +5,12 @@ use crate::error::{MitError, positive};
 use crate::harmonics::{HARMONICS, expansion};
 use crate::ring::Ring;
 use crate::segment::Segment;
-use crate::vector::{Vector, add, dot, scaled, subtract};
+use crate::vector::{Vector, add, dot, norm, scaled, subtract};
 
 /// Radius of the sphere on which fields are expanded, relative to the distance of the nearest wire.
 const PROBE: f64 = 0.02;
+/// Pieces of wire no farther apart than this are one, metres.
+const SAME_M: f64 = 1e-12;
 
 /// One piece of a winding.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +61,18 @@ impl Filament {
         match *self {
             Self::Ring(ring) => Self::Ring(Ring { centre_m: add(ring.centre_m, by_m), ..ring }),
             Self::Segment(s) => Self::Segment(Segment { from_m: add(s.from_m, by_m), to_m: add(s.to_m, by_m) }),
+        }
+    }
+
+    /// True where two pieces are one, but for rounding.
+    fn is_same(&self, other: &Self) -> bool {
+        let near = |p: Vector, q: Vector| norm(subtract(p, q)) < SAME_M;
+        match (self, other) {
+            (Self::Ring(a), Self::Ring(b)) => {
+                near(a.centre_m, b.centre_m) && a.axis == b.axis && (a.radius_m - b.radius_m).abs() < SAME_M
+            }
+            (Self::Segment(a), Self::Segment(b)) => near(a.from_m, b.from_m) && near(a.to_m, b.to_m),
+            _ => false,
         }
     }
 
@@ -291,6 +305,29 @@ impl Coil {
         })
     }
 
+    /// True where all wire is squares about one axis along z, sides along x and y.
+    pub(crate) fn is_of_squares(&self) -> bool {
+        let is_corner = |p: Vector| {
+            let [x, y, _] = subtract(p, self.centre_m);
+            (x.abs() - y.abs()).abs() < SAME_M
+        };
+        // Segments stand four by four, each square's one after the other.
+        let is_square = |sides: &[Filament]| {
+            let corner = |side: &Filament| match side {
+                Filament::Segment(segment) => Some((segment.from_m, segment.to_m)),
+                Filament::Ring(_) => None,
+            };
+            let corners: Vec<(Vector, Vector)> = sides.iter().filter_map(corner).collect();
+            corners.len() == 4
+                && (0..4).all(|k| {
+                    let (from, to) = corners[k];
+                    is_corner(from) && from == corners[(k + 3) % 4].1 && norm(subtract(from, to)) > SAME_M
+                })
+        };
+        let are_squares = |wire: &[Filament]| wire.len().is_multiple_of(4) && wire.chunks_exact(4).all(is_square);
+        are_squares(&self.filaments) && are_squares(&self.images)
+    }
+
     fn sum(&self, of: impl Fn(&Filament) -> Vector) -> Vector {
         let wire = self.filaments.iter().fold([0.0; 3], |sum, filament| add(sum, of(filament)));
         let all = self.images.iter().fold(wire, |sum, filament| add(sum, scaled(of(filament), -1.0)));
@@ -325,6 +362,18 @@ impl Coil {
         };
         let images = if other.images.is_empty() { 0.0 } else { pairs(&other.images) };
         self.scale * other.scale * (pairs(&other.filaments) - images)
+    }
+
+    /// True where this coil is another one moved, images included.
+    pub(crate) fn is_moved(&self, other: &Coil) -> bool {
+        let by = subtract(self.centre_m, other.centre_m);
+        let same = |a: &[Filament], b: &[Filament]| {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.is_same(&b.moved(by)))
+        };
+        self.scale == other.scale
+            && self.mean_distance_m == other.mean_distance_m
+            && same(&self.filaments, &other.filaments)
+            && same(&self.images, &other.images)
     }
 
     /// Self inductance, henries.

@@ -8,15 +8,17 @@
 //! of one body's irregular harmonics about the other, solved by fixed-point sweeps.
 
 use std::collections::HashMap;
-use std::f64::consts::PI;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use rayon::prelude::*;
 
 use crate::array::CoilArray;
-use crate::coil::{Coil, Filament};
+use crate::coil::Coil;
 use crate::constants::FOUR_PI_MU0;
 use crate::error::{MitError, positive};
 use crate::harmonics::{HARMONICS, MOST_DEGREE, index, translation};
 use crate::polarizability::Polarizability;
-use crate::vector::{Complex, Vector, norm, subtract};
+use crate::vector::{Complex, subtract};
 
 /// How neighbours excite each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,22 +64,29 @@ impl CoilTables {
         positive("clearance_m", clearance_m)?;
         positive("range of heights (m)", high_m - low_m)?;
         check_clearance(array, places_m, heights_m, clearance_m)?;
-        let mut known: HashMap<(usize, u64), Vec<f64>> = HashMap::new();
-        let mut coefficients = Vec::with_capacity(array.coils().len() * places_m.len() * NODES * HARMONICS);
+        let mut known: HashMap<(usize, [i64; 2]), usize> = HashMap::new();
+        // One coil and place for each table that is needed, and where each coil and body find theirs.
+        let mut distinct: Vec<(&Coil, [f64; 2])> = Vec::new();
+        let mut found: Vec<(usize, Fold)> = Vec::with_capacity(array.coils().len() * places_m.len());
         for coil in array.coils() {
-            let first = array.coils().iter().position(|other| is_same_shape(coil, other)).unwrap_or(0);
+            // Heights are those of the bodies: coils of other heights have tables of their own.
+            let is_level = |other: &Coil| (other.centre_m[2] - coil.centre_m[2]).abs() < 1e-12;
+            let first = array.coils().iter().position(|other| is_level(other) && coil.is_moved(other)).unwrap_or(0);
+            let symmetry = Symmetry::of(coil);
             for place in places_m {
-                let (dx, dy) = (place[0] - coil.centre_m[0], place[1] - coil.centre_m[1]);
-                if !coil.is_axisymmetric() {
-                    coefficients.extend(chebyshev(coil, [dx, dy], [low_m, high_m]));
-                    continue;
-                }
-                // Round coils: one table a distance, turned to where the body is.
-                let key = (first, (dx.hypot(dy) * 1e10).round() as u64);
-                let table = known.entry(key).or_insert_with(|| chebyshev(coil, [dx.hypot(dy), 0.0], [low_m, high_m]));
-                coefficients.extend(turned(table, dy.atan2(dx)));
+                let fold = symmetry.fold([place[0] - coil.centre_m[0], place[1] - coil.centre_m[1]]);
+                let key = (first, fold.place_m.map(|m| (m * 1e10).round() as i64));
+                let table = *known.entry(key).or_insert_with(|| {
+                    distinct.push((coil, fold.place_m));
+                    distinct.len() - 1
+                });
+                found.push((table, fold));
             }
         }
+        let tables: Vec<Vec<f64>> =
+            distinct.par_iter().map(|(coil, place_m)| chebyshev(coil, *place_m, [low_m, high_m])).collect();
+        let mut coefficients = Vec::with_capacity(found.len() * NODES * HARMONICS);
+        found.iter().for_each(|(table, fold)| coefficients.extend(fold.unfolded(&tables[*table])));
         let coils = array.coils().len();
         Ok(Self { coils, places_m: places_m.to_vec(), low_m, high_m, nodes: NODES, coefficients })
     }
@@ -105,22 +114,66 @@ impl CoilTables {
     }
 }
 
-/// True where one coil is the other, moved.
-fn is_same_shape(a: &Coil, b: &Coil) -> bool {
-    let by = subtract(a.centre_m, b.centre_m);
-    let near = |p: Vector, q: Vector| norm(subtract(p, q)) < 1e-12;
-    let same = |(p, q): (&Filament, &Filament)| match (p, q) {
-        (Filament::Ring(p), Filament::Ring(q)) => {
-            near(subtract(p.centre_m, by), q.centre_m) && p.axis == q.axis && (p.radius_m - q.radius_m).abs() < 1e-12
+/// How a coil's field repeats itself about its middle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Symmetry {
+    /// All directions are alike.
+    Round,
+    /// Quarter turns and the axes' mirrors.
+    Square,
+    None,
+}
+
+/// A place brought to where its table is made, and the way back: the mirror y -> -y, then a turn.
+#[derive(Clone, Copy, Debug)]
+struct Fold {
+    place_m: [f64; 2],
+    mirrored: bool,
+    angle: f64,
+}
+
+impl Symmetry {
+    fn of(coil: &Coil) -> Self {
+        if coil.is_axisymmetric() {
+            Self::Round
+        } else if coil.is_of_squares() {
+            Self::Square
+        } else {
+            Self::None
         }
-        (Filament::Segment(p), Filament::Segment(q)) => {
-            near(subtract(p.from_m, by), q.from_m) && near(subtract(p.to_m, by), q.to_m)
+    }
+
+    fn fold(self, [x, y]: [f64; 2]) -> Fold {
+        match self {
+            Self::Round => Fold { place_m: [x.hypot(y), 0.0], mirrored: false, angle: y.atan2(x) },
+            Self::Square => {
+                let quarters = (y.atan2(x) / FRAC_PI_2).round();
+                let (sine, cosine) = (quarters * FRAC_PI_2).sin_cos();
+                // Exact: sines and cosines of quarter turns.
+                let (sine, cosine) = (sine.round(), cosine.round());
+                let [along, across] = [cosine * x + sine * y, cosine * y - sine * x];
+                Fold { place_m: [along, across.abs()], mirrored: across < 0.0, angle: quarters * FRAC_PI_2 }
+            }
+            Self::None => Fold { place_m: [x, y], mirrored: false, angle: 0.0 },
         }
-        _ => false,
-    };
-    a.scale() == b.scale()
-        && a.filaments().len() == b.filaments().len()
-        && a.filaments().iter().zip(b.filaments()).all(same)
+    }
+}
+
+impl Fold {
+    /// The table of the place itself. In a mirror through its middle a coil's current turns the other way, and so does the
+    /// field's axial part: the potential is even, and what goes with the sine changes its sign.
+    fn unfolded(&self, table: &[f64]) -> Vec<f64> {
+        let mut out = table.to_vec();
+        if self.mirrored {
+            for row in out.chunks_exact_mut(HARMONICS) {
+                for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
+                    let sine = &mut row[index(degree, order) + 1];
+                    *sine = -*sine;
+                }
+            }
+        }
+        if self.angle == 0.0 { out } else { turned(&out, self.angle) }
+    }
 }
 
 fn check_clearance(

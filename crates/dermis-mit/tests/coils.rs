@@ -302,3 +302,28 @@ fn coils_that_cannot_be_are_refused_with_field_value_and_expectation() {
     }
     assert!(pair.with_shield(-0.5 * MM).is_ok());
 }
+
+#[test]
+fn pairs_that_lie_alike_have_one_mutual_inductance_and_others_their_own() {
+    // Round and square coils, one of them in a layer above, over a shield.
+    let round = |x: f64, y: f64, z: f64| Coil::circular_spiral([x, y, z], 0.012, 0.036, 6).unwrap();
+    let square = |x: f64, y: f64| Coil::square_spiral([x, y, 0.0], 0.012, 0.036, 6).unwrap();
+    let coils = vec![
+        round(0.0, 0.0, 0.0),
+        round(0.04, 0.0, 0.0),
+        round(0.08, 0.0, 0.0),
+        round(0.0, 0.04, 0.0),
+        round(0.0, 0.0, 0.01),
+        square(0.04, 0.04),
+        square(0.08, 0.04),
+        square(0.12, 0.04),
+        square(0.08, 0.08),
+    ];
+    let array = CoilArray::of_coils(coils).unwrap().with_shield(-0.02).unwrap();
+    let found = array.mutuals_h();
+    for (&[a, b], found) in array.pairs().iter().zip(&found) {
+        let direct = array.coils()[a].mutual_h(&array.coils()[b]);
+        // Reciprocal pairs integrate along the other's wire.
+        assert!((found - direct).abs() < 1e-9 * direct.abs().max(1e-9), "{a} {b}: {found:e} {direct:e}");
+    }
+}

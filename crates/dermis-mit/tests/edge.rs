@@ -1,7 +1,6 @@
 //! Edge elements against closed forms, reference values computed elsewhere and measured fields.
 
 use std::f64::consts::PI;
-use std::path::PathBuf;
 
 use dermis_mit::edge::{
     EddySystem, Grading, Harmonic, Material, Order, Shape, Source, SymmetricBody, body_tau, box_mesh, round_tau,
@@ -17,18 +16,8 @@ mod team7;
 
 const ALUMINIUM: Material = Material { conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
 
-/// A file of shared data, where these are at hand.
-fn shared(name: &str) -> Option<String> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(name);
-    let text = std::fs::read_to_string(&path).ok();
-    if text.is_none() {
-        println!("{} is not there: nothing compared", path.display());
-    }
-    text
-}
-
-fn reference(name: &str) -> Option<Value> {
-    shared(&format!("oracle/mit/{name}")).map(|text| serde_json::from_str(&text).unwrap())
+fn reference(name: &str) -> Value {
+    serde_json::from_str(&dermis_testdata::oracle_text(&format!("mit/{name}"))).unwrap()
 }
 
 fn number(value: &Value) -> f64 {
@@ -164,7 +153,7 @@ const CYLINDER: Shape = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
 
 #[test]
 fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
-    let Some(file) = reference("edge_fem_cylinder.json") else { return };
+    let file = reference("edge_fem_cylinder.json");
     let grading = CYLINDER.grading(skin_depth_m(3.5e7, 1.0, 1e3).unwrap());
     // Between the coils, near and less near, and over one of them. The reference is within 0.05 % of an axisymmetric one.
     let off = pair_errors(&file, &CYLINDER, &Grading { air_growth: 2.5, ..grading }, 1e3, &[0, 1, 6]);
@@ -173,7 +162,7 @@ fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
 
 #[test]
 fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
-    let Some(file) = reference("edge_fem_cylinder.json") else { return };
+    let file = reference("edge_fem_cylinder.json");
     // What the multipoles leave and what elements of second order do: the reference itself is 1.05 % from an axisymmetric
     // computation at 100 kHz.
     for (frequency_hz, most) in [(1e3, 0.003), (1e5, 0.01)] {
@@ -212,7 +201,7 @@ fn a_cylinder_answers_axial_fields_as_rings_and_an_axisymmetric_computation_do()
             assert!((found - expected).norm() < 4e-3 * (1 + i.max(j)) as f64 * size, "{i} {j}: {found:?} {expected:?}");
         }
     }
-    let Some(file) = reference("axisymmetric_bodies.json") else { return };
+    let file = reference("axisymmetric_bodies.json");
     let rows = file["rows"].as_array().unwrap();
     let row =
         rows.iter().find(|row| row["kind"] == "cyl" && number(&row["f_Hz"]) == 20e3 && number(&row["Rair"]) == 0.3);
@@ -246,7 +235,7 @@ fn half_of_the_systems_are_enough_for_a_round_body() {
 
 #[test]
 fn a_plate_changes_coil_pairs_as_in_the_reference() {
-    let Some(file) = reference("edge_fem_plate.json") else { return };
+    let file = reference("edge_fem_plate.json");
     let plate = Shape::Plate { size_m: [0.02, 0.02, 0.001] };
     let grading =
         Grading { first_m: 0.5e-3, growth: 2.0, most_m: 0.5e-3, air_growth: 3.0, air_m: 0.08, ..plate.grading(1.0) };
@@ -257,7 +246,7 @@ fn a_plate_changes_coil_pairs_as_in_the_reference() {
 
 #[test]
 fn a_coil_over_a_large_plate_changes_as_over_an_infinite_one() {
-    let Some(file) = reference("dodd_deeds.json") else { return };
+    let file = reference("dodd_deeds.json");
     let grading =
         Grading { first_m: 0.25e-3, growth: 1.8, most_m: 0.01, wide_m: 0.01, air_growth: 2.5, air_m: 0.5, around: 16 };
     let shape = Shape::Cylinder { radius_m: 0.15, height_m: 0.001 };
@@ -277,7 +266,8 @@ fn a_coil_over_a_large_plate_changes_as_over_an_infinite_one() {
 
 #[test]
 fn the_racetrack_coil_over_a_holed_plate_is_as_measured() {
-    let Some(text) = shared("data/team7/team7_Bz_gauss_50hz.csv") else { return };
+    let Some(folder) = dermis_testdata::set("team7") else { return };
+    let text = std::fs::read_to_string(folder.join("team7_Bz_gauss_50hz.csv")).unwrap();
     let measured: Vec<Vec<f64>> =
         text.lines().skip(1).map(|line| line.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
     let found = team7::flux_density(&team7::mesh(0).unwrap(), 50.0).unwrap();

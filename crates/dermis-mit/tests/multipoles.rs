@@ -1,23 +1,14 @@
 //! Coils and multipole bodies against reference values computed elsewhere and against closed forms.
 
-use std::path::PathBuf;
-
 use dermis_mit::{
     Coil, CoilArray, CoilTables, Complex, Coupling, Filament, HARMONICS, MU0, MitError, MultipoleArray, Polarizability,
     Ring, Sphere, complete_elliptic, skin_depth_m,
 };
 use serde_json::Value;
 
-/// A file of reference values, where the reference data are at hand.
-fn reference(name: &str) -> Option<Value> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/oracle/mit").join(name);
-    match std::fs::read_to_string(&path) {
-        Ok(text) => Some(serde_json::from_str(&text).unwrap()),
-        Err(_) => {
-            println!("{} is not there: nothing compared", path.display());
-            None
-        }
-    }
+/// A file of reference values.
+fn reference(name: &str) -> Value {
+    serde_json::from_str(&dermis_testdata::oracle_text(&format!("mit/{name}"))).unwrap()
 }
 
 fn number(value: &Value, key: &str) -> f64 {
@@ -57,7 +48,7 @@ fn elliptic_integrals_obey_legendre() {
 
 #[test]
 fn loops_have_the_reference_s_mutual_inductances() {
-    let Some(file) = reference("filament_mutual.json") else { return };
+    let file = reference("filament_mutual.json");
     let mut worst: f64 = 0.0;
     for row in file["coaxial_and_parallel"].as_array().unwrap() {
         let centre = [number(row, "offset"), 0.0, number(row, "axial")];
@@ -114,7 +105,7 @@ fn fields_are_the_curl_of_potentials_and_right_on_the_axis() {
 
 #[test]
 fn spirals_have_the_reference_s_inductances() {
-    let Some(file) = reference("spirals.json") else { return };
+    let file = reference("spirals.json");
     let row = &file["circular_51t_30_70"];
     let pitch = 0.02 / 51.0;
     let round = 0.5 * (-0.25_f64).exp();
@@ -153,7 +144,7 @@ fn a_shield_is_a_plane_through_which_no_flux_goes() {
 
 #[test]
 fn spheres_answer_as_the_closed_form_says() {
-    let Some(file) = reference("sphere_polarizability.json") else { return };
+    let file = reference("sphere_polarizability.json");
     let mut worst: f64 = 0.0;
     for row in file["rows"].as_array().unwrap() {
         let sphere = Sphere {
@@ -176,7 +167,7 @@ fn spheres_answer_as_the_closed_form_says() {
 
 #[test]
 fn a_sphere_between_two_coils_as_tabulated() {
-    let Some(file) = reference("sphere_coilpair.json") else { return };
+    let file = reference("sphere_coilpair.json");
     let (first, second) = (spiral(-0.0375), spiral(0.0375));
     let (mut worst, mut beyond) = ([0.0_f64; 4], 0.0_f64);
     for row in file["rows"].as_array().unwrap() {
@@ -246,6 +237,21 @@ fn tables_over_height_hold_the_expansions_and_their_slopes() {
             assert!((difference - slopes[3 * k + 1]).norm() < 1e-5 * steepest, "{k}");
         }
     }
+}
+
+#[test]
+fn coils_over_each_other_have_tables_of_their_own() {
+    let coil = |z: f64| Coil::circular_spiral([0.0, 0.0, z], 0.012, 0.036, 6).unwrap();
+    let array = CoilArray::of_coils(vec![coil(0.0), coil(-0.01)]).unwrap();
+    let tables = CoilTables::new(&array, &[[0.01, 0.005]], [0.010, 0.025], 0.005).unwrap();
+    let mut over = MultipoleArray::new(vec![aluminium(0.004)], tables, None).unwrap();
+    let mut changes = [Complex::new(0.0, 0.0)];
+    over.changes(&[0.015], &mut changes).unwrap();
+    let centre = [0.01, 0.005, 0.015];
+    let [upper, lower] = [0, 1].map(|k| expand(&array.coils()[k], centre));
+    let expected = aluminium(0.004).change_h(&upper, &lower);
+    // Sixteen Chebyshev polynomials over 15 mm, 10 mm above the wire.
+    assert!((changes[0] - expected).norm() < 1e-7 * expected.norm(), "{:?} {expected:?}", changes[0]);
 }
 
 #[test]

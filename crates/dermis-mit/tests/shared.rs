@@ -1,20 +1,11 @@
-//! Reference values of magnetic induction, where they are at hand.
-
-use std::path::PathBuf;
+//! Reference values of magnetic induction (`tests/data/oracle/mit`).
 
 use dermis_mit::Complex;
 use serde_json::Value;
 
-/// A file of reference values; says so where it is missing.
-pub fn reference(name: &str) -> Option<Value> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/oracle/mit").join(name);
-    match std::fs::read_to_string(&path) {
-        Ok(text) => Some(serde_json::from_str(&text).expect("reference values are JSON")),
-        Err(_) => {
-            println!("{} is not there: nothing compared", path.display());
-            None
-        }
-    }
+/// A file of reference values.
+pub fn reference(name: &str) -> Value {
+    serde_json::from_str(&dermis_testdata::oracle_text(&format!("mit/{name}"))).expect("reference values are JSON")
 }
 
 /// A number in it.

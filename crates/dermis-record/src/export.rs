@@ -219,13 +219,19 @@ fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool
         let head = recording.head();
         let label =
             |channel: usize| head.labels.get(channel).cloned().unwrap_or_else(|| format!("channel {}", channel + 1));
+        let unit = if is_in_volts(&head.source) { " (V)" } else { "" };
         let parts: &[&str] = if complex { &["re ", "im "] } else { &[""] };
         let all = parts.iter().flat_map(|part| (0..head.layout.channels()).map(move |channel| (*part, channel)));
         columns.extend(
-            all.map(|(part, channel)| Column { name: format!("{part}{}", label(channel)), kind: Kind::Number }),
+            all.map(|(part, channel)| Column { name: format!("{part}{}{unit}", label(channel)), kind: Kind::Number }),
         );
     }
     columns
+}
+
+/// Twins and instruments that speak the wire deliver volts; files hold what whoever wrote them counted in.
+fn is_in_volts(source: &str) -> bool {
+    ["twin:", "tcp:", "serial:"].iter().any(|kind| source.starts_with(kind))
 }
 
 fn frame_cells(frame: &Frame, cells: &mut Vec<Cell>) {

@@ -1,10 +1,11 @@
 //! Where a recording's bytes go: a file that has another name until it is whole, or a device that stands under the name.
 
-use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+
+use dermis_device::{Place, partial_name};
 
 use super::sync::Syncer;
 use crate::Error;
@@ -15,8 +16,11 @@ const SYNC_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Where the bytes go.
 pub(super) trait Destination: Write + Send {
-    /// Makes everything durable and gives it its final name.
+    /// Makes everything durable and gives it its final name, unless another file has it; then the partial one stays.
     fn complete(self: Box<Self>) -> io::Result<()>;
+
+    /// Ends after an error: what was handed out whole stays, with a note of what happened behind it where there is room.
+    fn abandon(self: Box<Self>, _note: &[u8]) {}
 }
 
 /// A file under its partial name, or the device that stands at `path`.
@@ -54,7 +58,10 @@ struct PartialFile {
     out: BufWriter<File>,
     syncer: Syncer,
     partial: PathBuf,
-    target: PathBuf,
+    place: Place,
+    /// Bytes given out, and those of them that came to the system whole.
+    given: u64,
+    whole: u64,
 }
 
 impl PartialFile {
@@ -66,19 +73,8 @@ impl PartialFile {
         let syncer = Syncer::spawn(SYNC_INTERVAL, move || handle.sync_data()).map_err(Error::io(&partial))?;
         // The name, too, shall be there after a loss of power.
         crate::sink::sync_directory(&partial);
-        Ok(Self { out: BufWriter::new(file), syncer, partial, target: path.to_owned() })
+        Ok(Self { out: BufWriter::new(file), syncer, partial, place: Place::at(path), given: 0, whole: 0 })
     }
-}
-
-/// `a/press.mcap` becomes `a/press.partial.mcap`.
-fn partial_name(path: &Path) -> Option<PathBuf> {
-    let mut name = OsString::from(path.file_stem()?);
-    name.push(".partial");
-    if let Some(extension) = path.extension() {
-        name.push(".");
-        name.push(extension);
-    }
-    Some(path.with_file_name(name))
 }
 
 /// What is no regular file and has no other name meanwhile.
@@ -102,21 +98,68 @@ impl Destination for Device {
 
 impl Write for PartialFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.out.write(bytes)
+        let count = self.out.write(bytes)?;
+        self.given += count as u64;
+        Ok(count)
     }
 
     fn flush(&mut self) -> io::Result<()> {
         self.out.flush()?;
+        self.whole = self.given;
         self.syncer.written()
     }
 }
 
 impl Destination for PartialFile {
+    fn abandon(self: Box<Self>, note: &[u8]) {
+        // Half a chunk is of no use to anyone, and on a full disk it makes room for the note.
+        let (mut file, _) = self.out.into_parts();
+        let noted = file
+            .set_len(self.whole)
+            .and_then(|()| file.seek(SeekFrom::Start(self.whole)))
+            .and_then(|_| file.write_all(note))
+            .and_then(|()| file.sync_data());
+        if let Err(error) = noted {
+            tracing::debug!("{}: no note of the failure: {error}", self.partial.display());
+        }
+    }
+
     fn complete(mut self: Box<Self>) -> io::Result<()> {
         self.out.flush()?;
         self.out.get_ref().sync_all()?;
-        fs::rename(&self.partial, &self.target)?;
-        crate::sink::sync_directory(&self.target);
+        self.place.put(&self.partial)?;
+        crate::sink::sync_directory(self.place.path());
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_abandoned_file_keeps_what_was_whole_and_says_why() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("press.mcap");
+        let mut file = Box::new(PartialFile::create(&path).unwrap());
+        file.write_all(b"whole").unwrap();
+        file.flush().unwrap();
+        file.write_all(b"torn").unwrap();
+        file.abandon(b"+note");
+        assert_eq!(fs::read(folder.path().join("press.partial.mcap")).unwrap(), b"whole+note");
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_recording_that_finds_its_name_taken_stays_under_the_partial_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("press.mcap");
+        let mut file = Box::new(PartialFile::create(&path).unwrap());
+        file.write_all(b"ours").unwrap();
+        fs::write(&path, "another's").unwrap();
+        let error = Destination::complete(file).unwrap_err();
+        assert!(error.to_string().contains("press.partial.mcap"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"another's");
+        assert_eq!(fs::read(folder.path().join("press.partial.mcap")).unwrap(), b"ours");
     }
 }

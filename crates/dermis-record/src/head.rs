@@ -13,6 +13,8 @@ pub(super) const RECORDING: &str = "dermis.recording";
 pub(super) const SKIN: &str = "dermis.skin";
 pub(super) const CALIBRATION: &str = "dermis.calibration";
 pub(super) const FINISHED: &str = "dermis.finished";
+/// Name of the metadata record that says what stopped a recording before its end.
+pub(super) const STOPPED: &str = "dermis.stopped";
 
 /// Version of the format that [`super`] describes.
 const VERSION: &str = "2";

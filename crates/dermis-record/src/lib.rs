@@ -1,6 +1,36 @@
-//! Recordings: raw frames before any processing, together with the skin, calibrations, baselines, touches and events, in
-//! one MCAP file (<https://mcap.dev/spec>, profile `ros2`) that general viewers open, and the same frames back as a
+//! Recordings: raw frames before any processing, together with the skin, calibrations, baselines, touches and events,
+//! in one MCAP file (<https://mcap.dev/spec>, profile `ros2`) that general viewers open, and the same frames back as a
 //! [`dermis_device::Source`].
+//!
+//! ```
+//! use dermis_device::{Frame, HostStamp, Layout};
+//! use dermis_record::{Recorder, Recording, RecordingHead, read_frames};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let file = folder.path().join("press.mcap");
+//! let head = RecordingHead::new("name = \"mine\"", Layout::Channels { count: 2 }, "my board");
+//! let mut recorder = Recorder::create(&file, &head)?;
+//! let mut frame = Frame::default();
+//! for n in 0..3 {
+//!     frame.refill(n, HostStamp::now(), &[1.0, n as f64], &[]);
+//!     recorder.write_frame(&frame)?;
+//! }
+//! recorder.finish(0)?; // No frame was dropped on the way.
+//!
+//! let mut recording = Recording::open(&file)?;
+//! assert_eq!(recording.frames().count(), 3);
+//! // Or as a table, like any other file of frames.
+//! let table = read_frames(&format!("{}#1..3", file.display()).parse()?, None)?;
+//! assert_eq!(table.row(1), Some(&[1.0, 2.0][..]));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | | |
+//! |---|---|
+//! | [`Recorder`], [`LiveRecording`] | writing, by hand or of a running pipeline |
+//! | [`Recording`], [`read_frames`], [`Replay`], [`rerun`] | reading; as a table, as a source, through a pipeline again |
+//! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
+//! | [`recover`](fn@recover) | a whole recording of what is left of a broken one |
 //!
 //! # Channels
 //! All messages are CDR, and their definitions (`ros2msg`) stand in the file.
@@ -15,24 +45,25 @@
 //! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the same on the skin's surface, a field `pressure` with the image's value |
 //! | `/dermis/touch_points` | `sensor_msgs/msg/PointCloud2` | touches in space |
 //!
-//! The last three are there where a [`SkinView`] was given. Log times are the host's wall clock. Readings are 8 bytes each
-//! and exact, to the payload of a NaN.
+//! The last three are there where a [`SkinView`] was given. Log times are the host's wall clock. Readings are 8 bytes
+//! each and exact, to the payload of a NaN.
 //!
 //! Metadata records: `dermis.recording` (format version, channel layout and labels as JSON, source, software),
 //! `dermis.skin` (the skin file, key `toml`), `dermis.calibration` (the calibrations, keys `image` and `forces`), all
 //! attached as files too, and at the end `dermis.finished` (frames written and dropped).
 //!
 //! # What survives
-//! While it is being made, a recording `press.mcap` is called `press.partial.mcap`; it gets its name when it is whole and
-//! on disk. Twice a second everything is handed to the operating system as a complete chunk with a checksum, so a partial
-//! recording whose writer was killed lacks at most about the last second; it opens like any other, and
-//! [`Recording::damage`] says what is missing. Neither name is ever overwritten. Where a device stands under the name (a
-//! pipe, a terminal), it is written to directly.
+//! While it is being made, a recording `press.mcap` is called `press.partial.mcap`; it gets its name when it is whole
+//! and on disk. Twice a second everything is handed to the operating system as a complete chunk with a checksum, so a
+//! partial recording whose writer was killed lacks at most about the last second; it opens like any other, and
+//! [`Recording::damage`] says what is missing. Neither name is ever overwritten. Where a device stands under the name
+//! (a pipe, a terminal), it is written to directly.
 
 mod cdr;
 mod error;
 mod export;
 mod file;
+mod frames;
 mod head;
 mod live;
 mod messages;
@@ -50,10 +81,11 @@ mod writer;
 
 pub use error::Error;
 pub use export::{Exported, Table, TableFormat, export};
+pub use frames::{is_recording, read_frames};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
 pub use messages::{BaselineEntry, EventEntry, TouchEntry, TouchesEntry};
-pub use queue::{RecorderHandle, RecorderStatus};
+pub use queue::{RecorderHandle, RecorderStatus, RecordingStop};
 pub use reader::{Damage, Entry, LostFrames, Recording};
 pub use recover::{Recovered, recover};
 pub use replay::Replay;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use dermis_device::{Frame, HostStamp};
 use dermis_touch::damage::DamageEvent;
 
-use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, SkinView};
+use super::{Recorder, RecorderHandle, RecorderStatus, RecordingHead, RecordingStop, SkinView};
 use crate::Error;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
@@ -126,6 +126,11 @@ impl LiveRecording {
         let error = self.handle.status().error.filter(|_| !self.failure_told)?;
         self.failure_told = true;
         Some(error)
+    }
+
+    /// What ends the recording from elsewhere, also while whoever records is busy.
+    pub fn stop(&self) -> RecordingStop {
+        self.handle.stop()
     }
 
     /// Ends the recording.

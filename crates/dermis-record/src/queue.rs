@@ -4,8 +4,9 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, select};
 use dermis_device::Frame;
 use dermis_touch::{ReferenceRecord, TouchEvent};
 
@@ -66,7 +67,35 @@ pub struct RecorderHandle {
     /// When the next image is due, on the frames' clock.
     image_due_ns: u64,
     shared: Arc<Shared>,
+    stop: RecordingStop,
     thread: Option<JoinHandle<Result<RecordingSummary, Error>>>,
+}
+
+/// Ends a recording from anywhere, also where whoever records is stuck: what is queued is written and the file made whole.
+/// What is offered after that is refused.
+#[derive(Clone, Debug)]
+pub struct RecordingStop {
+    ask: Sender<()>,
+    /// Closed once the recording has ended.
+    ended: Receiver<()>,
+}
+
+impl RecordingStop {
+    /// Asks for the end and does not wait for it.
+    pub fn ask(&self) {
+        // One wish is enough.
+        let _ = self.ask.try_send(());
+    }
+
+    /// Waits at most so long for the end; false where it has not come.
+    pub fn wait(&self, most: Duration) -> bool {
+        !matches!(self.ended.recv_timeout(most), Err(RecvTimeoutError::Timeout))
+    }
+
+    /// Whether the recording has ended.
+    pub fn has_ended(&self) -> bool {
+        self.wait(Duration::ZERO)
+    }
 }
 
 impl std::fmt::Debug for RecorderHandle {
@@ -98,12 +127,38 @@ impl RecorderHandle {
         let view = recorder.view().cloned();
         let shared = Arc::new(Shared::default());
         let path = recorder.path().to_owned();
-        let writer =
-            WriterThread { recorder, queue, return_frame, return_message, return_image, shared: shared.clone() };
-        let thread = thread::Builder::new().name("dermis-recorder".to_owned()).spawn(move || writer.run());
+        let (ask, asked) = bounded(1);
+        let (ending, ended) = bounded(0);
+        let stop = RecordingStop { ask: ask.clone(), ended };
+        let shared_there = shared.clone();
+        let writer = WriterThread {
+            recorder,
+            queue,
+            return_frame,
+            return_message,
+            return_image,
+            asked,
+            _ask: ask,
+            shared: shared_there,
+        };
+        let thread = thread::Builder::new().name("dermis-recorder".to_owned()).spawn(move || {
+            let result = writer.run();
+            drop::<Sender<()>>(ending);
+            result
+        });
         let thread = Some(thread.map_err(Error::io(path))?);
         let image_due_ns = 0;
-        Ok(Self { items: Some(items), free_frames, free_messages, free_images, view, image_due_ns, shared, thread })
+        Ok(Self {
+            items: Some(items),
+            free_frames,
+            free_messages,
+            free_images,
+            view,
+            image_due_ns,
+            shared,
+            stop,
+            thread,
+        })
     }
 
     /// Queues a raw frame; false if it is dropped because the queue is full or the recording has stopped.
@@ -180,6 +235,11 @@ impl RecorderHandle {
         move || (shared.safe.load(Ordering::Relaxed), shared.dropped(true))
     }
 
+    /// What ends the recording from elsewhere.
+    pub fn stop(&self) -> RecordingStop {
+        self.stop.clone()
+    }
+
     /// Writes what is queued, ends the recording and gives it its final name.
     ///
     /// # Errors
@@ -234,6 +294,9 @@ struct WriterThread {
     return_frame: Sender<Frame>,
     return_message: Sender<Vec<u8>>,
     return_image: Sender<Vec<f32>>,
+    /// Wishes that the recording may end, and what keeps that queue open.
+    asked: Receiver<()>,
+    _ask: Sender<()>,
     shared: Arc<Shared>,
 }
 
@@ -242,7 +305,14 @@ impl WriterThread {
         let shared = self.shared.clone();
         let drained = self.drain();
         shared.safe.store(self.recorder.safe_frames(), Ordering::Relaxed);
+        let frames = self.recorder.frames();
         let result = drained.and_then(|()| self.recorder.finish(shared.dropped(false)));
+        // One whose name was taken meanwhile stands whole under its partial name.
+        if let Err(Error::Io { source, .. }) = &result
+            && source.kind() == std::io::ErrorKind::AlreadyExists
+        {
+            shared.safe.store(frames, Ordering::Relaxed);
+        }
         // Whoever sees the error is refused from then on.
         drop(self.queue);
         if let Err(error) = &result {
@@ -251,13 +321,23 @@ impl WriterThread {
         result
     }
 
-    /// Writes until the handle hangs up.
+    /// Writes until the handle hangs up or someone asks for the end.
     fn drain(&mut self) -> Result<(), Error> {
         loop {
-            match self.queue.recv_timeout(FLUSH_INTERVAL) {
-                Ok(item) => self.write(item)?,
-                Err(RecvTimeoutError::Timeout) => self.recorder.flush_if_due()?,
-                Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            let item = select! {
+                recv(self.queue) -> item => item.map(Some),
+                recv(self.asked) -> _ => {
+                    while let Ok(item) = self.queue.try_recv() {
+                        self.write(item)?;
+                    }
+                    return Ok(());
+                }
+                default(FLUSH_INTERVAL) => Ok(None),
+            };
+            match item {
+                Ok(Some(item)) => self.write(item)?,
+                Ok(None) => self.recorder.flush_if_due()?,
+                Err(_) => return Ok(()),
             }
         }
     }

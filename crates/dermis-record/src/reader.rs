@@ -10,10 +10,14 @@ use dermis_device::Frame;
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::head::{FINISHED, RecordingHead};
+use super::head::{FINISHED, RecordingHead, STOPPED};
 use super::scan::{ChunkPlace, MOST_BYTES, Outline, PREFIX, announced_size};
+use super::writer::CHUNK_BYTES;
 use super::{BaselineEntry, EventEntry, TouchesEntry, messages, schema};
 use crate::Error;
+
+/// More than any chunk of ours has in it: what makes one due, and a message beside.
+const MOST_CHUNK_BYTES: u64 = 2 * CHUNK_BYTES as u64;
 
 /// A message's header: channel (u16), sequence (u32), log and publish time (u64 each).
 const MESSAGE_HEADER: usize = 22;
@@ -212,13 +216,25 @@ impl<R: Read + Seek> Recording<R> {
         self.outline.metadata.get(FINISHED)?.get("dropped")?.parse().ok()
     }
 
+    /// What stopped the recording before its end, where that was an error which could still be noted: a full disk, say. A
+    /// recording that was killed has no such note.
+    pub fn stopped(&self) -> Option<&str> {
+        self.outline.metadata.get(STOPPED)?.get("reason").map(String::as_str)
+    }
+
     /// What could not be read so far; complete once every entry has been read.
     pub fn damage(&self) -> Damage {
         let tally = &self.tally;
         let frames = match self.frames_written() {
             Some(written) => LostFrames::Exactly(written.saturating_sub(tally.frames)),
             None => {
-                let announced = tally.damaged_chunk_bytes.saturating_add(self.outline.cut_chunk_bytes);
+                // A chunk that is cut off before it says its size, or within, has no more in it than any other.
+                let cut = match (self.outline.bytes_cut, self.outline.cut_chunk_bytes) {
+                    (0, _) => 0,
+                    (_, 0) => MOST_CHUNK_BYTES,
+                    (_, announced) => announced,
+                };
+                let announced = tally.damaged_chunk_bytes.saturating_add(cut);
                 let in_damaged_chunks = announced.checked_div(tally.frame_bytes).unwrap_or(0);
                 LostFrames::Unknown { in_damaged_chunks }
             }
@@ -336,7 +352,9 @@ impl<R: Read + Seek> Recording<R> {
     fn count_damaged(&mut self, place: ChunkPlace, announced_bytes: u64) {
         self.tally.chunks += 1;
         self.tally.bytes = self.tally.bytes.saturating_add(place.length);
-        self.tally.damaged_chunk_bytes = self.tally.damaged_chunk_bytes.saturating_add(announced_bytes);
+        // What a damaged chunk announces may be damaged itself.
+        let most = announced_bytes.max(MOST_CHUNK_BYTES);
+        self.tally.damaged_chunk_bytes = self.tally.damaged_chunk_bytes.saturating_add(most);
     }
 
     /// Takes one record out of the open chunk.
@@ -366,7 +384,9 @@ impl<R: Read + Seek> Recording<R> {
                     Some((kind, wall_ns)) => {
                         if matches!(kind, Kind::Frame) {
                             self.tally.frames += 1;
-                            self.tally.frame_bytes = PREFIX + data.len() as u64;
+                            let bytes = PREFIX + data.len() as u64;
+                            let least = self.tally.frame_bytes;
+                            self.tally.frame_bytes = if least == 0 { bytes } else { least.min(bytes) };
                         }
                         return Step::Entry(kind, wall_ns);
                     }

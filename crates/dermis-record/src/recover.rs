@@ -21,7 +21,7 @@ use crate::Error;
 const RECOVERED: &str = "dermis.recovered";
 
 /// What became of a broken recording.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recovered {
     /// Frames in the new one.
     pub frames: u64,
@@ -29,6 +29,8 @@ pub struct Recovered {
     pub messages: u64,
     /// What of the old one could not be read.
     pub damage: Damage,
+    /// What stopped the old one, where that was noted: [`Recording::stopped`].
+    pub stopped: Option<String>,
 }
 
 /// Makes a whole recording at `to` from what can be read of `from`, which stays as it is.
@@ -64,7 +66,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
     copy.writer.write_metadata(&end).map_err(failed)?;
     copy.writer.finish().map_err(failed)?;
     copy.writer.into_inner().into_inner().complete().map_err(Error::io(to))?;
-    Ok(Recovered { frames, messages, damage })
+    Ok(Recovered { frames, messages, damage, stopped: recording.stopped().map(str::to_owned) })
 }
 
 /// A copy in progress. Numbers of schemas and channels are given anew.

@@ -1,81 +1,25 @@
-//! Where the results of the pipeline go. A [`Sink`] takes one [`Output`] per frame and knows nothing of what stands
+//! Where the results of the pipeline go. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per frame and knows nothing of what stands
 //! before it; files appear under their names only when they are whole.
 
 mod image_stack;
+mod interface;
 pub(crate) mod json_lines;
 pub(crate) mod staged;
 mod touch_table;
 
-use dermis_touch::Touch;
-
-use crate::Error;
-use dermis_live::output::Output;
-
 pub use image_stack::ImageStack;
+pub use interface::{Sink, Summary};
 pub use json_lines::{JsonLines, LinesFor};
 pub(crate) use staged::sync_directory;
 pub use touch_table::TouchTable;
 
-/// What a sink has taken.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Summary {
-    /// Frames accepted.
-    pub frames: u64,
-    /// Lines, rows or images written.
-    pub written: u64,
-}
-
-/// Something that results are given to, frame by frame.
-pub trait Sink: Send {
-    /// Takes one frame's results.
-    ///
-    /// # Errors
-    /// When they could not be written; the sink is then of no further use.
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error>;
-
-    /// Writes what is left and puts files under their final names. Further calls change nothing.
-    ///
-    /// # Errors
-    /// When that fails; no file stands under its final name then, unless one stood there before.
-    fn finish(&mut self) -> Result<Summary, Error>;
-}
-
-/// One millimetre in metres, and its square, for the edges.
-const MM_PER_M: f64 = 1e3;
-const MM2_PER_M2: f64 = 1e6;
-
-/// A touch as files and streams show it.
-struct TouchRow {
-    x_mm: f64,
-    y_mm: f64,
-    amplitude: f64,
-    area_mm2: f64,
-    sigma_x_mm: f64,
-    sigma_y_mm: f64,
-}
-
-impl TouchRow {
-    fn new(touch: &Touch) -> Self {
-        Self {
-            x_mm: touch.position_m[0] * MM_PER_M,
-            y_mm: touch.position_m[1] * MM_PER_M,
-            amplitude: touch.amplitude,
-            area_mm2: touch.area_m2 * MM2_PER_M2,
-            sigma_x_mm: touch.covariance_m2[0][0].sqrt() * MM_PER_M,
-            sigma_y_mm: touch.covariance_m2[1][1].sqrt() * MM_PER_M,
-        }
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod testing {
     use dermis_live::clock::FrameAnomalies;
+    use dermis_live::output::Output;
     use dermis_live::stages::damage::DamageView;
-    use dermis_touch::TouchEvent;
     use dermis_touch::health::Health;
-
-    use super::*;
-    use dermis_touch::{ContactSign, Observation, TouchPhase};
+    use dermis_touch::{ContactSign, Observation, Touch, TouchEvent, TouchPhase};
 
     /// A touch at (x, y) in millimetres with standard deviations 0.5 and 0.25 mm and an area of 100 mm^2.
     pub(crate) fn touch(id: u64, phase: TouchPhase, x_mm: f64, y_mm: f64) -> Touch {
@@ -92,6 +36,7 @@ pub(crate) mod testing {
             area_m2: 1e-4,
             force: None,
             radius_m: None,
+            load: None,
             age_frames: 1,
             begin_time_ns: 0,
             time_ns: 0,

@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 
 use dermis_device::{Frame, HostStamp};
 use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, op};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::file::{Destination, destination};
-use super::head::{FINISHED, RecordingHead, record};
+use super::head::{FINISHED, RecordingHead, STOPPED, record};
 use super::view::SkinView;
 use super::{messages, schema};
 use crate::Error;
@@ -22,7 +22,7 @@ use crate::Error;
 pub(super) const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
 /// The same once so much has come together; large enough to compress well.
-const CHUNK_BYTES: usize = 1 << 20;
+pub(super) const CHUNK_BYTES: usize = 1 << 20;
 
 /// What a finished recording holds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -312,8 +312,11 @@ impl Recorder {
         let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
         let writer = self.writer.as_mut().ok_or_else(stopped)?;
         step(writer).map_err(|error| {
-            drop(self.writer.take().map(Writer::into_inner));
-            mcap_error(&self.name, error)
+            let error = mcap_error(&self.name, error);
+            if let Some(writer) = self.writer.take() {
+                writer.into_inner().into_inner().abandon(&stopped_note(&error.to_string()));
+            }
+            error
         })
     }
 }
@@ -368,6 +371,24 @@ pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead) -> Resul
 fn add_channel(writer: &mut FileWriter, schema: &schema::Schema) -> Result<u16, McapError> {
     let id = writer.add_schema(schema.name, "ros2msg", schema.text().as_bytes())?;
     writer.add_channel(id, schema.topic, "cdr", &BTreeMap::new())
+}
+
+/// A metadata record that says why a recording stopped, as bytes: the format's own writer is of no use after an error.
+fn stopped_note(reason: &str) -> Vec<u8> {
+    let text = |out: &mut Vec<u8>, text: &str| {
+        out.extend_from_slice(&(text.len() as u32).to_le_bytes());
+        out.extend_from_slice(text.as_bytes());
+    };
+    let (mut content, mut entries) = (Vec::new(), Vec::new());
+    text(&mut entries, "reason");
+    text(&mut entries, reason);
+    text(&mut content, STOPPED);
+    content.extend_from_slice(&(entries.len() as u32).to_le_bytes());
+    content.extend_from_slice(&entries);
+    let mut note = vec![op::METADATA];
+    note.extend_from_slice(&(content.len() as u64).to_le_bytes());
+    note.extend_from_slice(&content);
+    note
 }
 
 pub(super) fn mcap_error(name: &Path, error: McapError) -> Error {

@@ -10,7 +10,7 @@ use crate::electronics::Electronics;
 use crate::error::Error;
 
 /// Most listed pairs: all that 1024 electrodes could be driven by one after the other, four times over.
-const MOST_PAIRS: usize = 4096;
+pub(crate) const MOST_PAIRS: usize = 4096;
 
 /// Instrument and protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -37,15 +37,49 @@ pub struct Backend {
     /// What a reading is.
     #[serde(default)]
     pub reads: Reads,
+    /// The values of a frame are differences from the untouched skin already: there is no baseline to ask for.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub differences: bool,
+    /// Whether electrodes and pairs are what they are said to be.
+    #[serde(default, skip_serializing_if = "Wiring::is_known")]
+    pub wiring: Wiring,
     /// What the readout does to the potentials, where it is not an ideal voltmeter.
     #[serde(default)]
-    pub circuit: Option<Circuit>,
+    pub circuit: Option<CircuitChoice>,
     /// Frames a second, where the instrument has a rate of its own.
     #[serde(default)]
     pub frames_per_s: Option<f64>,
     /// What the electronics add to a reading, for twins.
     #[serde(default, skip_serializing_if = "Electronics::is_default")]
     pub electronics: Electronics,
+}
+
+/// What is known of the readout's circuit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+pub enum CircuitChoice {
+    /// It is this one.
+    Known(Circuit),
+    /// Only that there is one: it is found from frames of unknown touches.
+    ToLearn(LearnCircuit),
+}
+
+/// The word for a circuit that is to be found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum LearnCircuit {
+    /// As it stands in the file.
+    #[serde(rename = "learn")]
+    Learn,
+}
+
+impl CircuitChoice {
+    /// The circuit, where it is known.
+    pub fn known(&self) -> Option<&Circuit> {
+        match self {
+            Self::Known(circuit) => Some(circuit),
+            Self::ToLearn(_) => None,
+        }
+    }
 }
 
 /// A readout that loads the skin and reads a mixture of lines, see [`dermis_tomo::eit::ReadoutCircuit`]. Admittances to
@@ -162,6 +196,24 @@ pub enum Reads {
     Complex,
 }
 
+/// Whether electrodes and pairs are what they are said to be.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Wiring {
+    /// They are: physics predicts what a touch does.
+    #[default]
+    Known,
+    /// Only their number of channels is: what a touch does is learnt from pokes alone.
+    Unknown,
+}
+
+impl Wiring {
+    /// True where physics may be relied on.
+    pub fn is_known(&self) -> bool {
+        *self == Self::Known
+    }
+}
+
 impl Backend {
     /// Frames a second; 50 where the file gives none.
     pub fn frame_rate_hz(&self) -> f64 {
@@ -246,7 +298,7 @@ impl Backend {
                 return Err(checker.refused(field, format!("{pairs} pairs"), format!("1 to {MOST_PAIRS} pairs")));
             }
         }
-        if let Some(circuit) = &self.circuit {
+        if let Some(circuit) = self.circuit.as_ref().and_then(CircuitChoice::known) {
             checker.within("backend.circuit.load", circuit.load, 0.0, 1e6)?;
             checker.within("backend.circuit.idle", circuit.idle, 0.0, 1e6)?;
             circuit.reading.iter().try_for_each(|w| checker.within("backend.circuit.reading", *w, -100.0, 100.0))?;

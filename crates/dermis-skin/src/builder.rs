@@ -1,8 +1,11 @@
 //! Skins made in code: what a skin file says, in a line or two.
 
-use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads};
+use crate::backend::MOST_PAIRS;
+use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, Wiring};
+use crate::check::Checker;
 use crate::damage::DamageSettings;
 use crate::electronics::Electronics;
+use crate::error::Error;
 use crate::frontend::{Electrodes, Frontend, Shape};
 use crate::health::HealthSettings;
 use crate::imaging::{GainMatch, Imaging};
@@ -10,6 +13,9 @@ use crate::layer::{Layer, SheetLayer};
 use crate::skin::{Modality, Skin};
 use crate::touch::TouchSettings;
 use crate::twin::TwinSettings;
+
+/// Fewest electrodes that stand in for unknown ones.
+const FEWEST_STAND_INS: usize = 8;
 
 impl SheetLayer {
     /// A gel of this thickness and conductivity that thins as it is pressed: a modulus of 100 kPa.
@@ -54,6 +60,8 @@ impl Skin {
                 order: ReadingOrder::default(),
                 driven: DrivenChannels::default(),
                 reads: Reads::default(),
+                differences: false,
+                wiring: Wiring::default(),
                 circuit: None,
                 frames_per_s: None,
                 electronics: Electronics::default(),
@@ -66,6 +74,29 @@ impl Skin {
         };
         let width_mm = 0.4e3 * skin.frontend.shape.outline().perimeter_m() / 16.0;
         skin.with_rim_electrodes(16, width_mm.min(10.0))
+    }
+
+    /// A skin of which only outline and number of channels are known. Electrodes and pairs stand in for the real ones, so
+    /// that every part of dermis has something to count; what it reads is learnt from pokes.
+    ///
+    /// # Errors
+    /// No channels, or more than can be listed as pairs.
+    pub fn of_channels(name: &str, shape: Shape, channels: usize) -> Result<Self, Error> {
+        if !(1..=MOST_PAIRS).contains(&channels) {
+            let checker = Checker { file: name };
+            return Err(checker.refused("channels", channels, format!("1 to {MOST_PAIRS}")));
+        }
+        let count = (FEWEST_STAND_INS..).find(|count| count * (count - 1) / 2 >= channels).unwrap_or(FEWEST_STAND_INS);
+        let all = 1..=count as u32;
+        let pairs = all.clone().flat_map(|a| all.clone().filter(move |b| *b > a).map(move |b| [a, b]));
+        let width_mm = 0.2e3 * shape.outline().perimeter_m() / count as f64;
+        let mut skin = Self::new(name, shape, Layer::Sheet(SheetLayer::gel(1.0, 1.0)))
+            .with_rim_electrodes(count, width_mm)
+            .with_patterns(DrivePattern::Pairs(vec![[1, 2]]), MeasurePattern::Pairs(pairs.take(channels).collect()));
+        skin.backend.driven = DrivenChannels::Keep;
+        skin.backend.wiring = Wiring::Unknown;
+        skin.health.watch = false;
+        skin.checked()
     }
 
     /// A rectangle, millimetres; see [`Skin::new`].

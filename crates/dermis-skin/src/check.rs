@@ -54,3 +54,93 @@ impl Checker<'_> {
 fn number(value: f64) -> String {
     if value != 0.0 && !(1e-3..1e6).contains(&value.abs()) { format!("{value:e}") } else { value.to_string() }
 }
+
+#[cfg(test)]
+mod tests {
+    use toml::{Table, Value};
+
+    use crate::budget::Budget;
+    use crate::{BUILTIN_NAMES, Skin};
+
+    /// What people and programs write by mistake, and what they write on purpose.
+    fn hostile() -> Vec<Value> {
+        let floats = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 0.0, -0.0, 1e-300, 1e300];
+        let whole = [-1, 0, i64::MAX, i64::MIN];
+        let texts = [String::new(), "x".repeat(5_000), "\u{1b}[31m".to_owned()];
+        let others = [Value::Boolean(true), Value::Array(Vec::new()), Value::Table(Table::new())];
+        let numbers = floats.map(Value::Float).into_iter().chain(whole.map(Value::Integer));
+        numbers.chain(texts.map(Value::String)).chain(others).collect()
+    }
+
+    /// A skin's file with a value in place of one of its own.
+    type Build<'a> = dyn Fn(Value) -> Value + 'a;
+
+    /// Every skin that a value in place of one of the file's makes, with the keys on the way there.
+    fn with_each(value: &Value, key: &str, put: &mut dyn FnMut(&str, &Build<'_>)) {
+        put(key, &|new| new);
+        match value {
+            Value::Table(table) => {
+                for (name, inner) in table {
+                    with_each(inner, &format!("{key}.{name}"), &mut |key, build| {
+                        put(key, &|new| {
+                            let mut changed = table.clone();
+                            changed.insert(name.clone(), build(new));
+                            Value::Table(changed)
+                        });
+                    });
+                }
+            }
+            Value::Array(list) => {
+                // The first and the last stand for all.
+                let ends = [0, list.len().saturating_sub(1)];
+                for index in ends.into_iter().take(list.len().min(2)) {
+                    with_each(&list[index], key, &mut |key, build| {
+                        put(key, &|new| {
+                            let mut changed = list.clone();
+                            changed[index] = build(new);
+                            Value::Array(changed)
+                        });
+                    });
+                }
+            }
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn whatever_stands_at_a_key_is_refused_by_its_name_or_makes_a_skin() {
+        let (mut refused, mut named, mut taken) = (0, 0, 0);
+        let mut seen = std::collections::BTreeSet::new();
+        for name in BUILTIN_NAMES {
+            let text = Skin::open(name).unwrap().to_toml();
+            let whole: Value = Value::Table(text.parse().unwrap());
+            with_each(&whole, "", &mut |path, build| {
+                // A key that another skin has too is the same key.
+                if !seen.insert(path.to_owned()) {
+                    return;
+                }
+                let key = path.rsplit('.').next().unwrap_or_default();
+                for value in hostile() {
+                    let Ok(text) = toml::to_string(&build(value.clone())) else { continue };
+                    match Skin::parse(&text, "hostile.toml") {
+                        Ok(skin) => {
+                            taken += 1;
+                            let budget = Budget::of_imaging(&skin);
+                            assert!(budget.bytes.is_finite() && budget.seconds.is_finite(), "{path} = {value}");
+                        }
+                        Err(error) => {
+                            let message = error.to_string();
+                            assert!(message.starts_with("hostile.toml: "), "{path} = {value}: {message}");
+                            refused += 1;
+                            // A value may also be wrong for what another key says, which is then named.
+                            named += u32::from(message.contains(key));
+                        }
+                    }
+                }
+            });
+        }
+        assert!(refused > 1_000 && taken > 100, "{refused} refused, {taken} taken");
+        // Nine in ten do; the rest name another key, or the list that an entry stands in.
+        assert!(f64::from(named) > 0.85 * f64::from(refused), "{named} of {refused} refusals name the key");
+    }
+}

@@ -36,6 +36,22 @@ pub enum Error {
         /// What was expected.
         expected: String,
     },
+    /// More memory or time than may be used, known from the sizes before anything is built.
+    #[error("{skin}: {what} takes {needed}; expected at most {limit}: {change}, or allow it with --memory {memory}")]
+    Budget {
+        /// Name of the skin.
+        skin: String,
+        /// What would be built.
+        what: &'static str,
+        /// Memory and time, and what drives them.
+        needed: String,
+        /// The key to change.
+        change: String,
+        /// What may be used.
+        limit: String,
+        /// What would do.
+        memory: String,
+    },
     /// No such built-in skin and no such file.
     #[error("skin {name:?}: no file of that name and no built-in skin; built-in are {known}")]
     UnknownSkin {

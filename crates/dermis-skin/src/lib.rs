@@ -16,6 +16,7 @@
 //! ```
 
 mod backend;
+pub mod budget;
 mod builder;
 mod builtin;
 mod check;
@@ -39,7 +40,8 @@ mod twin;
 mod upgrade;
 
 pub use backend::{
-    Backend, Circuit, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, ReferenceChoice,
+    Backend, Circuit, CircuitChoice, DrivePattern, DrivenChannels, LearnCircuit, MeasurePattern, ReadingOrder, Reads,
+    ReferenceChoice, Wiring,
 };
 pub use builtin::{BUILTIN_NAMES, builtin_text};
 pub use damage::DamageSettings;

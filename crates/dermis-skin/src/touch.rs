@@ -29,6 +29,10 @@ pub struct TouchSettings {
     pub relative_size: f64,
     /// Error of positions that noise does not explain, mm.
     pub position_floor_mm: f64,
+    /// Standard deviation of each coordinate by what the model has wrong, mm, which the sigma of every touch holds beside
+    /// its noise; left out, a share of half the shorter side. A calibration by pokes brings its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model_error_mm: Option<f64>,
     /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
     pub contact_s_per_m2: f64,
     /// Refine touches by fitting place, amplitude and radius to the forward model.
@@ -53,6 +57,7 @@ impl Default for TouchSettings {
             relative_size: 0.1,
             contact_s_per_m2: 700.0,
             position_floor_mm: 2.0,
+            model_error_mm: None,
             refine: false,
             join_cells: 0.0,
             drift_time_constant_s: 60.0,
@@ -73,6 +78,9 @@ impl TouchSettings {
         checker.within("touch.assumed_noise_share", self.assumed_noise_share, 1e-12, 0.999)?;
         checker.within("touch.relative_size", self.relative_size, 1e-3, 10.0)?;
         checker.within("touch.position_floor_mm", self.position_floor_mm, 1e-6, 1e4)?;
+        if let Some(error) = self.model_error_mm {
+            checker.within("touch.model_error_mm", error, 0.0, 1e4)?;
+        }
         checker.within("touch.contact_s_per_m2", self.contact_s_per_m2, 1e-6, 1e9)?;
         checker.within("touch.join_cells", self.join_cells, 0.0, 100.0)?;
         checker.within("touch.drift_time_constant_s", self.drift_time_constant_s, 0.0, 1e9)

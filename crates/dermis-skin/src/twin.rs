@@ -229,9 +229,15 @@ impl TwinSettings {
     }
 
     pub(crate) fn check(&self, parts: Parts, layer: &Layer, checker: &Checker<'_>) -> Result<(), Error> {
-        if !matches!(layer, Layer::Sandwich(_)) && !self.treatments.is_empty() {
-            let expected = "none, except with frontend.layer.kind = \"sandwich\"";
+        let is_treatable = matches!(layer, Layer::Sandwich(_) | Layer::Sheet(_));
+        if !is_treatable && !self.treatments.is_empty() {
+            let expected = "none, except with frontend.layer.kind = \"sheet\" or \"sandwich\"";
             return Err(checker.refused("twin.treatments", layer.kind(), expected));
+        }
+        let heats = |treatment: &TwinTreatment| matches!(treatment.action, TwinAction::Heal { .. });
+        if self.healing.is_none() && self.treatments.iter().any(heats) {
+            let expected = "a layer that heals: frontend.layer.kind = \"sandwich\" with [twin] healing";
+            return Err(checker.refused("twin.treatments.action.heal", "given", expected));
         }
         self.treatments.iter().try_for_each(|treatment| treatment.check(checker))?;
         checker.within("twin.phase_error_deg", self.phase_error_deg, -90.0, 90.0)?;
@@ -394,6 +400,20 @@ mod tests {
             .replace("[twin]", &format!("[twin]\ntreatments = [{}]", list.replace('\n', " ")));
         let other = Skin::parse(&other, "a page").unwrap_err();
         assert!(other.to_string().contains("twin.treatments = liquid"), "{other}");
+    }
+
+    #[test]
+    fn sheets_are_cut_and_warmed_but_not_healed() {
+        let mut skin = Skin::rectangle("gel", 120.0, 80.0, Layer::Sheet(crate::SheetLayer::gel(5.0, 0.2)));
+        let cut = TwinAction::Cut { from_mm: [-10.0, 0.0], to_mm: [10.0, 5.0] };
+        skin.twin.treatments = vec![TwinTreatment { at_s: 2.0, action: cut }];
+        let skin = skin.checked().unwrap();
+        assert_eq!(Skin::parse(&skin.to_toml(), "written").unwrap(), skin);
+        let mut heated = skin;
+        let heal = TwinAction::Heal { at_mm: [0.0; 2], radius_mm: 25.0, temperature_c: 90.0, hours: 2.0 };
+        heated.twin.treatments.push(TwinTreatment { at_s: 3.0, action: heal });
+        let message = heated.checked().unwrap_err().to_string();
+        assert!(message.contains("twin.treatments.action.heal") && message.contains("a layer that heals"), "{message}");
     }
 
     #[test]

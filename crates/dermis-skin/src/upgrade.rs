@@ -261,6 +261,26 @@ measure = "adjacent"
     }
 
     #[test]
+    fn files_that_were_built_in_before_are_read_as_they_are() {
+        // As they stood before layers had parameters of their own.
+        let earlier = [
+            (concat!("ionic", "-disc"), include_str!("upgrade/earlier-ionic-disc.toml")),
+            (concat!("em", "-8"), include_str!("upgrade/earlier-em-8.toml")),
+            (concat!("hydrogel", "-disc"), include_str!("upgrade/earlier-hydrogel-disc.toml")),
+            (concat!("golfball", "-tank"), include_str!("upgrade/earlier-golfball-tank.toml")),
+        ];
+        for (name, text) in earlier {
+            assert!(Skin::parse(text, name).is_err(), "{name}");
+            let skin = Skin::parse_any_version(text, name).unwrap();
+            let today = Skin::parse(builtin_text(name).unwrap(), name).unwrap();
+            assert_eq!(skin.name, name);
+            assert_eq!(skin.frontend.layer.kind(), today.frontend.layer.kind(), "{name}");
+            assert_eq!(skin.outline(), today.outline(), "{name}");
+            assert_eq!(skin.protocol().unwrap(), today.protocol().unwrap(), "{name}");
+        }
+    }
+
+    #[test]
     fn coils_that_had_names_become_descriptions() {
         let new = builtin_text(concat!("em", "-8")).unwrap();
         let head = new.split("[frontend]").next().unwrap();

@@ -1,8 +1,8 @@
 //! Touches on a measured skin located without a single label: 500 presses on the 16-electrode gelatin skin of
-//! DSHardman/HydrogelEIT (`../shared/data/hydrogel`), unsigned magnitudes in raw counts. Positions are used only to
+//! DSHardman/HydrogelEIT (the set `hydrogel`), unsigned magnitudes in raw counts. Positions are used only to
 //! measure the errors.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, ReadoutCircuit};
 use dermis_tomo::inverse::{
@@ -24,22 +24,13 @@ struct Data {
     channels: Vec<[u32; 4]>,
 }
 
-fn folder() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/hydrogel");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: the hydrogel skin's measurements are not at ../shared/data/hydrogel");
-    None
-}
-
 fn table(path: &Path, header: usize) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap();
     text.lines().skip(header).map(|line| line.split(',').map(|cell| cell.trim().parse().unwrap()).collect()).collect()
 }
 
 fn load() -> Option<Data> {
-    let folder = folder()?;
+    let folder = dermis_testdata::set("hydrogel")?;
     // The board names its lines by even numbers.
     let channel = |row: &Vec<f64>| [0, 1, 2, 3].map(|k| row[k] as u32 / 2);
     Some(Data {

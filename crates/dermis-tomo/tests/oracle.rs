@@ -1,23 +1,13 @@
-//! Voltages, Jacobians and images against EIDORS values (`../shared/oracle/eit`). Tolerances are the oracle's own:
+//! Voltages, Jacobians, images and the Laplace prior against EIDORS values (`tests/data/oracle/eit`). Tolerances are theirs:
 //! an independent dense implementation reproduced the voltages to 4e-13, Jacobians to 5e-13 and images to 3e-9.
 
-use std::path::{Path, PathBuf};
+use std::collections::BTreeMap;
 
+use dermis_testdata::{eit_cases, stored_jacobian};
 use dermis_tomo::eit::{ForwardModel, Protocol};
-use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior, Weighting};
+use dermis_tomo::inverse::{ImageBasis, LinearProblem, Prior, PriorMatrix, Weighting};
 use dermis_tomo::mesh::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh};
 use serde_json::Value;
-
-fn cases() -> Vec<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/oracle/eit");
-    let Ok(entries) = std::fs::read_dir(&root) else {
-        println!("skipped: the EIDORS reference values are not at ../shared/oracle/eit");
-        return Vec::new();
-    };
-    let mut cases: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(|p| p.is_dir()).collect();
-    cases.sort();
-    cases
-}
 
 fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
@@ -55,18 +45,9 @@ fn relative(found: &[f64], expected: &[f64]) -> f64 {
     (difference / expected.iter().map(|v| v * v).sum::<f64>()).sqrt()
 }
 
-fn stored_jacobian(case: &Path, name: &str) -> Vec<f64> {
-    let file = std::fs::read_dir(case).unwrap().flatten().map(|e| e.path()).find(|path| {
-        let file = path.file_name().unwrap().to_string_lossy().into_owned();
-        file.starts_with(&format!("J_{name}_")) && file.ends_with(".f64")
-    });
-    let bytes = std::fs::read(file.unwrap()).unwrap();
-    bytes.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
-}
-
 #[test]
 fn voltages_potentials_and_jacobians_equal_eidors() {
-    for path in cases() {
+    for path in eit_cases() {
         let case: Value = serde_json::from_slice(&std::fs::read(path.join("case.json")).unwrap()).unwrap();
         let model = model(&case);
         for name in ["hom", "incl", "wave"] {
@@ -87,7 +68,7 @@ fn voltages_potentials_and_jacobians_equal_eidors() {
 
 #[test]
 fn one_step_images_equal_eidors() {
-    for path in cases() {
+    for path in eit_cases() {
         let case: Value = serde_json::from_slice(&std::fs::read(path.join("case.json")).unwrap()).unwrap();
         let model = model(&case);
         let solution = model.solve(&numbers(&case["sigma_hom"])).unwrap();
@@ -119,5 +100,29 @@ fn one_step_images_equal_eidors() {
             let error = relative(&image, &numbers(&recon["x"]));
             assert!(error < 1e-6, "{path:?} {} {}: image off by {error:e}", recon["prior"], recon["hyperparameter"]);
         }
+    }
+}
+
+#[test]
+fn the_laplace_prior_equals_eidors() {
+    for path in eit_cases() {
+        let case: Value = serde_json::from_slice(&std::fs::read(path.join("case.json")).unwrap()).unwrap();
+        let model = model(&case);
+        let basis = ImageBasis::of_elements(&model.body().mesh);
+        let jacobian = model.solve(&numbers(&case["sigma_hom"])).unwrap().jacobian();
+        let matrix = Prior::Laplace.matrix(jacobian.as_mat(), &Weighting::Identity, &basis).unwrap();
+        let PriorMatrix::Sparse { entries, .. } = matrix else { panic!("Laplace is sparse") };
+        let mut found: BTreeMap<(u32, u32), f64> = BTreeMap::new();
+        for (row, column, value) in entries {
+            *found.entry((row, column)).or_default() += value;
+        }
+        let text = std::fs::read_to_string(path.join("laplace_prior_ijv.csv")).unwrap();
+        let entry = |line: &str| {
+            let cells: Vec<f64> = line.split(',').map(|cell| cell.trim().parse().unwrap()).collect();
+            ((cells[0] as u32, cells[1] as u32), cells[2])
+        };
+        // Ours holds the lower triangle. All entries are small whole numbers: equal to the last bit.
+        let expected: BTreeMap<(u32, u32), f64> = text.lines().map(entry).filter(|((i, j), _)| i >= j).collect();
+        assert_eq!(found, expected, "{path:?}");
     }
 }

@@ -8,6 +8,7 @@
 
 use crate::error::{TouchError, require, require_length};
 use crate::force::ForceReading;
+use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
 /// Whether a contact rises above the background or sinks below it.
@@ -220,6 +221,11 @@ pub struct Contact {
     /// Radius of the spot that a forward model fitted, metres, where position and covariance are that fit's; the finder has
     /// none.
     pub radius_m: Option<f64>,
+    /// Variance of each coordinate of `centroid_m` by what the model has wrong, m^2, beside `covariance_m2`; the finder knows
+    /// of none.
+    pub model_variance_m2: f64,
+    /// How deep or hard it is pressed, where a calibration by pokes has read that; the finder has none.
+    pub load: Option<TouchLoad>,
 }
 
 impl Contact {

@@ -266,6 +266,8 @@ impl<L: Lattice> FinderOn<L> {
             strength: if begins { ContactStrength::Strong } else { ContactStrength::Weak },
             force: None,
             radius_m: None,
+            model_variance_m2: 0.0,
+            load: None,
         }
     }
 

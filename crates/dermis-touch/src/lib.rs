@@ -3,12 +3,43 @@
 //! This crate is pure: it turns images, one after another, into contacts ([`ContactFinder`]) and contacts into touches
 //! with stable identities ([`Tracker`]); it keeps the baseline that difference data are taken against ([`Baseline`])
 //! and the statistics of the noise ([`RunningStats`], [`Covariance`], [`snr_db`]). From series and experiments come the
-//! measures that laboratories report ([`measure`]), spectra ([`rhythm`]) and calibrated forces ([`force`]). It knows no forward model, no
-//! instrument and no clock: times are given by the caller, in nanoseconds on any monotonic axis.
+//! measures that laboratories report ([`measure`]), spectra ([`rhythm`]) and calibrated forces ([`force`]). It knows no
+//! forward model, no instrument and no clock: times are given by the caller, in nanoseconds on any monotonic axis. Any
+//! array of taxels can use it.
 //!
-//! Conventions: x right, y up, metres; an image is `f32` values on cells ([`ImageCells`]), and NaN marks cells outside the
-//! skin. On a grid the image is row-major with row 0 at the top (+y), and a pixel's value stands at the pixel's centre
-//! ([`GridGeometry`]). Everything that runs once per frame
+//! ```
+//! use dermis_touch::{ContactFinder, ContactParams, GridGeometry, PixelNoise, Tracker, TrackerParams};
+//!
+//! // Images of 40 x 40 pixels of 2 mm, each of noise 0.01, on which a spot moves to the right.
+//! let grid = GridGeometry { columns: 40, rows: 40, pixel_m: 2e-3, left_m: -0.04, top_m: 0.04 };
+//! let mut finder = ContactFinder::new(grid, ContactParams::default())?;
+//! let mut tracker = Tracker::new(TrackerParams::default())?;
+//! let (mut contacts, mut events) = (Vec::new(), Vec::new());
+//! for frame in 0..10_u64 {
+//!     let spot = |k: usize| {
+//!         let (x, y) = ((k % 40) as f32 - 10.0 - frame as f32, (k / 40) as f32 - 20.0);
+//!         (-(x * x + y * y) / 18.0).exp()
+//!     };
+//!     let image: Vec<f32> = (0..1600).map(spot).collect();
+//!     finder.find(&image, PixelNoise::Uniform(0.01), &mut contacts)?;
+//!     tracker.update(20_000_000 * frame, &contacts, &mut events)?;
+//! }
+//! let [touch] = tracker.touches() else { panic!("one touch") };
+//! assert!(touch.id == 1 && touch.velocity_m_per_s[0] > 0.05, "{touch:?}");
+//! # Ok::<(), dermis_touch::TouchError>(())
+//! ```
+//!
+//! | | |
+//! |---|---|
+//! | [`ContactFinder`], [`Tracker`] | images to contacts, contacts to touches with identities |
+//! | [`Baseline`] | what differences are taken against: start, tare, drift |
+//! | [`health`], [`damage`] | channels and electrodes that fail; what is damage and no touch |
+//! | [`locator`], [`force`] | places and forces from calibrations, with their uncertainty |
+//! | [`measure`], [`rhythm`], [`RunningStats`] | what laboratories report; spectra; noise |
+//!
+//! Conventions: x right, y up, metres; an image is `f32` values on cells ([`ImageCells`]), and NaN marks cells outside
+//! the skin. On a grid the image is row-major with row 0 at the top (+y), and a pixel's value stands at the pixel's
+//! centre ([`GridGeometry`]). Everything that runs once per frame
 //! works in memory that its owner keeps, and allocates nothing once that memory has grown to its working size.
 
 mod assignment;
@@ -27,6 +58,7 @@ pub mod measure;
 mod moments;
 mod noise;
 pub mod rhythm;
+mod touch_load;
 mod track;
 mod watershed;
 
@@ -40,4 +72,5 @@ pub use error::TouchError;
 pub use finder::ContactFinder;
 pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
+pub use touch_load::{LoadQuantity, TouchLoad};
 pub use track::{Observation, PositionSource, Touch, TouchEvent, TouchPhase, Tracker, TrackerParams};

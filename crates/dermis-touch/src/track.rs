@@ -9,7 +9,8 @@ use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settl
 use crate::contact::{Contact, ContactSign, ContactStrength};
 use crate::error::{TouchError, require};
 use crate::force::ForceReading;
-use crate::kalman::{Vec2, add, norm, scale, sub};
+use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
+use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
 /// Which position of a contact is followed.
@@ -142,7 +143,8 @@ pub struct Touch {
     pub sign: ContactSign,
     /// Position as measured in the contact.
     pub position_m: [f64; 2],
-    /// Covariance of `position_m` from the image's noise (the contact's), m^2. Zero without noise.
+    /// Covariance of `position_m`, m^2: from the image's noise (the contact's) and, on the diagonal, from what the model has
+    /// wrong, where that is known. Zero without either.
     pub covariance_m2: [[f64; 2]; 2],
     /// Position after the Kalman filter; predicted where nothing was seen.
     pub filtered_position_m: [f64; 2],
@@ -158,6 +160,9 @@ pub struct Touch {
     /// The contact's fitted radius, metres, where a forward model placed it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub radius_m: Option<f64>,
+    /// The contact's depth or force, where a calibration by pokes has read one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub load: Option<TouchLoad>,
     /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
     pub age_frames: u32,
     /// Time of its first contact, nanoseconds.
@@ -586,6 +591,11 @@ impl Tracker {
     }
 }
 
+/// Of noise and of what the model has wrong.
+fn whole_covariance_m2(contact: &Contact) -> Mat2 {
+    plus_diagonal(contact.covariance_m2, contact.model_variance_m2)
+}
+
 fn first_touch(id: u64, blob: &Blob) -> Touch {
     Touch {
         id,
@@ -593,13 +603,14 @@ fn first_touch(id: u64, blob: &Blob) -> Touch {
         observation: Observation::Measured,
         sign: blob.sign,
         position_m: blob.filter.position,
-        covariance_m2: blob.contact.covariance_m2,
+        covariance_m2: whole_covariance_m2(&blob.contact),
         filtered_position_m: blob.filter.position,
         velocity_m_per_s: blob.filter.velocity,
         amplitude: blob.contact.amplitude,
         area_m2: blob.contact.area_m2,
         force: blob.contact.force,
         radius_m: blob.contact.radius_m,
+        load: blob.contact.load,
         age_frames: blob.age.saturating_sub(1),
         begin_time_ns: blob.first_time_ns,
         time_ns: blob.first_time_ns,
@@ -630,10 +641,11 @@ fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &Tracke
         return;
     }
     touch.position_m = params.position.of(&blob.contact);
-    touch.covariance_m2 = blob.contact.covariance_m2;
+    touch.covariance_m2 = whole_covariance_m2(&blob.contact);
     touch.area_m2 = blob.contact.area_m2;
     touch.force = blob.contact.force;
     touch.radius_m = blob.contact.radius_m;
+    touch.load = blob.contact.load;
     let keep = match (params.amplitude_time_constant_s, rider.filtered_time_ns) {
         (Some(tau), Some(before_ns)) => (-seconds_between(before_ns, time_ns) / tau).exp(),
         _ => 0.0,

@@ -1,7 +1,7 @@
 //! The calibrated locator on a measured skin: 500 pokes of a round hydrogel skin with 16 electrodes. The physics is the
 //! closed form for point electrodes on a homogeneous disc, computed here, so that this test needs no forward model.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use dermis_touch::locator::{Examples, LeaveOneOut, Locator, LocatorOptions, SignatureMap};
 
@@ -17,15 +17,6 @@ struct Pokes {
     physics: SignatureMap,
 }
 
-fn data() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/hydrogel");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("missing: {} (measured hydrogel skin); nothing is tested without it", folder.display());
-    None
-}
-
 fn read(path: &Path, header: usize) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).expect("the measured data are readable");
     let number = |cell: &str| cell.trim().parse().expect("a number");
@@ -33,7 +24,7 @@ fn read(path: &Path, header: usize) -> Vec<Vec<f64>> {
 }
 
 fn load() -> Option<Pokes> {
-    let folder = data()?;
+    let folder = dermis_testdata::set("hydrogel")?;
     let before = read(&folder.join("ohmc16_before.csv"), 0);
     let pressed = read(&folder.join("ohmc16_pressed.csv"), 0);
     let poked = read(&folder.join("ohmc16_positions.csv"), 1);

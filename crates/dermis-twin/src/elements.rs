@@ -6,6 +6,8 @@
 //! tolerance that whoever reconstructs does not know. An element is for the fields a sphere, or whatever body is given
 //! ([`Conductor`]).
 
+use std::sync::{Mutex, PoisonError};
+
 use dermis_mit::{CoilArray, CoilTables, Complex, Coupling, MultipoleArray, Polarizability, Sphere};
 use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::Outline;
@@ -150,7 +152,7 @@ impl ElementSkin {
         let (body, range_m) = (options.body()?, options.range_m());
         let grid = SpringGrid::new(options.springs, options.places_m, options.cell_m)?;
         let coils = options.coils;
-        let tables = CoilTables::new(&coils, grid.places_m(), range_m, body.radius_m)?;
+        let tables = tables_of(&coils, grid.places_m(), range_m, body.radius_m)?;
         let count = grid.places_m().len();
         let bodies = MultipoleArray::new(vec![body; count], tables, options.coupling)?;
         let mut random = ChaCha8Rng::seed_from_u64(options.seed ^ 0x5eed);
@@ -229,6 +231,32 @@ impl ElementSkin {
         }
         Ok(())
     }
+}
+
+/// Tables that were made last, the newest first, with what they were made from.
+type MadeTables = (CoilArray, Vec<[f64; 2]>, [f64; 2], f64, CoilTables);
+static LAST_TABLES: Mutex<Vec<MadeTables>> = Mutex::new(Vec::new());
+/// So many are kept: what a skin and a few that differ from it in other things than their coils need.
+const MOST_TABLES: usize = 4;
+
+/// As [`CoilTables::new`]; the same tables are not made anew for every skin that differs in other things.
+fn tables_of(
+    coils: &CoilArray,
+    places_m: &[[f64; 2]],
+    range_m: [f64; 2],
+    clearance_m: f64,
+) -> Result<CoilTables, TwinError> {
+    let last = || LAST_TABLES.lock().unwrap_or_else(PoisonError::into_inner);
+    let is_it =
+        |made: &MadeTables| made.0 == *coils && made.1 == places_m && made.2 == range_m && made.3 == clearance_m;
+    if let Some(made) = last().iter().find(|made| is_it(made)) {
+        return Ok(made.4.clone());
+    }
+    let tables = CoilTables::new(coils, places_m, range_m, clearance_m)?;
+    let mut kept = last();
+    kept.insert(0, (coils.clone(), places_m.to_vec(), range_m, clearance_m, tables.clone()));
+    kept.truncate(MOST_TABLES);
+    Ok(tables)
 }
 
 impl Frontend for ElementSkin {

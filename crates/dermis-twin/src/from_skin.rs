@@ -8,10 +8,12 @@ mod history;
 mod press;
 
 use dermis_mit::{CoilArray, Coupling};
-use dermis_skin::{Layer, LiquidLayer, PatchesLayer, SandwichLayer, SheetLayer, Skin};
+use dermis_skin::budget::Budget;
+use dermis_skin::{CircuitChoice, Layer, LiquidLayer, PatchesLayer, SandwichLayer, SheetLayer, Skin};
 use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::{ElectrodeShape, Outline};
 
+use crate::circuit::{BehindCircuit, impedance_protocol};
 use crate::elements::{Conductor, ElementOptions, ElementSkin};
 use crate::error::TwinError;
 use crate::healing::HealingLaw;
@@ -76,6 +78,10 @@ impl TwinKit {
     /// # Errors
     /// As [`Twin::from_skin`].
     pub fn built(skin: &Skin, built: &AsBuilt) -> Result<Self, TwinError> {
+        let side_m = skin.outline().area_m2().sqrt();
+        // Equilateral triangles of the edge length.
+        let triangles = 2.3 * (side_m / MeshSizes::of(skin).element_m).powi(2);
+        Budget::of_twin(skin, triangles).check(skin, "its twin")?;
         let mut frontend = frontend_of(skin, built)?;
         let instrument = instrument_options(skin, resting_voltage_v(&mut *frontend)?);
         let seed = skin.twin.seed.unwrap_or(SEED);
@@ -160,7 +166,10 @@ impl Sheetlike {
             outline: skin.outline(),
             contact_impedances_ohm_m2: impedances.zip(&built.contact_factors).map(|(z, factor)| z * factor).collect(),
             electrodes: built.electrodes.clone(),
-            protocol: skin.protocol()?,
+            protocol: match skin.backend.circuit {
+                Some(_) => impedance_protocol(built.electrodes.len())?,
+                None => skin.protocol()?,
+            },
             sheet_s: skin.sheet_conductance_s(),
             sizes: MeshSizes::of(skin),
             conductance: built.conductance.clone(),
@@ -180,6 +189,19 @@ pub fn patched_options(skin: &Skin) -> Result<PatchedOptions, TwinError> {
 }
 
 fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
+    let behind = read_frontend_of(skin, built)?;
+    // What is still to be found is none of the twin's.
+    Ok(match skin.backend.circuit.as_ref().and_then(CircuitChoice::known) {
+        Some(circuit) => {
+            let (protocol, sheet_s) = (skin.protocol()?, skin.sheet_conductance_s());
+            Box::new(BehindCircuit::new(behind, circuit.readout(), protocol, sheet_s))
+        }
+        None => behind,
+    })
+}
+
+/// The skin as its protocol reads it, or, behind a circuit, its transfer impedances.
+fn read_frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinError> {
     Ok(match &skin.frontend.layer {
         Layer::Sheet(layer) => Box::new(SheetSkin::new(sheet_options(layer, Sheetlike::of(skin, built)?))?),
         Layer::Sandwich(layer) => Box::new(Sandwich::new(sandwich_options(skin, layer, Sheetlike::of(skin, built)?))?),
@@ -188,6 +210,7 @@ fn frontend_of(skin: &Skin, built: &AsBuilt) -> Result<Box<dyn Frontend>, TwinEr
         Layer::Elements(_) => Box::new(ElementSkin::new(element_options(skin)?)?),
     })
 }
+
 fn memory(memory: Option<dermis_skin::Memory>) -> Option<Memory> {
     memory.map(|memory| Memory { share: memory.share, time_constant_s: memory.time_constant_s })
 }

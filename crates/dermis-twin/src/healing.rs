@@ -18,6 +18,11 @@ const ZERO_C_IN_K: f64 = 273.15;
 /// Cuts heal in pieces of this length at most, each by its own temperature.
 const PIECE_M: f64 = 1e-3;
 
+/// Most cuts that one sheet can have.
+pub const MOST_CUTS: usize = 32;
+/// Most heat pads whose effects one sheet can bear.
+pub const MOST_PADS: usize = 24;
+
 /// How a material heals; see the module.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -170,19 +175,36 @@ impl Wear {
         Self { law, cuts: Vec::new(), pads: Vec::new(), time_lapse: 1.0, warming_per_s: 0.0, warmth: 1.0 }
     }
 
-    /// Does something to the sheet.
+    /// Does something to the sheet. A blade that follows a cut once more opens it again; the sheet has one cut there.
     ///
     /// # Errors
-    /// Numbers that make no sense; heat on a sheet that does not heal.
+    /// Numbers that make no sense; heat on a sheet that does not heal; more than [`MOST_CUTS`] cuts or [`MOST_PADS`] pads.
     pub fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
         treatment.check()?;
+        let most = |field, most: usize, got: usize| {
+            let expected = format!("at most {most} on one sheet; a new sheet has none (renew)");
+            if got < most { Ok(()) } else { Err(TwinError::Count { field, got: got + 1, expected }) }
+        };
         match *treatment {
             Treatment::Cut(cut) => {
+                if let Some(same) = self.cuts.iter_mut().find(|other| other.cut.is_along(&cut)) {
+                    same.doses.fill(0.0);
+                    return Ok(());
+                }
+                most("cuts", MOST_CUTS, self.cuts.len())?;
                 let pieces = ((cut.length_m() / PIECE_M).ceil() as usize).clamp(1, 1000);
                 self.cuts.push(Laceration { cut, doses: vec![0.0; pieces] });
             }
             Treatment::Heat(_) if self.law.is_none() => return Err(TwinError::NotTreatable),
-            Treatment::Heat(heating) => self.pads.push(Pad { heating, age_s: 0.0 }),
+            Treatment::Heat(heating) => {
+                // A pad laid twice at one moment is one pad; one whose passing warmth is gone leaves the same behind as the
+                // next at its place.
+                let relaxation_s = self.law.map_or(0.0, |law| law.relaxation_s);
+                let is_over = |pad: &Pad| pad.age_s > pad.heating.duration_s + 20.0 * relaxation_s;
+                self.pads.retain(|pad| pad.heating != heating || !(pad.age_s == 0.0 || is_over(pad)));
+                most("heat pads", MOST_PADS, self.pads.len())?;
+                self.pads.push(Pad { heating, age_s: 0.0 });
+            }
             Treatment::TimeLapse(factor) => self.time_lapse = factor,
             Treatment::Warm(share_per_s) => self.warming_per_s = share_per_s,
             Treatment::Renew => *self = Self { time_lapse: self.time_lapse, ..Self::new(self.law) },

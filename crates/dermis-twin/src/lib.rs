@@ -50,6 +50,7 @@
 //! # Ok::<(), dermis_twin::TwinError>(())
 //! ```
 
+mod circuit;
 mod elements;
 mod error;
 mod foil;
@@ -72,10 +73,10 @@ pub use elements::{Conductor, ElementOptions, ElementSkin, NearbyMetal};
 pub use error::TwinError;
 pub use foil::{FoilOptions, FoilSkin};
 pub use from_skin::{AnyTwin, AsBuilt, PressRange, TwinKit};
-pub use healing::{HealingLaw, Heating, TimedTreatment, Treatment, Wear, Wound};
+pub use healing::{HealingLaw, Heating, MOST_CUTS, MOST_PADS, TimedTreatment, Treatment, Wear, Wound};
 pub use liquid::{LiquidOptions, LiquidSkin, LiquidSolver};
 pub use patched::{PatchedOptions, PatchedSkin};
 pub use piezo::PaperP;
 pub use sandwich::{Sandwich, SandwichOptions};
 pub use sheet::{SheetOptions, SheetSkin};
-pub use twin::{Frontend, TouchTruth, Truth, Twin, TwinOptions};
+pub use twin::{Frontend, Preparation, TouchTruth, Truth, Twin, TwinOptions};

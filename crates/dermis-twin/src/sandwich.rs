@@ -2,6 +2,9 @@
 //! the gap, current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet lowers it. Both
 //! follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
 
+use std::any::Any;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
 
@@ -11,7 +14,7 @@ use crate::healing::{HealingLaw, Treatment, Wear, Wound};
 use crate::instrument::Instrument;
 use crate::mechanics::{ContactLaw, Cover, Indenter, Memory};
 use crate::physics::{ConductanceMap, Cut, Shortcut, TwoSheets};
-use crate::twin::Frontend;
+use crate::twin::{Frontend, Preparation};
 use crate::wiring::{check_electrodes, superpose};
 
 /// What a sandwich is. SI units.
@@ -161,46 +164,57 @@ impl Sandwich {
     }
 
     fn renew_sheet(&mut self) -> Result<(), TwinError> {
-        // Each cut in equal pieces that conduct differently.
-        let cuts: Vec<Vec<Cut>> = self.wear.cuts().chain(self.cuts.iter().map(|cut| vec![*cut])).collect();
+        let cuts = self.pieces(&self.wear);
         let ends_m: Vec<[[f64; 2]; 2]> = cuts.iter().map(|pieces| whole(pieces)).collect();
         if ends_m != self.slits.ends_m {
-            self.slit(ends_m)?;
+            let slit = SlitSheets::build(&self.plan(), ends_m)?;
+            self.install(slit);
         }
-        let (wear, slits) = (&self.wear, &self.slits);
-        let (sheet_s, map) = (self.sheet_s, &self.conductance);
-        let inset_m = 0.5 * self.spec.element_size_m;
-        let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
-        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
-        self.sheets.set_sensing_by(|point| sheet_s * wear.share_at(point) * map.at(point), &blocking);
-        self.sheets.set_joints(|edge, middle| {
-            let cut = slits.cut_of_edge[edge];
-            let ([from, to], pieces) = (slits.ends_m[cut], &cuts[cut]);
-            let along = [to[0] - from[0], to[1] - from[1]];
-            let share = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
-                / (along[0] * along[0] + along[1] * along[1]);
-            let piece = &pieces[((share * pieces.len() as f64) as usize).min(pieces.len() - 1)];
-            sheet_s * wear.share_at(middle) * map.at(middle) * piece.joining_per_m()
-        });
+        let plan = self.plan();
+        plan.conduct(&mut self.sheets, &self.wear, &cuts, &self.slits);
         self.gap.mark_stale();
         Ok(())
     }
 
-    /// Meshes the skin anew with slits along cuts, as many as can be slit.
-    fn slit(&mut self, ends_m: Vec<[[f64; 2]; 2]>) -> Result<(), TwinError> {
-        let (slit, is_slit) = self.spec.build_slit(&self.contact_impedances, &ends_m)?;
-        let slit_cuts = is_slit.iter().enumerate().filter(|(_, is_slit)| **is_slit).map(|(cut, _)| cut);
-        let cut_of_edge = slit_cuts.zip(&slit.slits).flat_map(|(cut, edges)| edges.iter().map(move |_| cut)).collect();
-        self.sheets = TwoSheets::with_slits(&slit.mesh, &slit.slits.concat(), self.sheet_s, self.sheets.shortcut())?;
-        self.body = slit.mesh;
-        self.slits = Slits { ends_m, is_slit, cut_of_edge };
+    /// Each cut in equal pieces that conduct differently.
+    fn pieces(&self, wear: &Wear) -> Vec<Vec<Cut>> {
+        wear.cuts().chain(self.cuts.iter().map(|cut| vec![*cut])).collect()
+    }
+
+    fn install(&mut self, slit: SlitSheets) {
+        (self.sheets, self.body, self.slits) = (slit.sheets, slit.body, slit.slits);
         self.gap.reset(self.sheets.positions_m().len());
-        Ok(())
+    }
+
+    fn plan(&self) -> Plan {
+        Plan {
+            spec: self.spec.clone(),
+            contact_impedances: self.contact_impedances.clone(),
+            sheet_s: self.sheet_s,
+            conductance: self.conductance.clone(),
+            shortcut: self.sheets.shortcut(),
+        }
     }
 
     /// Contact conductance at each node after the last frame, S/m^2.
     pub fn contact_s_per_m2(&self) -> &[f64] {
         self.gap.contact_s_per_m2()
+    }
+
+    /// Treats the sheet as was tried.
+    fn take_over(&mut self, tried: Tried) -> Vec<TwinError> {
+        let (before, mut refused) = (self.wear.clone(), tried.refused);
+        let treated = tried.done.iter().try_for_each(|treatment| self.wear.treat(treatment));
+        if let Some(sheet) = tried.sheet {
+            self.install(sheet);
+        }
+        if let Err(error) = treated.and_then(|()| self.renew_sheet()) {
+            self.wear = before;
+            refused.push(error);
+            // The sheet as it was could be made before.
+            refused.extend(self.renew_sheet().err());
+        }
+        refused
     }
 
     fn solve(&mut self) -> Result<(), TwinError> {
@@ -209,6 +223,122 @@ impl Sandwich {
         self.gap.mark_solved();
         Ok(())
     }
+}
+
+/// What a sheet is made from, whatever is cut into it.
+struct Plan {
+    spec: SheetSpec,
+    contact_impedances: Vec<f64>,
+    sheet_s: f64,
+    conductance: ConductanceMap,
+    shortcut: Shortcut,
+}
+
+impl Plan {
+    /// Gives a slit sheet the conductances that wear and cuts leave it.
+    fn conduct(&self, sheets: &mut TwoSheets, wear: &Wear, cuts: &[Vec<Cut>], slits: &Slits) {
+        let (sheet_s, map) = (self.sheet_s, &self.conductance);
+        let inset_m = 0.5 * self.spec.element_size_m;
+        let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
+        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
+        sheets.set_sensing_by(|point| sheet_s * wear.share_at(point) * map.at(point), &blocking);
+        sheets.set_joints(|edge, middle| {
+            let cut = slits.cut_of_edge[edge];
+            let ([from, to], pieces) = (slits.ends_m[cut], &cuts[cut]);
+            let along = [to[0] - from[0], to[1] - from[1]];
+            let share = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
+                / (along[0] * along[0] + along[1] * along[1]);
+            let piece = &pieces[((share * pieces.len() as f64) as usize).min(pieces.len() - 1)];
+            sheet_s * wear.share_at(middle) * map.at(middle) * piece.joining_per_m()
+        });
+    }
+
+    /// The sheet with these cuts and wear, provided that its fields can be solved while nothing presses.
+    fn tried(&self, wear: &Wear, fixed: &[Cut]) -> Result<SlitSheets, TwinError> {
+        let cuts: Vec<Vec<Cut>> = wear.cuts().chain(fixed.iter().map(|cut| vec![*cut])).collect();
+        let mut slit = SlitSheets::build(self, cuts.iter().map(|pieces| whole(pieces)).collect())?;
+        self.conduct(&mut slit.sheets, wear, &cuts, &slit.slits);
+        let apart = vec![0.0; slit.sheets.positions_m().len()];
+        slit.sheets.impedance(&apart)?;
+        Ok(slit)
+    }
+}
+
+/// The skin meshed with slits along cuts, as many as can be slit.
+struct SlitSheets {
+    body: ElectrodedMesh,
+    sheets: TwoSheets,
+    slits: Slits,
+}
+
+impl SlitSheets {
+    fn build(plan: &Plan, ends_m: Vec<[[f64; 2]; 2]>) -> Result<Self, TwinError> {
+        let (slit, is_slit) = plan.spec.build_slit(&plan.contact_impedances, &ends_m)?;
+        let slit_cuts = is_slit.iter().enumerate().filter(|(_, is_slit)| **is_slit).map(|(cut, _)| cut);
+        let cut_of_edge = slit_cuts.zip(&slit.slits).flat_map(|(cut, edges)| edges.iter().map(move |_| cut)).collect();
+        let sheets = TwoSheets::with_slits(&slit.mesh, &slit.slits.concat(), plan.sheet_s, plan.shortcut)?;
+        Ok(Self { body: slit.mesh, sheets, slits: Slits { ends_m, is_slit, cut_of_edge } })
+    }
+}
+
+/// Treatments that were tried on a copy of the sheet.
+struct Tried {
+    /// Those that the sheet bears.
+    done: Vec<Treatment>,
+    refused: Vec<TwinError>,
+    /// The sheet with them; none where it has the same cuts as before.
+    sheet: Option<SlitSheets>,
+}
+
+impl Tried {
+    /// All at once, and one after the other where that does not work.
+    fn of(treatments: &[Treatment], plan: &Plan, wear: &Wear, fixed: &[Cut], stop: &AtomicBool) -> Self {
+        let outline = plan.spec.outline.clone();
+        let treat = |wear: &mut Wear, treatment: &Treatment| {
+            if let Treatment::Cut(cut) = treatment {
+                cut.check_reach(&outline)?;
+            }
+            wear.treat(treatment)
+        };
+        let (mut all, mut done, mut refused) = (wear.clone(), Vec::new(), Vec::new());
+        for treatment in treatments {
+            match treat(&mut all, treatment) {
+                Ok(()) => done.push(*treatment),
+                Err(error) => refused.push(error),
+            }
+        }
+        if same_cuts(&all, wear) {
+            return Self { done, refused, sheet: None };
+        }
+        if let Ok(sheet) = plan.tried(&all, fixed) {
+            return Self { done, refused, sheet: Some(sheet) };
+        }
+        let (mut kept, mut sheet) = (wear.clone(), None);
+        done.retain(|treatment| {
+            if stop.load(Ordering::Relaxed) {
+                return false;
+            }
+            let mut next = kept.clone();
+            let tried = treat(&mut next, treatment)
+                .and_then(|()| if same_cuts(&next, &kept) { Ok(None) } else { plan.tried(&next, fixed).map(Some) });
+            match tried {
+                Ok(slit) => {
+                    (kept, sheet) = (next, slit.or(sheet.take()));
+                    true
+                }
+                Err(error) => {
+                    refused.push(error);
+                    false
+                }
+            }
+        });
+        Self { done, refused, sheet }
+    }
+}
+
+fn same_cuts(a: &Wear, b: &Wear) -> bool {
+    let ends = |wear: &Wear| wear.wounds().map(|wound| [wound.cut.from_m, wound.cut.to_m]).collect::<Vec<_>>();
+    ends(a) == ends(b)
 }
 
 /// Both ends of a cut in pieces.
@@ -243,8 +373,18 @@ impl Frontend for Sandwich {
     }
 
     fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
-        self.wear.treat(treatment)?;
-        self.renew_sheet()
+        let tried = Tried::of(&[*treatment], &self.plan(), &self.wear, &self.cuts, &AtomicBool::new(false));
+        self.take_over(tried).pop().map_or(Ok(()), Err)
+    }
+
+    fn preparation(&self, treatments: &[Treatment]) -> Option<Preparation> {
+        let (plan, wear, fixed) = (self.plan(), self.wear.clone(), self.cuts.clone());
+        let treatments = treatments.to_vec();
+        Some(Box::new(move |stop| Box::new(Tried::of(&treatments, &plan, &wear, &fixed, stop))))
+    }
+
+    fn adopt(&mut self, prepared: Box<dyn Any + Send>) -> Vec<TwinError> {
+        prepared.downcast().map_or_else(|_| Vec::new(), |tried: Box<Tried>| self.take_over(*tried))
     }
 
     fn wounds(&self) -> Vec<Wound> {

@@ -174,6 +174,9 @@ impl Frontend for SheetSkin {
     }
 
     fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
+        if let Treatment::Cut(cut) = treatment {
+            cut.check_reach(&self.outline)?;
+        }
         self.wear.treat(treatment)?;
         self.renew_sheet();
         Ok(())

@@ -1,5 +1,8 @@
 //! A twin: scene, frontend and instrument stepped together, one frame a step.
 
+use std::any::Any;
+use std::sync::atomic::AtomicBool;
+
 use dermis_tomo::mesh::Outline;
 use serde::Serialize;
 
@@ -8,6 +11,10 @@ use crate::healing::{TimedTreatment, Treatment, Wound};
 use crate::instrument::{FaultSchedule, FrameFate, Instrument, InstrumentOptions, TimedFault};
 use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene, SceneOptions, Script};
+
+/// Work of a treatment that may be done in another thread, see [`Frontend::preparation`]; it breaks off between two trials
+/// once the flag is set.
+pub type Preparation = Box<dyn FnOnce(&AtomicBool) -> Box<dyn Any + Send> + Send>;
 
 /// The physical part of a skin: from what presses on it to true voltages.
 pub trait Frontend: std::fmt::Debug + Send {
@@ -36,6 +43,17 @@ pub trait Frontend: std::fmt::Debug + Send {
     /// A skin whose sheet knows nothing of that; numbers that make no sense.
     fn treat(&mut self, _treatment: &Treatment) -> Result<(), TwinError> {
         Err(TwinError::NotTreatable)
+    }
+
+    /// What several treatments given at once take to prepare, to be done in another thread while frames go on; `None` where
+    /// [`Frontend::treat`] takes no time to speak of. What it makes goes to [`Frontend::adopt`].
+    fn preparation(&self, _treatments: &[Treatment]) -> Option<Preparation> {
+        None
+    }
+
+    /// Treats the sheet as was prepared; what of it was refused, and why. The skin stays as it is where all was.
+    fn adopt(&mut self, _prepared: Box<dyn Any + Send>) -> Vec<TwinError> {
+        Vec::new()
     }
 
     /// The cuts it has, and how far they have healed.
@@ -78,6 +96,14 @@ impl<F: Frontend + ?Sized> Frontend for Box<F> {
 
     fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
         (**self).treat(treatment)
+    }
+
+    fn preparation(&self, treatments: &[Treatment]) -> Option<Preparation> {
+        (**self).preparation(treatments)
+    }
+
+    fn adopt(&mut self, prepared: Box<dyn Any + Send>) -> Vec<TwinError> {
+        (**self).adopt(prepared)
     }
 
     fn wounds(&self) -> Vec<Wound> {

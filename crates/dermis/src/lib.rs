@@ -1,11 +1,49 @@
-//! Tomographic tactile skins, from their file to touches: the crates of dermis under one name.
+//! Tomographic tactile skins, from their file to touches.
+//!
+//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages read
+//! there, and from how the voltages change follows where and how hard the skin is touched. A [`Skin`] is its file; a
+//! [`Session`] reads one.
 //!
 //! ```
-//! let skin = dermis::Skin::open("healing-square")?;
-//! let body = skin.body()?;
-//! assert_eq!(body.mesh.electrodes.len(), 16);
+//! use dermis::{Session, Skin};
+//!
+//! let skin = Skin::open("healing-square")?;
+//! // The skin's simulated twin. An instrument is "tcp:10.0.0.5:4000" or "serial:/dev/ttyACM0", a recording
+//! // "press.mcap".
+//! let session = Session::open("twin", skin)?;
+//! let mut touched = 0;
+//! for frame in session.take(100) {
+//!     let frame = frame?;
+//!     for touch in &frame.touches {
+//!         let [x, y] = touch.position_m.map(|m| 1e3 * m);
+//!         println!("{:.2} s: touch {} at ({x:.1}, {y:.1}) mm", frame.time_s, touch.id);
+//!     }
+//!     touched += usize::from(!frame.touches.is_empty());
+//! }
+//! assert!(touched > 20, "the twin demonstrates touches by itself");
 //! # Ok::<(), dermis::Error>(())
 //! ```
+//!
+//! # What is where
+//!
+//! | | |
+//! |---|---|
+//! | [`Skin`], [`skin`] | what a skin is: outline, layer, electrodes, instrument; its file |
+//! | [`Session`], [`source`] | frames with touches, from a twin, a file, a recording, an instrument |
+//! | [`Pipeline`], [`live`] | a skin becomes an operator, frames become touches; calibrations |
+//! | [`Touch`], [`touch`] | contacts, tracks, baselines, noise, forces |
+//! | [`Twin`], [`twin`] | what a skin would read: mechanics, fields, instrument |
+//! | [`Recording`], [`record`] | recordings, exports, sinks |
+//! | [`lab`] | design, doctor, order of channels, training sets, published experiments |
+//! | [`device`] | instruments, file formats |
+//! | [`learn`] | networks that label images |
+//! | [`tomo`], [`mit`] | the mathematics: meshes, EIT, inverse operators; magnetic induction |
+//!
+//! `examples/` has a program of less than 60 lines for each way in: `first_touch`, `own_skin`, `own_instrument`,
+//! `offline_images`, `train_and_use`.
+
+mod session;
+pub mod source;
 
 pub use dermis_device as device;
 pub use dermis_lab as lab;
@@ -24,3 +62,9 @@ pub use dermis_record::Recording;
 pub use dermis_skin::Skin;
 pub use dermis_touch::Touch;
 pub use dermis_twin::AnyTwin as Twin;
+pub use session::{Session, SessionOptions, SkinFrame};
+
+/// The code of the README compiles and runs.
+#[cfg(doctest)]
+#[doc = include_str!("../../../README.md")]
+struct Readme;

@@ -27,6 +27,15 @@ pub struct Arguments {
     /// Time spent on each line.
     #[arg(long, default_value_t = 1.0)]
     seconds: f64,
+    /// Print JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lines of the table: printed as they come, or kept for JSON.
+struct Lines<'a> {
+    out: &'a mut dyn Write,
+    json: Option<Vec<serde_json::Value>>,
 }
 
 impl Arguments {
@@ -38,7 +47,10 @@ impl Arguments {
         }
         let time =
             |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
-        writeln!(out, "{:<58} {:>12} {:>12}", "one core", "median", "best")?;
+        if !self.json {
+            writeln!(out, "{:<58} {:>12} {:>12}", "one core", "median", "best")?;
+        }
+        let mut lines = Lines { out, json: self.json.then(Vec::new) };
         for elements in [5_000, 20_000] {
             let model = disc(elements)?;
             let sigma = vec![1.0; model.body().mesh.element_count()];
@@ -47,14 +59,17 @@ impl Arguments {
                 model.solve(&sigma)?.jacobian_into(std::hint::black_box(&mut jacobian));
                 Ok(())
             })?;
-            line(out, &format!("{} elements, 16 electrodes: forward + Jacobian", sigma.len()), took)?;
+            lines.add(&format!("{} elements, 16 electrodes: forward + Jacobian", sigma.len()), took)?;
         }
-        self.images(out, &time)?;
-        self.frames(out, &time)?;
+        self.images(&mut lines, &time)?;
+        self.frames(&mut lines, &time)?;
+        if let Some(json) = lines.json {
+            super::print_json(&json, lines.out)?;
+        }
         Ok(Outcome::Done)
     }
 
-    fn images(&self, out: &mut dyn Write, time: &Timer<'_>) -> anyhow::Result<()> {
+    fn images(&self, lines: &mut Lines<'_>, time: &Timer<'_>) -> anyhow::Result<()> {
         let model = disc(5_000)?;
         let grid = PixelGrid::covering([-0.0625; 2], [0.0625; 2], 64).map_err(anyhow::Error::from)?;
         let map = PixelMap::new(grid, &model.body().mesh)?;
@@ -72,17 +87,17 @@ impl Arguments {
             std::hint::black_box(operator()?);
             Ok(())
         })?;
-        line(out, &format!("operator of 208 channels to {} pixels of 64 x 64", map.inside_count()), took)?;
+        lines.add(&format!("operator of 208 channels to {} pixels of 64 x 64", map.inside_count()), took)?;
         let mut live = QuantisedOperator::new(&operator()?, 1.0);
         let (frame, mut image) = (vec![1e-3_f32; live.channels()], vec![0.0_f32; live.unknowns()]);
         let took = time(&mut || {
             live.apply(std::hint::black_box(&frame), &mut image);
             Ok(())
         })?;
-        line(out, "frame of 208 channels to image", took)
+        lines.add("frame of 208 channels to image", took)
     }
 
-    fn frames(&self, out: &mut dyn Write, time: &Timer<'_>) -> anyhow::Result<()> {
+    fn frames(&self, lines: &mut Lines<'_>, time: &Timer<'_>) -> anyhow::Result<()> {
         let prepared = Prepared::new(Skin::open("healing-square")?)?;
         let reference = Reference::from_baseline(&prepared, &prepared.voltages, None)?;
         let imager = Imager::new(&prepared, &reference, &[])?;
@@ -98,14 +113,14 @@ impl Arguments {
             reconstructor.image(&difference, &mut image)?;
             Ok(reconstructor.follow_touches(clock, &image, None)?)
         })?;
-        line(out, "frame of 208 channels to image to touches (64 x 64, two)", took)?;
+        lines.add("frame of 208 channels to image to touches (64 x 64, two)", took)?;
         reconstructor.refinement = Refinement::new(&prepared, &reference.noise)?;
         let took = time(&mut || {
             clock += 1_000_000;
             reconstructor.image(&difference, &mut image)?;
             Ok(reconstructor.follow_touches(clock, &image, None)?)
         })?;
-        line(out, "the same, both refined by the forward model", took)
+        lines.add("the same, both refined by the forward model", took)
     }
 }
 
@@ -124,9 +139,16 @@ fn median_of(work: &mut dyn FnMut() -> anyhow::Result<()>, budget: Duration) -> 
     Ok((times[times.len() / 2], times[0]))
 }
 
-fn line(out: &mut dyn Write, what: &str, (median, best): (Duration, Duration)) -> anyhow::Result<()> {
-    writeln!(out, "{what:<58} {:>9.1} us {:>9.1} us", median.as_secs_f64() * 1e6, best.as_secs_f64() * 1e6)?;
-    Ok(out.flush()?)
+impl Lines<'_> {
+    fn add(&mut self, what: &str, (median, best): (Duration, Duration)) -> anyhow::Result<()> {
+        let [median_us, best_us] = [median, best].map(|time| time.as_secs_f64() * 1e6);
+        if let Some(json) = &mut self.json {
+            json.push(serde_json::json!({ "what": what, "median_us": median_us, "best_us": best_us }));
+            return Ok(());
+        }
+        writeln!(self.out, "{what:<58} {median_us:>9.1} us {best_us:>9.1} us")?;
+        Ok(self.out.flush()?)
+    }
 }
 
 /// A disc of 125 mm with 16 electrodes, adjacent drive and measurement: 208 channels.

@@ -7,48 +7,86 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 use dermis::lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
-use dermis::live::calibration::{Calibration, read_pokes};
+use dermis::lab::twin_sample::{random_presses, sample_tables};
+use dermis::live::calibration::{
+    Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes, find_circuit, read_pokes, relative_changes,
+};
 use dermis::live::channels::ChannelReader;
 use dermis::live::forces::save_forces;
 use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis::skin::{CircuitChoice, Skin, Wiring};
+use dermis::twin::from_skin::press_range;
 use dermis_device::{FileSpec, Format, FrameTable};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample};
+use dermis_touch::locator::{Accuracy, PriorUse};
 
-use super::{spinner, with_progress};
+use super::circuit::print_circuit;
+use super::extent::Extent;
+use super::recorded::baseline_or_differences;
+use super::skin_word::SkinWord;
+use super::{busy, spinner, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis calibrate --skin hydrogel-disc --baseline before.csv --frames pressed.csv --positions positions.csv --out c.json
-  dermis calibrate --skin ionic-disc --twin --forces forces.json --curve quadratic
+  dermis calibrate hydrogel-disc --baseline before.csv --frames pressed.csv --positions positions.csv --out c.json
+  dermis calibrate hydrogel-disc --differences --frames differences.csv --positions positions.csv --out d.json
+  dermis calibrate --outline-mm 171 --channels 192 --write-skin gel.toml --differences --frames differences.csv --positions positions.csv --out gel.json
+  dermis calibrate hydrogel-disc --baseline baselines.csv --frames touches.csv --write-skin mine.toml
+  dermis calibrate ionic-disc --twin --forces forces.json --curve quadratic
+  dermis calibrate healing-square --twin --pokes 12 --out c.json
 
-The baseline has one frame for all pokes, or one for each. The positions have the columns x_m, y_m and, if the load is
-known, depth_m or force_n. Printed are the leave-one-out error and where more pokes would help most. A force calibration
-(--forces) is made from pokes with force_n, or by pressing the skin's twin in nine places; `run` and `reconstruct` read it
-with --forces.";
+The baseline has one frame for all pokes, or one for each; --differences says that the frames are differences from the
+untouched skin already. --start SISTER.json begins from the calibration of a skin of the same family. The positions have the columns x_m, y_m and, if the load is known, depth_m or force_n. Of a skin
+of which only the outline is known, --outline-mm and --channels stand for the skin file, which --write-skin writes for
+`run` and `reconstruct`. Without positions, what the readout does to the potentials is found from 20 or more frames of
+unknown touches. Printed are the leave-one-out error, what each part of the locator and physics brought, and where
+more pokes would help most. A force calibration (--forces) is made from pokes with force_n, or by pressing the skin's twin
+in nine places; `run` and `reconstruct` read it with --forces.";
+
+/// From so many standard errors on, a session drifts.
+const DRIFT_Z: f64 = 3.0;
 
 /// Arguments of `dermis calibrate`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(long, value_name = "NAME|FILE")]
-    skin: String,
+    #[command(flatten)]
+    skin: SkinWord,
+    /// Outline of a skin of which no more is known: width x height, or a diameter; its middle is the origin.
+    #[arg(long, value_name = "WxH|D", conflicts_with_all = ["skin", "option", "twin"], requires_all = ["channels", "write_skin"])]
+    outline_mm: Option<Extent>,
+    /// Its number of channels.
+    #[arg(long, value_name = "N", requires = "outline_mm")]
+    channels: Option<usize>,
+    /// Where its skin file goes, whose name is the skin's; without --positions, where the skin file with the circuit found
+    /// goes.
+    #[arg(long, value_name = "FILE.toml")]
+    write_skin: Option<PathBuf>,
     /// Frames of the untouched skin: one or more for all pokes, or one before each.
-    #[arg(long, value_name = "FILE[#FRAMES]", required_unless_present = "twin")]
+    #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
+    /// The frames are differences from the untouched skin already.
+    #[arg(long, conflicts_with_all = ["baseline", "twin"])]
+    differences: bool,
     /// Frames of the pressed skin, one a poke.
-    #[arg(long, value_name = "FILE[#FRAMES]", required_unless_present = "twin")]
+    #[arg(long, value_name = "FILE[#FRAMES]", required_unless_present_any = ["twin", "baseline"])]
     frames: Option<FileSpec>,
-    /// Where each poke was: x_m, y_m[, depth_m or force_n].
-    #[arg(long, value_name = "FILE.csv", required_unless_present = "twin")]
+    /// Where each poke was: x_m, y_m[, depth_m or force_n]. Without it, what the readout does is found from the frames
+    /// alone.
+    #[arg(long, value_name = "FILE.csv")]
     positions: Option<PathBuf>,
     /// Format of the frames (csv, columns, npy, sciospec, ...); recognised where left out.
     #[arg(long)]
     format: Option<Format>,
+    /// Leave the skin file's physics out, however much it helps.
+    #[arg(long)]
+    no_physics: bool,
+    /// A calibration of a skin of the same family to start from; of several the best is taken.
+    #[arg(long, value_name = "FILE.json")]
+    start: Vec<PathBuf>,
     /// Where the calibration goes.
-    #[arg(long, value_name = "FILE.json", required_unless_present = "forces")]
+    #[arg(long, value_name = "FILE.json")]
     out: Option<PathBuf>,
     /// How many further pokes to suggest.
     #[arg(long, default_value_t = 5)]
@@ -57,8 +95,11 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     forces: Option<PathBuf>,
     /// Press the skin's twin in place of reading files.
-    #[arg(long, requires = "forces", conflicts_with_all = ["baseline", "frames", "positions", "out"])]
+    #[arg(long, conflicts_with_all = ["baseline", "frames", "positions", "start"])]
     twin: bool,
+    /// Presses of the twin that --out is fitted to, at random places.
+    #[arg(long, value_name = "N", default_value_t = 40, requires = "twin", value_parser = clap::value_parser!(u32).range(4..=2000))]
+    pokes: u32,
     /// Force as a function of the signal.
     #[arg(long, value_enum, default_value_t = Shape::Linear)]
     curve: Shape,
@@ -81,43 +122,146 @@ enum Shape {
     Monotone,
 }
 
-impl Arguments {
-    /// Fits what is asked for, writes it and says how good it is.
-    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let skin = Skin::open(&self.skin)?;
-        let (Some(baseline), Some(frames), Some(positions)) = (&self.baseline, &self.frames, &self.positions) else {
-            self.calibrate_twin(&skin, out)?;
-            return Ok(Outcome::Done);
-        };
-        let baselines = dermis_device::read(baseline, self.format).map_err(dermis::Error::from)?;
-        let frames = dermis_device::read(frames, self.format).map_err(dermis::Error::from)?;
-        let pokes = read_pokes(positions)?;
-        let prepared = Prepared::new(skin)?;
+/// Frames that pokes were measured with, in the protocol's order.
+struct Measured {
+    /// `None` where the frames are differences.
+    baselines: Option<Vec<Vec<f64>>>,
+    frames: Vec<Vec<f64>>,
+}
+
+impl Measured {
+    fn read(
+        prepared: &Prepared,
+        baseline: Option<&FileSpec>,
+        frames: &FileSpec,
+        format: Option<Format>,
+    ) -> anyhow::Result<Self> {
         let reads = prepared.skin.backend.reads;
         let reader = |table: &FrameTable| {
             ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
         };
-        let mut baseline_reader = reader(&baselines)?;
-        let baselines = baseline_reader.read_table(&baselines)?;
+        let table = |file: &FileSpec| dermis::record::read_frames(file, format);
+        let frames = table(frames)?;
         let mut frame_reader = reader(&frames)?;
-        frame_reader.share_phase_of(&baseline_reader);
-        let frames = frame_reader.read_table(&frames)?;
+        let mut baselines = None;
+        if let Some(baseline) = baseline {
+            let baseline = table(baseline)?;
+            let mut baseline_reader = reader(&baseline)?;
+            baselines = Some(baseline_reader.read_table(&baseline)?);
+            frame_reader.share_phase_of(&baseline_reader);
+        }
+        Ok(Self { baselines, frames: frame_reader.read_table(&frames)? })
+    }
+
+    fn as_pokes(&self) -> PokeFrames<'_> {
+        match &self.baselines {
+            Some(baselines) => PokeFrames::Readings { baselines, frames: &self.frames },
+            None => PokeFrames::Differences(&self.frames),
+        }
+    }
+}
+
+impl Arguments {
+    /// Fits what is asked for, writes it and says how good it is.
+    pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let skin = self.skin()?;
+        if self.twin {
+            if self.out.is_none() && self.forces.is_none() {
+                return Err(UsageError("--out, --forces or both are needed: where the calibration goes".into()).into());
+            }
+            if let Some(path) = &self.out {
+                self.locate_twin(&skin, path, out)?;
+            }
+            if self.forces.is_some() {
+                self.calibrate_twin(&skin, out)?;
+            }
+            return Ok(Outcome::Done);
+        }
+        let Some(positions) = &self.positions else {
+            self.learn_circuit(skin, out)?;
+            return Ok(Outcome::Done);
+        };
+        let frames = self.frames.as_ref().ok_or_else(|| UsageError("--frames is needed: one frame a poke".into()))?;
+        if self.out.is_none() && self.forces.is_none() {
+            return Err(UsageError("--out is needed: where the calibration goes".into()).into());
+        }
+        let differences = baseline_or_differences(self.baseline.as_ref(), self.differences, &skin)?;
+        let pokes = read_pokes(positions)?;
+        let sisters = self.start.iter().map(|path| Calibration::load(path)).collect::<Result<Vec<_>, _>>()?;
+        let prepared = Prepared::new(skin)?;
+        let measured = Measured::read(&prepared, self.baseline.as_ref(), frames, self.format)?;
         if let Some(path) = &self.forces {
             let diameter_mm = self.indenter_mm.ok_or_else(|| {
                 UsageError("--forces from files: --indenter-mm is needed, signals depend on the indenter".into())
             })?;
-            let samples = force_samples(&prepared, &baselines, &frames, &pokes)?;
-            self.write_forces(&prepared.skin.name, &samples, frames.len(), 1e-3 * diameter_mm, path, out)?;
+            let baselines = measured.baselines.as_ref().ok_or_else(|| {
+                UsageError("--forces: expected frames with a baseline, got differences, which have no scale".into())
+            })?;
+            let samples = force_samples(&prepared, baselines, &measured.frames, &pokes)?;
+            let count = measured.frames.len();
+            self.write_forces(&prepared.skin.name, &samples, count, 1e-3 * diameter_mm, path, out)?;
         }
         let Some(path) = &self.out else { return Ok(Outcome::Done) };
         let spinner = spinner("fitting the calibration");
-        let calibration = Calibration::fit(&prepared, &baselines, &frames, &pokes);
+        let options = CalibrationOptions { physics: !self.no_physics, start: &sisters };
+        let calibration = Calibration::fit_with(&prepared, measured.as_pokes(), &pokes, &options);
         spinner.finish_and_clear();
         let calibration = calibration?;
         calibration.save(path)?;
+        if let (Some(file), Some(_)) = (&self.write_skin, &self.outline_mm) {
+            write_skin(STAND_INS, &prepared.skin, file)?;
+            writeln!(out, "skin file: {}", file.display())?;
+        }
+        print_pokes(&calibration, out)?;
+        print_experts(&prepared.skin, &calibration, differences, self.no_physics, out)?;
         self.print(&prepared, &calibration, out)?;
         writeln!(out, "written: {}", path.display())?;
         Ok(Outcome::Done)
+    }
+
+    /// The skin named, or one of which only outline and channels are known.
+    fn skin(&self) -> anyhow::Result<Skin> {
+        let mut skin = match (self.outline_mm, self.channels, &self.write_skin) {
+            (Some(extent), Some(channels), Some(file)) => {
+                let name = file.file_stem().unwrap_or_default().to_string_lossy();
+                Skin::of_channels(&name, extent.shape(), channels)?
+            }
+            _ => self.skin.open()?,
+        };
+        if skin.backend.wiring == Wiring::Unknown {
+            skin.backend.differences |= self.differences;
+        }
+        Ok(skin)
+    }
+
+    /// Finds what the readout does from frames whose touches nobody knows.
+    fn learn_circuit(&self, skin: Skin, out: &mut dyn Write) -> anyhow::Result<()> {
+        if self.out.is_some() || self.forces.is_some() || self.outline_mm.is_some() || !self.start.is_empty() {
+            let text = "--positions is needed: a calibration by pokes wants to know where they were (without, only the \
+                        circuit of a skin file can be found: SKIN, --frames, --baseline and --write-skin)";
+            return Err(UsageError(text.into()).into());
+        }
+        let Some(baseline) = &self.baseline else {
+            return Err(UsageError("--baseline is needed: relative changes are taken against it".into()).into());
+        };
+        let prepared = Prepared::new(skin)?;
+        let read = Measured::read(&prepared, Some(baseline), self.frames.as_ref().unwrap_or(baseline), self.format)?;
+        let baselines = read.baselines.unwrap_or_default();
+        let frames = if self.frames.is_some() { read.frames } else { Vec::new() };
+        let changes = relative_changes(&prepared, &baselines, &frames)?;
+        let spinner = spinner("trying circuits");
+        let fit = find_circuit(&prepared, &changes, |_| spinner.tick());
+        spinner.finish_and_clear();
+        let fit = fit?;
+        print_circuit(&fit, out)?;
+        if let Some(file) = &self.write_skin {
+            let mut skin = prepared.skin.clone();
+            skin.backend.circuit = fit.circuit.map(CircuitChoice::Known);
+            let head = "# With the circuit that dermis calibrate found from frames of unknown touches.\n";
+            write_skin(head, &skin, file)?;
+            writeln!(out, "written: {}", file.display())?;
+        }
+        Ok(())
     }
 
     fn calibrate_twin(&self, skin: &Skin, out: &mut dyn Write) -> anyhow::Result<()> {
@@ -133,6 +277,25 @@ impl Arguments {
         });
         let path = self.forces.as_ref().context("--forces is needed")?;
         self.write_forces(&skin.name, &samples?, presses, plan.indenter_m, path, out)
+    }
+
+    /// A calibration from the twin's pokes at random places: what it would be worth on the skin.
+    fn locate_twin(&self, skin: &Skin, path: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
+        let presses = random_presses(&skin.outline(), &press_range(skin), self.pokes as usize, 1);
+        let tables = with_progress("presses", |progress| sample_tables(skin, &presses, None, progress))?;
+        let prepared = Prepared::new(skin.clone())?;
+        let reads = prepared.skin.backend.reads;
+        let mut reader = ChannelReader::new(tables[0].layout(), &prepared.protocol, reads, "the twin")?;
+        let [baselines, frames] = tables.each_ref().map(|table| reader.read_table(table));
+        let positions_m = presses.iter().map(|press| press[0].centre_m).collect();
+        let pokes = Pokes { positions_m, loads: None };
+        let busy = busy("fitting the calibration".into());
+        let calibration = Calibration::fit(&prepared, &baselines?, &frames?, &pokes)?;
+        calibration.save(path)?;
+        busy.finish();
+        self.print(&prepared, &calibration, out)?;
+        writeln!(out, "written: {}; of the twin, not of a skin that was measured", path.display())?;
+        Ok(())
     }
 
     fn write_forces(
@@ -159,21 +322,7 @@ impl Arguments {
     }
 
     fn print(&self, prepared: &Prepared, calibration: &Calibration, out: &mut dyn Write) -> anyhow::Result<()> {
-        let report = calibration.leave_one_out();
         let measured = calibration.measured_jacobian(prepared)?;
-        writeln!(out, "pokes: {}", calibration.pokes())?;
-        writeln!(
-            out,
-            "leave-one-out error: median {:.2} mm, 90th percentile {:.2} mm",
-            report.median_error_m * 1e3,
-            report.p90_error_m * 1e3
-        )?;
-        writeln!(
-            out,
-            "within one predicted sigma: {:.0} % in x, {:.0} % in y",
-            100.0 * report.coverage[0],
-            100.0 * report.coverage[1]
-        )?;
         writeln!(
             out,
             "measured Jacobian: correlation length {:.1} mm, left-out frames predicted within {:.0} % (rms)",
@@ -194,6 +343,123 @@ impl Arguments {
         }
         Ok(())
     }
+}
+
+/// A skin of which only outline and channels are known, in the words of its file.
+const STAND_INS: &str = "\
+# A skin of which only outline and number of channels are known: electrodes and pairs stand in for the real ones, and
+# what it reads is learnt from pokes (dermis calibrate).
+";
+
+fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {
+    dermis_device::write_atomic(file, |out| {
+        out.write_all(head.as_bytes())?;
+        out.write_all(skin.to_toml().as_bytes())?;
+        Ok(())
+    })
+    .map_err(dermis::Error::from)?;
+    Ok(())
+}
+
+fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std::io::Result<()> {
+    let (report, review) = (calibration.leave_one_out(), calibration.review());
+    writeln!(out, "pokes: {}", calibration.pokes())?;
+    if review.repeated > 0 {
+        writeln!(out, "pokes that repeat another one exactly, left out: {}", review.repeated)?;
+    }
+    if !review.dead_channels.is_empty() {
+        writeln!(
+            out,
+            "channels that read the same in every poke: {}",
+            listed(review.dead_channels.iter().map(|c| *c as usize))
+        )?;
+    }
+    writeln!(
+        out,
+        "leave-one-out error: median {:.2} mm, 90th percentile {:.2} mm",
+        report.median_error_m * 1e3,
+        report.p90_error_m * 1e3
+    )?;
+    writeln!(
+        out,
+        "within one predicted sigma: {:.0} % in x, {:.0} % in y",
+        100.0 * report.coverage[0],
+        100.0 * report.coverage[1]
+    )?;
+    if let (Some(quantity), Some(error)) = (calibration.load_quantity(), report.load_error) {
+        let name = match quantity {
+            LoadQuantity::DepthM => "depth",
+            LoadQuantity::ForceN => "force",
+        };
+        writeln!(out, "{name}: read within {:.0} % (one sigma)", 100.0 * error)?;
+    }
+    if calibration.has_silent_loads() {
+        writeln!(out, "depth or force of the pokes: not read, frames do not grow with it")?;
+    }
+    if let Some(drift) = review.drift {
+        let mm = |accuracy: Accuracy| format!("{:.2} mm", 1e3 * accuracy.median_m);
+        let verdict = if drift.z > DRIFT_Z { "signatures drift" } else { "no drift seen" };
+        writeln!(
+            out,
+            "time: {verdict}; the first half locates the second within {}, every other poke the rest within {} (median)",
+            mm(drift.later),
+            mm(drift.interleaved)
+        )?;
+    }
+    Ok(())
+}
+
+/// Which parts of the locator are used, and what physics and sister skins brought.
+fn print_experts(
+    skin: &Skin,
+    calibration: &Calibration,
+    differences: bool,
+    no_physics: bool,
+    out: &mut dyn Write,
+) -> std::io::Result<()> {
+    let Some(report) = calibration.experts() else { return Ok(()) };
+    let expert = |used: bool, a: &Accuracy| {
+        let used = if used { "used" } else { "not used" };
+        format!("median {:.2} mm, 90th percentile {:.2} mm, {used}", 1e3 * a.median_m, 1e3 * a.p90_m)
+    };
+    writeln!(out, "  from place to frame (Gaussian process): {}", expert(report.forward_used, &report.forward))?;
+    writeln!(out, "  from frame to place (kernel regression): {}", expert(report.inverse_used, &report.inverse))?;
+    let brought = |part: PriorUse| {
+        let used = if part.used { "used" } else { "left out" };
+        format!("{used}; left-out pokes are predicted {:+.3} better with it (mean log density)", part.gain)
+    };
+    match report.physics {
+        Some(part) => writeln!(out, "physics of the skin file: {}", brought(part))?,
+        None if no_physics => writeln!(out, "physics of the skin file: left out, as asked for")?,
+        None if !skin.backend.wiring.is_known() => writeln!(out, "physics: none, the wiring is unknown")?,
+        None if differences => writeln!(out, "physics of the skin file: not tried")?,
+        None => {}
+    }
+    for (what, part) in [("map of the sister skin", report.sister_map), ("its noise", report.sister_covariance)] {
+        if let Some(part) = part {
+            writeln!(out, "{what}: {}", brought(part))?;
+        }
+    }
+    if !report.doubtful.is_empty() {
+        let fate = if report.doubtful_left_out { "left out" } else { "kept" };
+        writeln!(
+            out,
+            "pokes that the others contradict, {fate}: {} (is their position written down right?)",
+            listed(report.doubtful.iter().copied())
+        )?;
+    }
+    Ok(())
+}
+
+/// The first of some numbers, counted from 0, in words.
+fn listed(numbers: impl ExactSizeIterator<Item = usize>) -> String {
+    const MOST: usize = 12;
+    let count = numbers.len();
+    let mut text = numbers.take(MOST).map(|n| n.to_string()).collect::<Vec<_>>().join(", ");
+    if count > MOST {
+        text.push_str(&format!(" and {} more", count - MOST));
+    }
+    text
 }
 
 fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {

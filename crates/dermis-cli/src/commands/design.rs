@@ -1,10 +1,13 @@
-//! `dermis design`: what skins will be able to do before they are built, side by side, and which protocol suits one best.
+//! `dermis design`: what skins will be able to do before they are built, side by side, and which protocol suits one
+//! best.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::lab::design::{ForceMap, Freedom, Maps, Noise, Search, Summary, improve, smallest_force, spread_width};
+use dermis::lab::design::{
+    ForceMap, Freedom, Maps, Noise, Search, SharedInstrument, Summary, improve, smallest_force, spread_width, verdict,
+};
 use dermis::lab::tolerances::{Extent, Tolerances, run};
 use dermis::live::prepare::Prepared;
 use dermis::skin::Skin;
@@ -22,10 +25,12 @@ Examples:
   dermis design ionic-disc --force --map 6
   dermis design golfball-tank --map 12 --improve protocol --winner better.toml
   dermis design golfball-tank --map 8 --improve count,drive --winner better.toml
+  dermis design healing-square --tolerances --samples 1 --pokes 0
 
 Bounds are Cramer-Rao bounds: no unbiased method does better at this noise. \"Worst\" leaves out the outermost tenth of the
-area. Noise is what the skin file assumes, the same for every channel; --snr-db makes it proportional to the reading. A
-search gives every candidate the same time for a frame: the more readings, the noisier each. --tolerances builds the skin
+area. Noise is what the skin file assumes, the same for every channel; --noise-uv says it in microvolts, --snr-db makes it
+proportional to the reading. Several skins, and the candidates of a search, are read by one instrument, that of the first, and
+get the same time for a frame: the more readings, the noisier each. --tolerances builds the skin
 again and again with a workshop's errors, and says what each costs.";
 
 /// Arguments of `dermis design`.
@@ -38,9 +43,12 @@ pub struct Arguments {
     /// Relative change of conductivity of the touch that bounds are for.
     #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
     amplitude: f64,
-    /// Signal-to-noise ratio of every channel, 20 log10(reading / deviation).
-    #[arg(long, value_name = "DB", conflicts_with = "improve")]
+    /// Noise of a reading of the first skin: signal-to-noise ratio of every channel, 20 log10(reading / deviation).
+    #[arg(long, value_name = "DB")]
     snr_db: Option<f64>,
+    /// Noise of a reading of the first skin: standard deviation, the same for every channel.
+    #[arg(long, value_name = "MICROVOLTS", conflicts_with = "snr_db")]
+    noise_uv: Option<f64>,
     /// Places along the longer side of the maps.
     #[arg(long, value_name = "PLACES", default_value_t = 32, value_parser = clap::value_parser!(u32).range(4..=128))]
     map: u32,
@@ -57,13 +65,13 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.toml", requires = "improve")]
     winner: Option<PathBuf>,
     /// Try the skin with what a workshop gets wrong; a TOML file says how much.
-    #[arg(long, value_name = "FILE.toml", num_args = 0..=1, conflicts_with_all = ["improve", "snr_db", "force"])]
+    #[arg(long, value_name = "FILE.toml", num_args = 0..=1, conflicts_with_all = ["improve", "snr_db", "noise_uv", "force"])]
     tolerances: Option<Option<PathBuf>>,
     /// Samples of every row.
     #[arg(long, default_value_t = 200, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     samples: u32,
     /// Presses of every sample.
-    #[arg(long, default_value_t = 12, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, default_value_t = 5, requires = "tolerances", value_parser = clap::value_parser!(u32).range(1..=64))]
     presses: u32,
     /// Numbers of pokes that samples are calibrated with; 0 for none.
     #[arg(long, value_delimiter = ',', default_values_t = [20, 50, 200], requires = "tolerances",
@@ -72,6 +80,9 @@ pub struct Arguments {
     /// Seed of the errors, the places and the noise.
     #[arg(long, default_value_t = 1, requires = "tolerances")]
     seed: u64,
+    /// Print JSON instead of the table.
+    #[arg(long, conflicts_with_all = ["improve", "tolerances"])]
+    json: bool,
 }
 
 /// What a search may change.
@@ -104,22 +115,60 @@ impl Arguments {
         if let Some(file) = &self.tolerances {
             return self.try_tolerances(file.as_deref(), out);
         }
-        let noise = self.snr_db.map_or(Noise::Assumed, Noise::Decibels);
-        let mut sheets = Vec::with_capacity(self.skins.len());
+        let mut sheets: Vec<Sheet> = Vec::with_capacity(self.skins.len());
+        let mut instrument = None;
         for name in &self.skins {
-            let sheet = self.sheet(name, noise)?;
+            let busy = super::busy(format!("designing {name}"));
+            let prepared = Prepared::new(Skin::open(name)?)?;
+            // One skin alone keeps what its file says of each channel.
+            let noise = match (&instrument, self.skins.len()) {
+                (_, 1) => self.noise(),
+                (None, _) => instrument.insert(SharedInstrument::of(&prepared, self.noise())?).noise,
+                (Some(instrument), _) => instrument.noise_of(&prepared),
+            };
+            let sheet = self.sheet(prepared, noise)?;
+            busy.finish();
             if let Some(folder) = &self.out {
                 write_maps(folder, &sheet)?;
             }
             sheets.push(sheet);
         }
+        let positions: Vec<(&str, Summary)> = sheets
+            .iter()
+            .map(|sheet| (sheet.prepared.skin.name.as_str(), Summary::of(&sheet.maps.position_m)))
+            .collect();
+        let verdict = verdict(&positions);
+        if self.json {
+            super::print_json(&report(&sheets, self.amplitude, verdict.as_deref()), out)?;
+            return Ok(Outcome::Done);
+        }
         writeln!(out, "touch of {} at its middle; worst / median / best place", self.amplitude)?;
+        if let Some(instrument) = instrument {
+            let noise = in_words(instrument.noise);
+            let (first, readings) = (positions[0].0, instrument.readings);
+            writeln!(
+                out,
+                "one instrument for all: {noise} a reading of {first} ({readings} readings a frame); frames of equal time, so that \
+                 noise power grows with the number of readings"
+            )?;
+        }
         write_table(out, &sheets)?;
+        if let Some(verdict) = verdict {
+            writeln!(out, "{verdict}")?;
+        }
         Ok(Outcome::Done)
     }
 
-    fn sheet(&self, name: &str, noise: Noise) -> anyhow::Result<Sheet> {
-        let prepared = Prepared::new(Skin::open(name)?)?;
+    /// Noise of a reading of the first skin.
+    fn noise(&self) -> Noise {
+        match (self.snr_db, self.noise_uv) {
+            (Some(db), _) => Noise::Decibels(db),
+            (None, Some(uv)) => Noise::Volts(1e-6 * uv),
+            (None, None) => Noise::Assumed,
+        }
+    }
+
+    fn sheet(&self, prepared: Prepared, noise: Noise) -> anyhow::Result<Sheet> {
         let maps = Maps::new(&prepared, noise, self.amplitude, self.map as usize)?;
         let spread_m = spread_width(&prepared, &maps)?;
         let mut force = None;
@@ -167,7 +216,8 @@ impl Arguments {
             Change::Count => Freedom::Count,
             Change::Electrodes => Freedom::Electrodes,
         });
-        let search = Search { freed: freed.collect(), amplitude: self.amplitude, along: self.map as usize };
+        let (amplitude, along, noise) = (self.amplitude, self.map as usize, self.noise());
+        let search = Search { freed: freed.collect(), amplitude, along, noise };
         let skin = Skin::open(name)?;
         let [own, best] = super::with_progress("skins", |progress| improve(&skin, &search, progress))?;
         let millimetres = |summary: Summary| three([summary.worst, summary.median, summary.best].map(|m| 1e3 * m));
@@ -176,13 +226,49 @@ impl Arguments {
             let backend = &candidate.skin.backend;
             write!(out, "  {label:<9} {}  ", millimetres(candidate.position_m))?;
             write!(out, "{} electrodes, ", candidate.skin.electrode_shapes().len())?;
-            writeln!(out, "drive {:?}, measure {:?}", backend.drive, backend.measure)?;
+            let (drive, measure) = (inline(&backend.drive)?, inline(&backend.measure)?);
+            writeln!(out, "drive = {drive}, measure = {measure}")?;
         }
         let text = best.skin.to_toml();
         write_atomic(winner, |file| file.write_all(text.as_bytes()))?;
         writeln!(out, "{}", winner.display())?;
         Ok(Outcome::Done)
     }
+}
+
+/// As a skin file has it.
+fn inline(pattern: &impl serde::Serialize) -> anyhow::Result<String> {
+    Ok(dermis::lab::channel_search::toml_of(&serde_json::to_value(pattern)?))
+}
+
+fn in_words(noise: Noise) -> String {
+    match noise {
+        Noise::Volts(volts) => format!("{:.3} uV", 1e6 * volts),
+        Noise::Decibels(db) => format!("{db} dB below"),
+        Noise::Assumed => "what the file assumes".into(),
+    }
+}
+
+/// The table as JSON: lengths in millimetres, shares in per cent.
+fn report(sheets: &[Sheet], amplitude: f64, verdict: Option<&str>) -> serde_json::Value {
+    let summary = |values: &[f64], scale: f64| {
+        let Summary { worst, median, best } = Summary::of(values);
+        serde_json::json!({ "worst": scale * worst, "median": scale * median, "best": scale * best })
+    };
+    let skin = |sheet: &Sheet| {
+        serde_json::json!({
+            "skin": sheet.prepared.skin.name,
+            "channels": sheet.prepared.channels(),
+            "frames_per_s": sheet.prepared.skin.backend.frames_per_s,
+            "position_bound_mm": summary(&sheet.maps.position_m, 1e3),
+            "amplitude_bound_percent": summary(&sheet.maps.amplitude_share, 1e2),
+            "smallest_change_percent": summary(&sheet.maps.smallest, 1e2),
+            "spread_mm": summary(&sheet.spread_m, 1e3),
+            "smallest_force_mn": sheet.force.as_ref().map(|map| summary(&map.force_n, 1e3)),
+        })
+    };
+    let skins: Vec<serde_json::Value> = sheets.iter().map(skin).collect();
+    serde_json::json!({ "amplitude": amplitude, "skins": skins, "verdict": verdict })
 }
 
 fn three(values: [f64; 3]) -> String {

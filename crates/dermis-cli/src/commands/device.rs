@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use dermis::lab::measured_list::measured_list;
+use dermis::lab::measured_list::setup_of;
 use dermis::lab::serve::Background;
 use dermis::skin::Skin;
 use dermis_device::instruments::wire::{Description, Order, WireControl};
@@ -113,7 +113,7 @@ impl Arguments {
     fn orders(&self) -> anyhow::Result<Vec<Order>> {
         let mut orders = Vec::new();
         if let Some(name) = &self.skin {
-            orders.extend(orders_of(&Skin::open(name)?)?);
+            orders.extend(setup_of(&Skin::open(name)?)?);
         }
         orders.extend(self.protocol.clone().map(Order::ProtocolName));
         orders.extend(self.amplitude_ua.map(|amplitude_ua| Order::AmplitudeA(amplitude_ua * 1e-6)));
@@ -171,14 +171,6 @@ impl Arguments {
         }
         Ok(())
     }
-}
-
-/// What makes a device measure as a skin file says, as far as it can be told.
-pub(super) fn orders_of(skin: &Skin) -> Result<Vec<Order>, dermis::Error> {
-    let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
-    let amplitude = Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32);
-    let frequency = skin.backend.frequency_khz.map(|khz| Order::FrequencyHz((khz * 1e3) as f32));
-    Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())
 }
 
 fn description(known: Option<&Description>) -> Value {

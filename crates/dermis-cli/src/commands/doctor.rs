@@ -12,12 +12,13 @@ use dermis_device::{
     DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
 };
 
+use super::skin_word::SkinWord;
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
   dermis doctor
-  dermis doctor --skin healing-square --source twin --json
+  dermis doctor healing-square --source twin --json
 
 Do not touch the skin while this runs. Exit code 1 when something is wrong.";
 
@@ -25,9 +26,8 @@ Do not touch the skin while this runs. Exit code 1 when something is wrong.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(long, default_value = "healing-square", value_name = "SKIN")]
-    skin: String,
+    #[command(flatten)]
+    skin: SkinWord,
     /// The instrument, as for `dermis run`: twin, tcp:HOST:PORT, serial:PORT and so on, or a file of frames.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
@@ -51,7 +51,7 @@ impl Arguments {
         }
         let patience = Duration::try_from_secs_f64(self.wait_s)
             .map_err(|_| UsageError(format!("--wait-s {}: expected a number of seconds", self.wait_s)))?;
-        let skin = super::run::skin(&self.skin)?;
+        let skin = super::run::skin(&self.skin.or("healing-square")?)?;
         let mut checks = Vec::new();
         if let Some((mut source, contacts_ohm)) = self.open(&skin, patience, &mut checks)? {
             checks.extend(examine(skin, source.as_mut(), self.frames, patience, contacts_ohm.as_deref())?);
@@ -70,10 +70,10 @@ impl Arguments {
         }
         match self.source.parse::<SourceSelector>().map_err(dermis::Error::from)? {
             SourceSelector::Twin { .. } => {
-                Err(UsageError(format!("--source {}: name the twin by --skin", self.source)).into())
+                Err(UsageError(format!("--source {}: name the twin by SKIN, the first word", self.source)).into())
             }
             SourceSelector::File(spec) => {
-                let table = dermis_device::read(&spec, None).map_err(dermis::Error::from)?;
+                let table = dermis::record::read_frames(&spec, None)?;
                 let playback = Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis::Error::from)?;
                 checks.push(Check::good("connection", playback.name()));
                 Ok(Some((Box::new(playback), None)))

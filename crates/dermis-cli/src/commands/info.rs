@@ -109,6 +109,16 @@ fn lost_frames(damage: &Damage) -> String {
     }
 }
 
+/// How many frames of a killed recording may never have come into the file.
+fn most_unwritten(found: &Findings) -> String {
+    let seconds = found.duration_s();
+    if found.frames < 2 || seconds <= 0.0 {
+        return "at most its last second never came into the file".to_owned();
+    }
+    let per_s = ((found.frames - 1) as f64 / seconds).ceil();
+    format!("at most its last second, {per_s:.0} frames at its rate, never came into the file")
+}
+
 fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> std::io::Result<()> {
     let head = recording.head();
     writeln!(out, "recording: {}", recording.path().display())?;
@@ -140,6 +150,11 @@ fn print_text(recording: &Recording, found: &Findings, out: &mut dyn Write) -> s
             out,
             "state: {end}; unreadable: {bytes} bytes, {chunks} chunks, {messages} messages, {frames} frames"
         )?;
+    }
+    if let Some(reason) = recording.stopped() {
+        writeln!(out, "stopped: {reason}")?;
+    } else if damage.cut_off {
+        writeln!(out, "stopped: killed, or without power; {}", most_unwritten(found))?;
     }
     writeln!(out, "messages:")?;
     for (topic, count) in recording.counts() {
@@ -175,6 +190,7 @@ fn print_json(recording: &Recording, found: &Findings, out: &mut dyn Write) -> a
         "duration_s": found.duration_s(),
         "dropped": recording.frames_dropped(),
         "whole": damage.is_none(),
+        "stopped": recording.stopped(),
         "cut_off": damage.cut_off,
         "unreadable_bytes": damage.bytes,
         "unreadable_chunks": damage.chunks,

@@ -3,12 +3,17 @@
 mod acquired;
 mod bench;
 mod calibrate;
+mod circuit;
+mod completions;
 mod design;
 mod device;
 mod devices;
 mod doctor;
 mod export;
+mod extent;
 mod info;
+mod new;
+mod order;
 mod reconstruct;
 mod record;
 mod recorded;
@@ -17,6 +22,7 @@ mod replay;
 mod reproduce;
 mod run;
 mod segment;
+mod skin_word;
 mod skins;
 mod snr;
 mod solve;
@@ -25,9 +31,16 @@ mod train;
 mod train_set;
 mod twin;
 
-use std::io::Write;
+/// Where frames come from, by what the user wrote.
+pub mod sources {
+    pub use super::run::source::{Opened, open, open_of};
+    pub use dermis::source::{SourceOptions, TwinControl};
+}
+
+use std::io::{IsTerminal, Write};
 
 use crate::exit::Outcome;
+pub use skins::skin_svg;
 
 /// What can be asked for.
 #[derive(clap::Subcommand)]
@@ -56,6 +69,10 @@ pub enum Command {
     Train(train::Arguments),
     /// Fit a calibration to pokes at known positions.
     Calibrate(calibrate::Arguments),
+    /// Find out which order the numbers of an unknown file are in.
+    Order(order::Arguments),
+    /// Begin a skin of your own: a commented skin file and its drawing.
+    New(new::Arguments),
     /// List, show or draw skins.
     Skins(skins::Arguments),
     /// Signal-to-noise ratio of frames of an untouched skin.
@@ -74,6 +91,8 @@ pub enum Command {
     Twin(twin::Arguments),
     /// Time the numerical work on this machine.
     Bench(bench::Arguments),
+    /// Completions for a shell, or manual pages.
+    Completions(completions::Arguments),
 }
 
 impl Command {
@@ -98,12 +117,63 @@ impl Command {
             Command::Device(arguments) => arguments.run(out),
             Command::Twin(arguments) => arguments.run(out),
             Command::Bench(arguments) => arguments.run(out),
+            Command::Completions(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),
+            Command::Order(arguments) => arguments.run(out),
+            Command::New(arguments) => arguments.run(out),
             Command::Snr(arguments) => arguments.run(out),
         }
     }
 }
+
+/// A hint on stderr, for people: what was meant was understood, and how it is said now.
+pub(crate) fn hint(text: &str) {
+    eprintln!("hint: {text}");
+}
+
+/// A report as JSON, on lines of its own.
+pub(crate) fn print_json(report: &impl serde::Serialize, out: &mut dyn Write) -> anyhow::Result<()> {
+    serde_json::to_writer_pretty(&mut *out, report).map_err(std::io::Error::from)?;
+    writeln!(out)?;
+    Ok(())
+}
+
+/// Work of unknown length. Where someone watches, a spinner shows it; elsewhere a line on stderr says what takes longer
+/// than two seconds.
+pub(crate) struct Busy {
+    spinner: indicatif::ProgressBar,
+    done: Option<crossbeam_channel::Sender<()>>,
+}
+
+/// Says what is being done until the returned value is dropped.
+pub(crate) fn busy(text: String) -> Busy {
+    let spinner = spinner(&text);
+    let (done, wait) = crossbeam_channel::bounded(1);
+    if !std::io::stderr().is_terminal() {
+        std::thread::spawn(move || {
+            if wait.recv_timeout(QUIET) == Err(crossbeam_channel::RecvTimeoutError::Timeout) {
+                eprintln!("{text} ...");
+            }
+        });
+    }
+    Busy { spinner, done: Some(done) }
+}
+
+impl Busy {
+    /// The work is done.
+    pub(crate) fn finish(self) {}
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.done = None;
+        self.spinner.finish_and_clear();
+    }
+}
+
+/// Work shorter than this needs no word.
+const QUIET: std::time::Duration = std::time::Duration::from_secs(2);
 
 /// Does work that says how many of all parts are done, with a bar on stderr meanwhile.
 pub(crate) fn with_progress<T>(unit: &str, work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T) -> T {

@@ -4,23 +4,28 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
+use dermis::lab::channel_search::{FoundOrder, find_order};
 use dermis::lab::reconstruct::{Report, Request, reconstruct};
-use dermis::skin::Skin;
+use dermis::live::reference::NoiseSource;
+use dermis::record::read_frames;
 use dermis_device::FileSpec;
 
-use super::recorded::RecordedFrames;
-use super::with_progress;
+use super::circuit::print_circuit;
+use super::order::print_order;
+use super::recorded::{RecordedFrames, baseline_or_differences};
+use super::{print_json, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis reconstruct --skin healing-square --baseline rest.csv --frames press.csv --touches t.csv --images i.npy
-  dermis reconstruct --skin healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
+  dermis reconstruct healing-square --baseline rest.csv --frames press.csv --touches t.csv --images i.npy
+  dermis reconstruct healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
 
 The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
-frames have nothing to do with each other. t.csv has the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm,
-sigma_y_mm; a frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
-Missing channels are empty cells or NaN.";
+frames have nothing to do with each other. Frames that are differences already (--differences) have none. t.csv has the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm,
+sigma_y_mm, and depth_mm or poke_force_n with a sigma where the calibration's pokes had one; a frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
+Missing channels are empty cells or NaN. Exit code 1: the files are written, but the baseline fits the skin better in another
+order of channels; which, and the lines of the skin file that say so, are printed.";
 
 /// Arguments of `dermis reconstruct`.
 #[derive(clap::Args)]
@@ -28,9 +33,12 @@ Missing channels are empty cells or NaN.";
 pub struct Arguments {
     #[command(flatten)]
     recorded: RecordedFrames,
-    /// Frames of the untouched skin.
+    /// Frames of the untouched skin; none where the frames are differences already.
     #[arg(long, value_name = "FILE[#FRAMES]")]
-    baseline: FileSpec,
+    baseline: Option<FileSpec>,
+    /// The frames are differences from the untouched skin already.
+    #[arg(long, conflicts_with = "baseline")]
+    differences: bool,
     /// A calibration made by `dermis calibrate`.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -46,6 +54,9 @@ pub struct Arguments {
     /// Where the images go.
     #[arg(long, value_name = "FILE.npy")]
     images: Option<PathBuf>,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
 }
 
 impl Arguments {
@@ -54,8 +65,10 @@ impl Arguments {
         if self.touches.is_none() && self.images.is_none() {
             return Err(UsageError("nothing asked for: give --touches, --images or both".into()).into());
         }
+        let skin = self.recorded.skin.open()?;
+        let differences = baseline_or_differences(self.baseline.as_ref(), self.differences, &skin)?;
         let request = Request {
-            skin: Skin::open(&self.recorded.skin)?,
+            skin,
             baseline: self.baseline,
             frames: self.recorded.frames,
             format: self.recorded.format,
@@ -66,17 +79,61 @@ impl Arguments {
             images: self.images,
         };
         let report = with_progress("frames", |progress| reconstruct(&request, progress))?;
-        print(&report, out).context("writing the summary")?;
-        Ok(Outcome::Done)
+        let found = match (&report.order.better, &request.baseline) {
+            (Some(_), Some(baseline)) => {
+                Some(find_order(&read_frames(baseline, request.format)?, Some(&request.skin))?)
+            }
+            _ => None,
+        };
+        if self.json {
+            print_json(&as_json(&report, differences, found.as_ref()), out)?;
+        } else {
+            print(&report, differences, out).context("writing the summary")?;
+            found.as_ref().map_or(Ok(()), |found| print_order(found, out))?;
+        }
+        Ok(if found.is_some() { Outcome::ProblemsFound } else { Outcome::Done })
     }
 }
 
-fn print(report: &Report, out: &mut dyn Write) -> std::io::Result<()> {
+fn as_json(report: &Report, differences: bool, found: Option<&FoundOrder>) -> serde_json::Value {
+    let noise = match report.noise_source {
+        NoiseSource::Baseline => "baseline",
+        NoiseSource::Frames => "frames",
+        NoiseSource::Assumed => "assumed",
+    };
+    let circuit = report.circuit.as_ref().map(|fit| {
+        serde_json::json!({
+            "found": fit.circuit,
+            "score": fit.score,
+            "score_before": fit.score_before,
+            "trusted": fit.is_trusted(),
+        })
+    });
+    serde_json::json!({
+        "frames": report.frames,
+        "touch_rows": report.touch_rows,
+        "hyperparameter": report.hyperparameter,
+        "frames_with_missing": report.frames_with_missing,
+        "noise": noise,
+        "differences": differences,
+        "circuit": circuit,
+        "baseline_correlation": (!differences).then_some(report.order.correlation),
+        "other_order": found,
+    })
+}
+
+fn print(report: &Report, differences: bool, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "frames: {}", report.frames)?;
     writeln!(out, "rows of touches: {}", report.touch_rows)?;
     writeln!(out, "hyperparameter: {:.6e}", report.hyperparameter)?;
     writeln!(out, "frames with missing channels: {}", report.frames_with_missing)?;
-    writeln!(out, "channel noise: {}", if report.noise_measured { "measured" } else { "assumed" })?;
+    writeln!(out, "channel noise: {}", report.noise_source.describe())?;
+    if differences {
+        return Ok(());
+    }
+    if let Some(fit) = &report.circuit {
+        print_circuit(fit, out)?;
+    }
     writeln!(out, "correlation of the baseline with the homogeneous model: {:.4}", report.order.correlation)?;
     if let Some(better) = &report.order.better {
         writeln!(

@@ -4,7 +4,6 @@
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -18,6 +17,7 @@ use dermis_device::Frame;
 use super::acquired::AcquiredFrames;
 use super::run::source;
 use crate::exit::{Outcome, UsageError};
+use crate::interrupt;
 
 const EXAMPLE: &str = "\
 Examples:
@@ -60,7 +60,10 @@ impl Arguments {
             }
         }
         let (opened, mut pipeline, head) = self.input.open()?;
+        // A signal from here on ends the recording as its end would.
+        interrupt::begin();
         let mut recording = LiveRecording::start(&self.out, &head, &pipeline, self.images_per_s)?;
+        interrupt::protect(recording.stop());
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut recording);
         let end = recording.finish();
@@ -80,10 +83,8 @@ impl Arguments {
         pipeline: &mut Pipeline,
         recording: &mut LiveRecording,
     ) -> anyhow::Result<()> {
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let raised = interrupted.clone();
         // Interrupted, the recording is finished as at its end.
-        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let interrupted = interrupt::begin();
         let until = self.seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
         let begun = Instant::now();
         let mut frames = AcquiredFrames::new(acquisition, Duration::from_millis(50));
@@ -96,7 +97,7 @@ impl Arguments {
 /// Records frames before anything is made of them, then what was made of them, until there are enough.
 struct Recorded<'a> {
     recording: &'a mut LiveRecording,
-    interrupted: Arc<AtomicBool>,
+    interrupted: &'static AtomicBool,
     begun: Instant,
     until: Option<Duration>,
     /// Frames still to be recorded.

@@ -32,7 +32,9 @@ impl Arguments {
         let recovered = recover(&self.file, &self.out)?;
         let damage = recovered.damage;
         writeln!(out, "{}: {} frames, {} messages", self.out.display(), recovered.frames, recovered.messages)?;
-        if damage.cut_off {
+        if let Some(reason) = &recovered.stopped {
+            writeln!(out, "the recording stopped by itself: {reason}")?;
+        } else if damage.cut_off {
             writeln!(out, "the end was missing: a recording that was killed lacks at most its last second")?;
         }
         if damage.bytes == 0 && damage.chunks == 0 && damage.messages == 0 {

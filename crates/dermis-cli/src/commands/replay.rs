@@ -4,8 +4,6 @@
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis::live::output::Output;
 use dermis::live::stages::health::HealthWatch;
@@ -14,6 +12,7 @@ use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
 use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
 
 use crate::exit::{Outcome, UsageError};
+use crate::interrupt;
 
 const EXAMPLE: &str = "\
 Examples:
@@ -76,7 +75,7 @@ impl Arguments {
         let mut pipeline = head.pipeline(skin, &self.file)?;
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
         if let Some(path) = &self.touches {
-            sinks.push(Box::new(TouchTable::create(path, head.forces.is_some())?));
+            sinks.push(Box::new(TouchTable::create_with_load(path, head.forces.is_some(), pipeline.load_quantity())?));
         }
         if let Some(path) = &self.images {
             let grid = pipeline.prepared().map.grid();
@@ -85,13 +84,11 @@ impl Arguments {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
         let mut lines = sinks.is_empty().then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
         let options = RerunOptions { speed: self.speed, follow_hyperparameter: self.hyperparameter.is_none() };
-        let stop = Arc::new(AtomicBool::new(false));
-        let raised = stop.clone();
-        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let stop = interrupt::begin();
         let mut health = HealthWatch::new(&pipeline.prepared().skin);
         // What the shell's reader does is no error of the replay.
         let mut failed: Option<std::io::Error> = None;
-        let report = rerun(&mut recording, &mut pipeline, options, &stop, |output: &Output<'_>| {
+        let report = rerun(&mut recording, &mut pipeline, options, stop, |output: &Output<'_>| {
             sinks.iter_mut().try_for_each(|sink| sink.accept(output))?;
             for change in health.changes(output.health) {
                 tracing::warn!(frame = output.sequence, "{}", change.detail);

@@ -34,11 +34,25 @@ pub struct Arguments {
     /// Name the papers and experiments, and stop.
     #[arg(long)]
     list: bool,
+    /// With --list: JSON instead of a table.
+    #[arg(long, requires = "list")]
+    json: bool,
 }
 
 impl Arguments {
     /// Replays what was asked for.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if self.list && self.json {
+            let papers: Vec<serde_json::Value> = PAPERS
+                .iter()
+                .map(|(letter, title, experiments)| {
+                    let listed = experiments.iter().map(|e| serde_json::json!({ "id": e.id, "title": e.title }));
+                    serde_json::json!({ "paper": letter, "title": title, "experiments": listed.collect::<Vec<_>>() })
+                })
+                .collect();
+            super::print_json(&papers, out)?;
+            return Ok(Outcome::Done);
+        }
         if self.list {
             for (letter, title, experiments) in PAPERS {
                 writeln!(out, "{letter}  {title}")?;

@@ -2,19 +2,19 @@
 //! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
 
 mod page_feed;
-pub(super) mod source;
+pub mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use crossbeam_channel::Receiver;
 use dermis::device::acquire::Acquisition;
-use dermis::lab::twin_source::TwinCommand;
+use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
 use dermis::live::clock::FrameAnomalies;
 use dermis::live::driver::{Driver, Observer};
 use dermis::live::network::built_in;
@@ -23,15 +23,15 @@ use dermis::live::pipeline::Pipeline;
 use dermis::live::stages::classes::ClassPace;
 use dermis::live::stages::health::{HealthChange, HealthWatch};
 use dermis::record::sink::{JsonLines, LinesFor, Sink};
-use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
+use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView, is_recording};
 use dermis::skin::Skin;
 use dermis::twin::from_skin::treatment_of;
-use dermis_cli::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
 use dermis_device::Frame;
 use dermis_learn::Model;
 
 use super::acquired::AcquiredFrames;
 use crate::exit::{Outcome, UsageError};
+use crate::interrupt;
 use page_feed::PageFeed;
 
 const EXAMPLE: &str = "\
@@ -46,6 +46,8 @@ as `page: http://...`. Pages on other addresses than this machine's own need the
 
 /// Frames that may wait between source and pipeline.
 const QUEUE: usize = 64;
+/// Requests of pages that may wait for the next frame; of one kind, the last counts.
+const MOST_REQUESTS: usize = 256;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
@@ -53,8 +55,8 @@ const QUEUE: usize = 64;
 pub struct Arguments {
     #[command(flatten)]
     input: source::InputArguments,
-    /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged, compressed), in
-    /// place of the one that ships with it.
+    /// A network made by `dermis train` for this skin, which classifies the pixels of every frame (damaged,
+    /// compressed), in place of the one that ships with it.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
     /// No network.
@@ -88,7 +90,7 @@ pub struct Arguments {
 
 /// The run in progress.
 struct Run {
-    twin: Option<source::TwinControl>,
+    twin: Option<dermis::source::TwinControl>,
     recorder: Option<LiveRecording>,
     not_recorded: u64,
     recording_failed: bool,
@@ -104,7 +106,7 @@ impl Arguments {
         let (opened, mut pipeline, head) = self.input.open()?;
         self.classify_by_network(&mut pipeline)?;
         let hub = Hub::new();
-        let (commands, requests) = crossbeam_channel::bounded(256);
+        let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
         let server = if self.headless {
             None
         } else {
@@ -117,7 +119,8 @@ impl Arguments {
             }
             Some(server)
         };
-        let feed = PageFeed::new(&pipeline);
+        let mut feed = PageFeed::new(&pipeline);
+        feed.demonstrate(opened.twin.is_some());
         let health = HealthWatch::new(&pipeline.prepared().skin);
         let mut run = Run {
             twin: opened.twin,
@@ -129,19 +132,26 @@ impl Arguments {
             hub,
             feed,
         };
+        // A signal from here on ends the run as it would end with its source, so that a recording is finished.
+        interrupt::begin();
         if let Some(path) = &self.record {
             run.start_recording(path, &pipeline)?;
         }
         // Last of all, so that no frame waits for anything above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
+        let name = acquisition.name().to_string();
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, &requests, out);
         run.stop_recording();
         let counters = acquisition.counters();
         drop(acquisition);
+        let has_ended = matches!(outcome, Ok(true)) && opened.is_file;
         if let Some(server) = server {
-            server.shutdown();
+            if has_ended { server.shutdown_because("the file has ended") } else { server.shutdown() }
         }
         outcome?;
+        if has_ended {
+            eprintln!("{name} has ended after {} frames", pipeline.frames());
+        }
         Ok(Outcome::of_frames(counters, run.not_recorded, run.recording_failed))
     }
 
@@ -170,6 +180,7 @@ impl Arguments {
         Ok(PageOptions { token, allowed_hosts: self.allow_host.clone(), ..PageOptions::default() })
     }
 
+    /// True where the source has ended by itself.
     fn follow(
         &self,
         acquisition: &mut Acquisition,
@@ -177,20 +188,20 @@ impl Arguments {
         run: &mut Run,
         requests: &Receiver<Request>,
         out: &mut dyn Write,
-    ) -> anyhow::Result<()> {
+    ) -> anyhow::Result<bool> {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let raised = interrupted.clone();
         // Interrupted, the run ends as it would with its source, so that a recording is finished.
-        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let interrupted = interrupt::begin();
         let bar = (!self.headless).then(|| super::spinner("waiting for the baseline"));
         let lines = self.headless.then(|| JsonLines::new(Vec::new(), "standard output", lines_for));
         let console = Console { lines, out, bar, done: 0, most: self.frames };
         let mut frames = AcquiredFrames::new(acquisition, Duration::from_millis(100));
-        Driver::new(pipeline).run(&mut frames, &mut Followed { run, console, requests, interrupted, wall_ns: 0 })?;
+        let mut followed = Followed { run, console, requests, interrupted, wall_ns: 0, is_told_to_stop: false };
+        Driver::new(pipeline).run(&mut frames, &mut followed)?;
+        let is_told_to_stop = followed.is_told_to_stop;
         run.feed.end();
         run.hub.publish(run.feed.update())?;
-        Ok(())
+        Ok(!is_told_to_stop)
     }
 }
 
@@ -227,17 +238,20 @@ struct Followed<'a> {
     run: &'a mut Run,
     console: Console<'a>,
     requests: &'a Receiver<Request>,
-    interrupted: Arc<AtomicBool>,
+    interrupted: &'static AtomicBool,
     /// Time of the frame at hand.
     wall_ns: u64,
+    /// The run ends before its source.
+    is_told_to_stop: bool,
 }
 
 impl Observer<AcquiredFrames<'_>> for Followed<'_> {
     fn between(&mut self, pipeline: &mut Pipeline) -> anyhow::Result<bool> {
         if self.interrupted.load(Ordering::Relaxed) || self.console.most.is_some_and(|most| self.console.done >= most) {
+            self.is_told_to_stop = true;
             return Ok(false);
         }
-        for request in self.requests.try_iter() {
+        for request in page::coalesced(self.requests.try_iter().take(MOST_REQUESTS)) {
             self.run.answer(request, pipeline);
         }
         Ok(true)
@@ -337,7 +351,8 @@ impl Run {
             tracing::info!(correlation, "baseline taken");
             if let Some(better) = &reference.order.better {
                 let text = format!(
-                    "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}",
+                    "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}; \
+                     `dermis order` writes the lines of the skin file that say so",
                     better.description, better.correlation, correlation
                 );
                 tracing::warn!("{text}");
@@ -375,17 +390,33 @@ impl Run {
                 }
                 Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
             },
-            Command::Press(press) | Command::Move(press) => self.command_twin(TwinCommand::Press {
-                pointer: press.pointer_id,
-                position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
-                radius_m: press.radius_mm * 1e-3,
-                pressure_pa: press.pressure_kpa * 1e3,
-            }),
-            Command::Treat(action) => self.command_twin(TwinCommand::Treat(treatment_of(action))),
-            Command::Release { pointer_id } => self.command_twin(TwinCommand::Release { pointer: pointer_id }),
+            Command::Press(press) | Command::Move(press) => {
+                let press = TwinCommand::Press {
+                    pointer: press.pointer_id,
+                    position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
+                    radius_m: press.radius_mm * 1e-3,
+                    pressure_pa: press.pressure_kpa * 1e3,
+                };
+                self.ask_twin(press, reply);
+            }
+            Command::Treat(action) => {
+                self.feed.demonstrate(false);
+                self.ask_twin(TwinCommand::Treat(treatment_of(action)), reply);
+            }
+            Command::Demonstrate(wanted) => match self.command_twin(TwinCommand::Demonstrate(wanted)) {
+                Ok(()) => {
+                    self.feed.demonstrate(wanted);
+                    reply.accept(if wanted {
+                        "the twin shows touches by itself"
+                    } else {
+                        "nothing but you presses the twin"
+                    });
+                }
+                Err(refused) => reply.refuse(format!("refused: {refused}")),
+            },
+            Command::Release { pointer_id } => self.ask_twin(TwinCommand::Release { pointer: pointer_id }, reply),
             // Every channel is published; the page chooses among them.
             Command::ChooseChannels(_) => {}
-            other => reply.refuse(format!("not supported here: {other:?}")),
         }
     }
 
@@ -408,11 +439,14 @@ impl Run {
         }
     }
 
-    fn command_twin(&self, command: TwinCommand) {
-        if let Some(twin) = &self.twin
-            && twin.commands.try_send(command).is_err()
-        {
-            self.hub.announce(Level::Warning, "the twin is too slow for so many presses; one was dropped");
+    fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {
+        self.twin.as_ref().map_or(Ok(()), |twin| twin.commands.send(command))
+    }
+
+    /// Hands a command to the twin, and says so only where it is refused.
+    fn ask_twin(&self, command: TwinCommand, reply: Reply) {
+        if let Err(refused) = self.command_twin(command) {
+            reply.refuse(format!("refused: {refused}"));
         }
     }
 
@@ -420,7 +454,9 @@ impl Run {
         if let Some(recorder) = &self.recorder {
             return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
         }
-        self.recorder = Some(LiveRecording::start(path, &self.head, pipeline, SkinView::IMAGES_PER_S)?);
+        let recorder = LiveRecording::start(path, &self.head, pipeline, SkinView::IMAGES_PER_S)?;
+        interrupt::protect(recorder.stop());
+        self.recorder = Some(recorder);
         Ok(())
     }
 
@@ -466,7 +502,17 @@ impl Rate {
     }
 }
 
-/// The skin that a name or path stands for.
+/// The skin that a name or path stands for. Of a recording or another source it is said where that goes.
 pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
+    let path = Path::new(name);
+    let is_source = ["tcp:", "serial:", "twin:", "file:"].iter().any(|scheme| name.starts_with(scheme));
+    if path.is_file() && is_recording(path) {
+        let text = format!("{name}: a recording and no skin file; it has its skin in it: dermis run --source {name}");
+        return Err(UsageError(text).into());
+    }
+    if is_source {
+        let text = format!("{name}: a source and no skin; expected SKIN first, and then --source {name}");
+        return Err(UsageError(text).into());
+    }
     Ok(Skin::open(name)?)
 }

@@ -5,16 +5,15 @@ use std::path::PathBuf;
 
 use dermis::lab::learning::segment::{Method, NetworkChoice, SegmentRequest, Segmented, segment};
 use dermis::live::network::CLASSES;
-use dermis::skin::Skin;
 use dermis_device::FileSpec;
 
 use super::recorded::RecordedFrames;
-use super::with_progress;
+use super::{print_json, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis segment --skin healing-square --reference rest.csv --frames press.csv --out labels.npy --size 64
+  dermis segment healing-square --baseline rest.csv --frames press.csv --out labels.npy --size 64
 
 labels.npy is rows x columns (frames x rows x columns for several frames), u8, row 0 at the top: 0 background, 1 conductivity
 lowered (damaged, resistive), 2 raised (compressed, conductive). The network of --model labels the frames, or the one that
@@ -29,8 +28,8 @@ pub struct Arguments {
     #[command(flatten)]
     recorded: RecordedFrames,
     /// Frames of the untouched skin.
-    #[arg(long, value_name = "FILE[#FRAMES]")]
-    reference: FileSpec,
+    #[arg(long, alias = "reference", value_name = "FILE[#FRAMES]")]
+    baseline: FileSpec,
     /// A model card made by `dermis train`; the network that ships with the skin, if any, where left out.
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
@@ -46,6 +45,9 @@ pub struct Arguments {
     /// Where the probabilities go: frames x classes x rows x columns, f32; NaN for frames labelled by thresholds.
     #[arg(long, value_name = "FILE.npy")]
     probabilities: Option<PathBuf>,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
 }
 
 impl Arguments {
@@ -55,8 +57,8 @@ impl Arguments {
             return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
         }
         let request = SegmentRequest {
-            skin: Skin::open(&self.recorded.skin)?,
-            reference: self.reference,
+            skin: self.recorded.skin.open()?,
+            reference: self.baseline,
             frames: self.recorded.frames,
             format: self.recorded.format,
             network: match self.model {
@@ -69,6 +71,10 @@ impl Arguments {
             probabilities: self.probabilities,
         };
         let segmented = with_progress("steps", |progress| segment(&request, progress))?;
+        if self.json {
+            print_json(&segmented.iter().map(as_json).collect::<Vec<_>>(), out)?;
+            return Ok(Outcome::Done);
+        }
         for (number, frame) in segmented.iter().enumerate() {
             writeln!(out, "frame {number}: {}", described(frame))?;
         }
@@ -76,11 +82,24 @@ impl Arguments {
     }
 }
 
-fn described(frame: &Segmented) -> String {
-    let share = |class: usize| {
-        let count = frame.labels.iter().filter(|label| usize::from(**label) == class).count();
-        format!("{} {:.2} %", CLASSES[class], 100.0 * count as f64 / frame.labels.len().max(1) as f64)
+/// Share of the labels that are of a class, per cent.
+fn share_percent(frame: &Segmented, class: usize) -> f64 {
+    let count = frame.labels.iter().filter(|label| usize::from(**label) == class).count();
+    100.0 * count as f64 / frame.labels.len().max(1) as f64
+}
+
+fn as_json(frame: &Segmented) -> serde_json::Value {
+    let (method, novelty) = match frame.method {
+        Method::Network { novelty } => ("network", novelty),
+        Method::UnlikeTraining { novelty } => ("thresholds", Some(novelty)),
+        Method::Thresholds => ("thresholds", None),
     };
+    let [lowered, raised] = [1, 2].map(|class| share_percent(frame, class));
+    serde_json::json!({ "lowered_percent": lowered, "raised_percent": raised, "method": method, "novelty": novelty })
+}
+
+fn described(frame: &Segmented) -> String {
+    let share = |class: usize| format!("{} {:.2} %", CLASSES[class], share_percent(frame, class));
     let method = match frame.method {
         Method::Network { novelty: Some(score) } => format!("network, novelty {score:.2}"),
         Method::Network { novelty: None } => "network".into(),

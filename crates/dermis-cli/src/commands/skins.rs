@@ -43,8 +43,12 @@ pub struct Arguments {
 #[derive(clap::Subcommand)]
 enum Action {
     /// The built-in skins.
-    #[command(after_help = "Example:\n  dermis skins list")]
-    List,
+    #[command(after_help = "Example:\n  dermis skins list --json")]
+    List {
+        /// Print JSON instead of a table.
+        #[arg(long)]
+        json: bool,
+    },
     /// A skin as a skin file, with every default written out.
     #[command(after_help = SHOW_EXAMPLE)]
     Show {
@@ -87,7 +91,7 @@ impl Arguments {
     /// Does what was asked for.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match &self.action {
-            Action::List => list(out),
+            Action::List { json } => list(*json, out),
             Action::Show { skin } => show(skin, out),
             Action::Schema => {
                 writeln!(out, "{}", serde_json::to_string_pretty(&dermis::skin::json_schema())?)?;
@@ -99,7 +103,15 @@ impl Arguments {
     }
 }
 
-fn list(out: &mut dyn Write) -> anyhow::Result<Outcome> {
+fn list(json: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+    if json {
+        let skin = |name: &&str| -> anyhow::Result<serde_json::Value> {
+            Ok(serde_json::json!({ "name": name, "title": Skin::open(name)?.title }))
+        };
+        let all: Vec<serde_json::Value> = BUILTIN_NAMES.iter().map(skin).collect::<Result<_, _>>()?;
+        super::print_json(&all, out)?;
+        return Ok(Outcome::Done);
+    }
     let longest = BUILTIN_NAMES.iter().map(|name| name.len()).max().unwrap_or(0);
     for name in BUILTIN_NAMES {
         writeln!(out, "{name:longest$}  {}", Skin::open(name)?.title)?;
@@ -176,6 +188,16 @@ fn draw_skin(name: &str, path: &Path, width_px: u32, mesh: bool, out: &mut dyn W
     write_atomic(path, |file| file.write_all(&content))?;
     writeln!(out, "{} x {} pixels to {}", picture.width_px, picture.height_px, path.display())?;
     Ok(Outcome::Done)
+}
+
+/// The drawing of a skin as SVG.
+///
+/// # Errors
+/// A skin that cannot be meshed.
+pub fn skin_svg(skin: &Skin) -> anyhow::Result<String> {
+    let body = skin.body()?;
+    let title = if skin.title.is_empty() { &skin.name } else { &skin.title };
+    Ok(draw::svg(&SkinDrawing { body: &body.mesh, title, width_px: 640, mesh: false }.picture()))
 }
 
 type Encoder = fn(&Picture) -> anyhow::Result<Vec<u8>>;

@@ -69,7 +69,7 @@ struct Channel {
 impl Arguments {
     /// Reads the frames and prints the ratios.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let table = dermis_device::read(&self.frames, self.format).map_err(dermis::Error::from)?;
+        let table = dermis::record::read_frames(&self.frames, self.format)?;
         let report = Report::of(&table)?;
         if self.json {
             serde_json::to_writer_pretty(&mut *out, &report).map_err(io::Error::from)?;

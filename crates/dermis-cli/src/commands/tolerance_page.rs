@@ -13,15 +13,15 @@ use crate::draw::{self, Heatmap, Panel, Picture};
 
 const STYLE: &str = "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#282c34}\
 table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ddd;text-align:right}\
-td:first-child,th:first-child{text-align:left}pre{background:#f6f6f6;padding:1em}";
+td:first-child,th:first-child{text-align:left;white-space:nowrap}pre{background:#f6f6f6;padding:1em}";
 /// Columns of the table.
 const COLUMNS: [&str; 8] = [
     "what is wrong",
     "samples",
-    "position, mm (median)",
-    "(90 %)",
-    "amplitude, % (median)",
-    "(90 %)",
+    "position error, mm: median",
+    "90 % below",
+    "amplitude error, %: median",
+    "90 % below",
     "missed, %",
     "false per press",
 ];
@@ -129,17 +129,30 @@ fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) ->
     let verdict = escaped(&report.verdict());
     let extent = &report.extent;
     let (samples, presses, seed) = (extent.samples, extent.presses, extent.seed);
-    let varied = escaped(&tolerances.to_toml());
+    let varied = escaped(&applied(tolerances, report));
     let map = draw::svg(picture);
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{name}: tolerances</title>\n\
          <style>{STYLE}</style></head><body>\n<h1>{name}: what a workshop's errors cost</h1>\n<p><b>{verdict}</b></p>\n\
          <table><tr>{head}</tr>\n{rows}</table>\n\
          <p>{samples} samples of every kind, {presses} presses each, seed {seed}. Every sample is a twin with the errors of its \
-         row; the model that reads it knows nothing of them. Rows with fewer samples say so.</p>\n\
+         row; the model that reads it knows nothing of them. Rows with fewer samples say so. A press is missed where no touch is \
+         within a quarter of the shorter side; every other touch is a false one. Amplitudes are compared with those of the same \
+         presses on the skin as drawn.</p>\n\
          <h2>Where it goes wrong</h2>\n<p>All errors together; crosses are the places that were pressed. A press that was not seen \
          counts as a quarter of the shorter side.</p>\n{map}\n<h2>What was varied</h2>\n<pre>{varied}</pre>\n</body></html>\n"
     )
+}
+
+/// The tolerances that this skin has a cause for, as a file: others would read as if they had been tried.
+fn applied(tolerances: &Tolerances, report: &ToleranceReport) -> String {
+    let has = |name: &str| report.causes.iter().any(|row| row.name == name);
+    let is_applied = |line: &&str| match line.split(' ').next().unwrap_or_default() {
+        "coil_place_mm" | "element_height_mm" | "stiffness_percent" => has("coil places"),
+        "gain_percent" | "noise_percent" | "bad_electrode" => true,
+        _ => !has("coil places"),
+    };
+    tolerances.to_toml().lines().filter(is_applied).map(|line| format!("{line}\n")).collect()
 }
 
 fn escaped(text: &str) -> String {

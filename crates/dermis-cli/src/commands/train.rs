@@ -1,10 +1,11 @@
-//! `dermis train`: a network from a training set, on the processor; with the feature `train` on devices of `burn` too.
+//! `dermis train`: a network from a training set, on the processor. On graphics processors PyTorch trains: see
+//! `dermis.torch` of the Python package.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis_learn::train::{Backend, EpochReport, Progress, TrainOptions, Training, train};
+use dermis_learn::train::{EpochReport, Progress, TrainOptions, Training, train};
 use dermis_learn::{Model, ModelCard, Tensors, TrainingSet};
 
 use super::progress_bar;
@@ -69,23 +70,6 @@ pub struct Arguments {
     /// those that bring each image to a root mean square of 1.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
     input_scale: Vec<f32>,
-    /// What computes.
-    #[arg(long, value_enum, default_value_t)]
-    backend: Computes,
-}
-
-/// What computes.
-#[derive(Clone, Copy, Default, clap::ValueEnum)]
-enum Computes {
-    /// The processor, on all threads (or as many as RAYON_NUM_THREADS says).
-    #[default]
-    Native,
-    /// The processor, through the framework burn.
-    #[cfg(feature = "train")]
-    BurnFlex,
-    /// A graphics processor (Vulkan, Metal, DirectX), through the framework burn.
-    #[cfg(feature = "wgpu")]
-    BurnWgpu,
 }
 
 impl Arguments {
@@ -115,7 +99,7 @@ impl Arguments {
         let bar = progress_bar("samples");
         let mut failed = Ok(());
         let classes = set.manifest().classes.clone();
-        let trained = train(&training, &self.backend.backend(), |progress| match progress {
+        let trained = train(&training, |progress| match progress {
             Progress::Step(done, all, loss) => {
                 bar.set_length(*all as u64);
                 bar.set_position(*done as u64);
@@ -182,18 +166,6 @@ impl Arguments {
             self.seed,
             if self.symmetries { " --symmetries" } else { "" }
         )
-    }
-}
-
-impl Computes {
-    fn backend(self) -> Backend {
-        match self {
-            Computes::Native => Backend::Native,
-            #[cfg(feature = "train")]
-            Computes::BurnFlex => Backend::Burn(dermis_learn::train::Device::flex()),
-            #[cfg(feature = "wgpu")]
-            Computes::BurnWgpu => Backend::Burn(dermis_learn::train::Device::wgpu(Default::default())),
-        }
     }
 }
 

@@ -6,15 +6,15 @@ use std::time::Instant;
 
 use dermis::lab::learning::train_set::{TrainSetRequest, simulate};
 use dermis::live::network::InputImage;
-use dermis::skin::Skin;
 use dermis_learn::scene::SceneKind;
 
+use super::skin_word::SkinWord;
 use super::with_progress;
 use crate::exit::Outcome;
 
 const EXAMPLE: &str = "\
 Examples:
-  dermis train-set --skin healing-square --samples 40 --shard 20 --out set
+  dermis train-set healing-square --samples 40 --shard 20 --out set
 
 Every shard has a skin of its own (another mesh than the reconstruction's, electrodes a little off their places, contacts of
 other impedances), an instrument of its own (gain, drift, noise) and a set of lost electrodes of its own. The folder has
@@ -26,9 +26,8 @@ interrupted. What is done is a matter of --seed and the other options alone.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Built-in skin or skin file.
-    #[arg(long, value_name = "NAME|FILE")]
-    skin: String,
+    #[command(flatten)]
+    skin: SkinWord,
     /// Samples in all.
     #[arg(long, value_name = "N", default_value_t = 14_000)]
     samples: usize,
@@ -48,8 +47,8 @@ pub struct Arguments {
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
     /// Noise of the instrument, dB below the root mean square of a frame.
-    #[arg(long, value_name = "DB", default_value_t = 56.8)]
-    noise_db: f64,
+    #[arg(long, alias = "noise-db", value_name = "DB", default_value_t = 56.8)]
+    snr_db: f64,
     /// The folder.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
@@ -67,12 +66,12 @@ enum Scenes {
 impl Arguments {
     /// Simulates what is missing and says how long it took.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let mut request = TrainSetRequest::new(Skin::open(&self.skin)?, self.samples);
+        let mut request = TrainSetRequest::new(self.skin.open()?, self.samples);
         request.shard_samples = self.shard;
         request.seed = self.seed;
         request.inputs = self.inputs;
         request.most_lost = self.lost;
-        request.jitter.noise_db = self.noise_db;
+        request.jitter.noise_db = self.snr_db;
         request.scenes = self.scenes.map(|scenes| match scenes {
             Scenes::TouchesAndCuts => SceneKind::TouchesAndCuts,
             Scenes::Objects => SceneKind::Objects,

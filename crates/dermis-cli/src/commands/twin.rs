@@ -1,19 +1,19 @@
 //! `dermis twin`: a skin's digital twin behind the wire that real instruments speak, for whoever connects, or pressed as a
 //! table says.
 
-use std::io::{BufRead, Write};
+use std::io::{BufRead, Read, Write};
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use dermis::lab::serve::{Door, WORDS, command_of, device_info, serve};
+use dermis::lab::twin_commands::CommandRefused;
 use dermis::lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
-use dermis::lab::twin_source::{TwinCommand, TwinSource};
+use dermis::lab::twin_source::{TwinCommands, TwinSource};
 use dermis::skin::Skin;
 use dermis::twin::PressRange;
 
 use crate::exit::{Outcome, UsageError};
+use crate::interrupt;
 
 const EXAMPLE: &str = "\
 Examples:
@@ -164,12 +164,10 @@ impl Serve {
         let (mut door, selector) = self.door()?;
         writeln!(out, "serving: dermis run {} --source {selector}", self.skin)?;
         out.flush()?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let raised = stop.clone();
-        ctrlc::set_handler(move || raised.store(true, Ordering::Relaxed))?;
+        let stop = interrupt::begin();
         let press = twin.press_range();
         std::thread::spawn(move || obey_lines(&commands, &press));
-        let served = serve(&mut door, twin, info, self.frames, &stop)?;
+        let served = serve(&mut door, twin, info, self.frames, stop)?;
         writeln!(out, "{} frames, {} skipped, {} hosts", served.frames, served.skipped, served.hosts)?;
         Ok(if served.skipped > 0 { Outcome::DataLost } else { Outcome::Done })
     }
@@ -199,13 +197,33 @@ fn pty() -> anyhow::Result<(Door, String)> {
     Err(UsageError("--pty: this system has no pseudo-terminals; use --tcp".to_owned()).into())
 }
 
+/// Longest line of standard input that is looked at, bytes.
+const MOST_LINE: u64 = 64 * 1024;
+
 /// Hands on what standard input says, until it ends or the twin does.
-fn obey_lines(commands: &crossbeam_channel::Sender<TwinCommand>, press: &PressRange) {
-    for line in std::io::stdin().lock().lines().map_while(Result::ok) {
-        match command_of(&line, press) {
+fn obey_lines(commands: &TwinCommands, press: &PressRange) {
+    let mut input = std::io::stdin().lock();
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        match input.by_ref().take(MOST_LINE).read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        if line.len() as u64 == MOST_LINE && line.last() != Some(&b'\n') {
+            tracing::warn!("a line of more than {MOST_LINE} bytes was passed over");
+            if input.skip_until(b'\n').is_err() {
+                return;
+            }
+            continue;
+        }
+        match command_of(&String::from_utf8_lossy(&line), press) {
             Ok(None) => {}
-            Ok(Some(command)) if commands.send(command).is_ok() => {}
-            Ok(Some(_)) => return,
+            Ok(Some(command)) => match commands.send(command) {
+                Ok(()) => {}
+                Err(CommandRefused::Ended) => return,
+                Err(refused) => tracing::warn!("refused: {refused}"),
+            },
             Err(problem) => tracing::warn!("{problem}"),
         }
     }

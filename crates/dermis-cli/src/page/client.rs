@@ -43,6 +43,8 @@ struct Client<'a> {
     answers: mpsc::Sender<Answer>,
     held: BTreeSet<u64>,
     allowance: Allowance,
+    /// Of acknowledgements and pings.
+    signs: Allowance,
     sent: u64,
     acknowledged: u64,
     missed: u64,
@@ -68,6 +70,7 @@ pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
         answers,
         held: BTreeSet::new(),
         allowance: Allowance::new(shared.options.most_messages_per_s),
+        signs: Allowance::new(shared.options.most_messages_per_s),
         sent: 0,
         acknowledged: 0,
         missed: 0,
@@ -99,7 +102,10 @@ impl Client<'_> {
         loop {
             let is_ready = self.sent - self.acknowledged < WINDOW;
             tokio::select! {
-                () = stopped(&mut stop) => return Err(End::Closed(close_code::AWAY, "dermis ended")),
+                () = stopped(&mut stop) => {
+                    let reason = shared.farewell.get().copied().unwrap_or("dermis ended");
+                    return Err(End::Closed(close_code::AWAY, reason));
+                }
                 message = self.socket.recv() => self.receive(message)?,
                 Some(answer) = answers.recv() => self.send_text(protocol::answer(&answer)).await?,
                 notice = notices.recv() => self.send_notice(notice).await?,
@@ -150,14 +156,14 @@ impl Client<'_> {
         let text = match message {
             Some(Ok(Message::Text(text))) => text,
             Some(Ok(Message::Binary(_))) => return Err(End::Closed(close_code::UNSUPPORTED, "expected text messages")),
-            Some(Ok(Message::Ping(_) | Message::Pong(_))) => return Ok(()),
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => return self.count_sign(),
             Some(Ok(Message::Close(_))) | None => return Err(End::Gone),
             Some(Err(error)) => return Err(unreadable(&error)),
         };
         match protocol::parse(&text) {
             Ok(Said::Acknowledge(sequence)) => {
                 self.acknowledged = sequence.clamp(self.acknowledged, self.sent);
-                return Ok(());
+                return self.count_sign();
             }
             _ if !self.allowance.spend() => {
                 return Err(End::Closed(close_code::POLICY, "too many messages per second"));
@@ -166,6 +172,15 @@ impl Client<'_> {
             Err((id, text)) => self.answer(id, text),
         }
         Ok(())
+    }
+
+    /// Acknowledgements and signs of life have an allowance of their own: a page that asks for nothing else may send as many
+    /// as it gets updates, and no more than any message.
+    fn count_sign(&mut self) -> Result<(), End> {
+        match self.signs.spend() {
+            true => Ok(()),
+            false => Err(End::Closed(close_code::POLICY, "too many acknowledgements or pings per second")),
+        }
     }
 
     /// Checks a command and hands it to the pipeline, or says why not.

@@ -34,6 +34,8 @@ pub enum Command {
     },
     /// Cut the twin, heal it, let its time lapse.
     Treat(TwinAction),
+    /// Let the twin show touches by itself, or not any more.
+    Demonstrate(bool),
     /// Show these channels (0-based), at most [`Command::MOST_CHANNELS`].
     ChooseChannels(Vec<u32>),
 }
@@ -96,6 +98,26 @@ impl Reply {
     }
 }
 
+/// Requests in their order, without those that a later one of them makes pointless: of hyperparameters and
+/// tares the last counts. Whoever asked for one of the others is told.
+pub fn coalesced(requests: impl IntoIterator<Item = Request>) -> Vec<Request> {
+    let kind = |command: &Command| match command {
+        Command::Hyperparameter(_) => Some((0, 0)),
+        // A tare that is forced is not the same as one that is not.
+        Command::Tare { force } => Some((1, u8::from(*force))),
+        _ => None,
+    };
+    let mut kept: Vec<Request> = Vec::new();
+    for request in requests {
+        let same = kind(&request.command).and_then(|new| kept.iter().position(|old| kind(&old.command) == Some(new)));
+        if let Some(index) = same {
+            kept.remove(index).reply.accept("replaced by a later one");
+        }
+        kept.push(request);
+    }
+    kept
+}
+
 impl Command {
     /// Most channels that can be chosen for display at once.
     pub const MOST_CHANNELS: usize = 64;
@@ -114,6 +136,8 @@ impl Command {
             Self::Move(press) => press.check(scene),
             Self::Release { .. } if scene.is_twin => Ok(()),
             Self::Release { .. } => Err("release refused: this skin is real".into()),
+            Self::Demonstrate(_) if scene.is_twin => Ok(()),
+            Self::Demonstrate(_) => Err("demonstration refused: this skin is real".into()),
             Self::Treat(_) if !scene.is_treatable => {
                 Err("treatment refused: only the twin of a self-healing skin is cut and healed here".into())
             }
@@ -171,5 +195,20 @@ fn check_channels(indices: &[u32], scene: &Scene) -> Result<(), String> {
     match indices.iter().find(|&&index| index as usize >= count) {
         Some(index) => Err(format!("channel {index} refused: expected an index below {count}")),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_a_burst_the_last_hyperparameter_counts_and_recordings_keep_their_order() {
+        let request = |command| Request { client: 1, command, reply: Reply::unheard() };
+        let mut burst: Vec<Request> = (1..=300).map(|k| request(Command::Hyperparameter(f64::from(k)))).collect();
+        burst.insert(100, request(Command::RecordStart));
+        burst.insert(200, request(Command::RecordStop));
+        let left: Vec<Command> = coalesced(burst).into_iter().map(|request| request.command).collect();
+        assert_eq!(left, [Command::RecordStart, Command::RecordStop, Command::Hyperparameter(300.0)]);
     }
 }

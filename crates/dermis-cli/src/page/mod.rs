@@ -26,6 +26,7 @@
 mod access;
 mod client;
 mod command;
+mod connections;
 mod error;
 mod hub;
 mod protocol;
@@ -34,7 +35,7 @@ mod server;
 mod update;
 
 pub use access::Token;
-pub use command::{Command, Press, Reply, Request};
+pub use command::{Command, Press, Reply, Request, coalesced};
 pub use error::PageError;
 pub use hub::{Hub, HubStats, Level};
 pub use protocol::PROTOCOL_VERSION;

@@ -2,8 +2,8 @@
 
 use std::io;
 use std::net::{SocketAddr, TcpListener};
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -14,7 +14,6 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::serve::ListenerExt;
 use crossbeam_channel::Sender;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, watch};
@@ -24,6 +23,7 @@ use super::PageError;
 use super::access::{Access, Token, bracketed};
 use super::client;
 use super::command::Request;
+use super::connections::Bounded;
 use super::hub::Hub;
 use super::protocol::{self, Encoded};
 use super::scene::Scene;
@@ -38,6 +38,10 @@ pub struct PageOptions {
     pub allowed_hosts: Vec<String>,
     /// Most pages connected at once; a further one is told so.
     pub most_clients: usize,
+    /// Most connections open at once, pages among them; of more, those that have said nothing yet are cut off.
+    pub most_connections: usize,
+    /// For the head of a request to come.
+    pub head_patience: Duration,
     /// Longest message accepted from a page.
     pub most_message_bytes: usize,
     /// Messages per second accepted from a page, on average and in a burst.
@@ -52,6 +56,7 @@ pub struct ServerHandle {
     address: SocketAddr,
     token: Option<Token>,
     stop: watch::Sender<bool>,
+    farewell: Arc<OnceLock<&'static str>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -66,6 +71,8 @@ pub(super) struct Shared {
     pub(super) commands: Sender<Request>,
     pub(super) updates: watch::Sender<Option<Arc<Encoded>>>,
     pub(super) stop: watch::Receiver<bool>,
+    /// Why it stops, for pages.
+    pub(super) farewell: Arc<OnceLock<&'static str>>,
     pub(super) places: Semaphore,
     pub(super) next_client: AtomicU64,
 }
@@ -106,6 +113,8 @@ impl Default for PageOptions {
             token: None,
             allowed_hosts: Vec::new(),
             most_clients: 8,
+            most_connections: 64,
+            head_patience: Duration::from_secs(10),
             most_message_bytes: 16 * 1024,
             most_messages_per_s: 1000,
             most_updates_per_s: 100,
@@ -131,6 +140,7 @@ pub fn serve(
     let start = |source| PageError::Start { source };
     let address = listener.local_addr().map_err(start)?;
     let (stop, stopped) = watch::channel(false);
+    let farewell = Arc::new(OnceLock::new());
     let shared = Shared {
         access: Access::new(address, options.token.clone(), &options.allowed_hosts)?,
         hub,
@@ -139,6 +149,7 @@ pub fn serve(
         commands,
         updates: watch::channel(None).0,
         stop: stopped,
+        farewell: farewell.clone(),
         places: Semaphore::new(options.most_clients),
         next_client: AtomicU64::new(1),
         options,
@@ -155,7 +166,7 @@ pub fn serve(
         .name("page".into())
         .spawn(move || run(&runtime, listener, Arc::new(shared)))
         .map_err(start)?;
-    Ok(ServerHandle { address, token, stop, thread: Some(thread) })
+    Ok(ServerHandle { address, token, stop, farewell, thread: Some(thread) })
 }
 
 impl ServerHandle {
@@ -175,6 +186,13 @@ impl ServerHandle {
     /// Closes every page and the port, and waits until that is done.
     pub fn shutdown(mut self) {
         self.stop_and_join();
+    }
+
+    /// The same, and tells pages why.
+    pub fn shutdown_because(self, reason: &'static str) {
+        // Nothing has been said before: only this says it, and takes the server with it.
+        let _ = self.farewell.set(reason);
+        self.shutdown();
     }
 
     fn stop_and_join(&mut self) {
@@ -206,12 +224,10 @@ fn run(runtime: &Runtime, listener: TcpListener, shared: Arc<Shared>) {
     let served = runtime.block_on(async {
         tokio::spawn(encode(shared.clone()));
         let (mut stop, mut stop_again) = (shared.stop.clone(), shared.stop.clone());
-        // Without this, an update's second message waits up to 40 ms for the first to be acknowledged.
-        let listener = tokio::net::TcpListener::from_std(listener)?.tap_io(|connection| {
-            if let Err(error) = connection.set_nodelay(true) {
-                tracing::debug!("a connection keeps its delay: {error}");
-            }
-        });
+        // Without delay: else an update's second message waits up to 40 ms for the first to be acknowledged.
+        let listener = tokio::net::TcpListener::from_std(listener)?;
+        let PageOptions { most_connections, head_patience, .. } = shared.options;
+        let listener = Bounded::new(listener, most_connections, head_patience);
         // Idle connections must not hold the process: what is still open soon after the stop is cut.
         let deadline = async move {
             client::stopped(&mut stop_again).await;

@@ -269,6 +269,8 @@ pub struct PipelineState {
     pub recorded_frames: u64,
     /// Hyperparameter in use (the lambda of the skin's prior).
     pub hyperparameter: f64,
+    /// True while the twin shows touches by itself when nobody presses.
+    pub demonstrates: bool,
 }
 
 impl PipelineState {
@@ -281,6 +283,7 @@ impl PipelineState {
         self.recording.clone_from(&other.recording);
         self.recorded_frames = other.recorded_frames;
         self.hyperparameter = other.hyperparameter;
+        self.demonstrates = other.demonstrates;
     }
 }
 

@@ -1,8 +1,10 @@
 //! Tables of numbers as text: one frame a row, cells separated by commas, semicolons, tabs or spaces.
 //!
 //! The first row may be a head of names; lines that start with `#` are comments and blank lines are skipped. An empty
-//! cell, `nan` or `NaN` is a missing reading; infinite values are refused. Decimal points only. A first column headed
-//! `time_s` gives the frames' times.
+//! cell, `nan` or `NaN` is a missing reading; infinite values are refused. Decimal points only. Cells may stand in
+//! double quotes, with separators in them. Columns headed `time_s`, or `sequence` and the times that `dermis export`
+//! writes, come before the readings and are the frames' numbers and times; columns headed `re ...` and `im ...` are the
+//! parts of complex readings.
 
 use std::path::Path;
 
@@ -11,6 +13,10 @@ use crate::error::shorten;
 use crate::{DeviceError, FrameTable, Layout};
 
 const EXPECTED: &str = "a text table of numbers";
+/// Most columns of a table: more than 1024 electrodes give with any pattern in use.
+const MOST_COLUMNS: usize = 1 << 21;
+/// Most bytes of a line for each of its columns: numbers written out in full with blanks around.
+const MOST_CELL_BYTES: usize = 1100;
 
 /// A rectangular table of numbers, as for positions or frames.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,13 +69,17 @@ pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
     let empty = || DeviceError::Empty { file: file.to_owned() };
     let &(_, first) = lines.peek().ok_or_else(empty)?;
     let separator = Separator::guess(first);
+    let columns = columns_of(first, separator, file)?;
     let header = header_of(first, separator);
-    let columns = separator.cells(first).count();
     if header.is_some() {
         lines.next();
     }
     let mut values = Vec::new();
     for (line, text) in lines {
+        if text.len() > MOST_CELL_BYTES * columns + (1 << 16) {
+            let found = separator.cells(text).count().max(columns + 1);
+            return Err(DeviceError::Ragged { file: file.to_owned(), line, expected: columns, found });
+        }
         let before = values.len();
         for (index, cell) in separator.cells(text).enumerate() {
             let fail = |expected| DeviceError::Cell {
@@ -92,19 +102,46 @@ pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
     Ok(NumberTable { header, columns, values })
 }
 
+/// Columns before the readings that say which frame a row is, and when it was.
+const FRAME_COLUMNS: [&str; 5] = ["time_s", "sequence", "device_time_ns", "host_monotonic_ns", "host_wall_ns"];
+
 /// Frames in rows.
 ///
 /// # Errors
-/// As [`parse`].
+/// As [`parse`]; [`DeviceError::Count`] where real and imaginary parts are not equally many.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     let table = parse(content, file)?;
-    let timed = table.columns > 1 && table.column_index("time_s") == Some(0);
-    if !timed {
-        return FrameTable::new(Layout::Channels { count: table.columns }, table.values, file);
+    let named = |index: usize| table.header.as_ref().and_then(|header| header.get(index)).map(String::as_str);
+    let is_frame_column = |index: &usize| named(*index).is_some_and(|name| FRAME_COLUMNS.contains(&name));
+    // A table of one column has readings, whatever it is called.
+    let first = if table.columns > 1 { (0..table.columns).take_while(is_frame_column).count() } else { 0 };
+    if first == table.columns {
+        return Err(DeviceError::Empty { file: file.to_owned() });
     }
-    let times_s = table.column(0).collect();
-    let values = table.values.chunks_exact(table.columns).flat_map(|row| &row[1..]).copied().collect();
-    FrameTable::new(Layout::Channels { count: table.columns - 1 }, values, file)?.with_times_s(times_s)
+    let is_imaginary = |index: usize| named(index).is_some_and(|name| name.starts_with("im "));
+    let complex = named(first).is_some_and(|name| name.starts_with("re "));
+    let part = |imaginary: bool| -> Vec<f64> {
+        let columns: Vec<usize> =
+            (first..table.columns).filter(|&k| !complex || is_imaginary(k) == imaginary).collect();
+        table.values.chunks_exact(table.columns).flat_map(|row| columns.iter().map(|&column| row[column])).collect()
+    };
+    let values = part(false);
+    let mut frames = FrameTable::new(Layout::Channels { count: values.len() / table.rows() }, values, file)?;
+    if complex {
+        frames = frames.with_imaginary(part(true))?;
+    }
+    let column = |name: &str| (0..first).find(|&index| named(index) == Some(name)).map(|index| table.column(index));
+    let from_first = |times: Vec<f64>| -> Vec<f64> { times.iter().map(|ns| 1e-9 * (ns - times[0])).collect() };
+    let is_whole = |times: &Vec<f64>| times.iter().all(|time| time.is_finite());
+    let clock = |name: &str| column(name).map(|times| times.collect::<Vec<f64>>()).filter(is_whole).map(from_first);
+    let times = column("time_s").map(|times| times.collect());
+    if let Some(times) = times.or_else(|| clock("device_time_ns")).or_else(|| clock("host_monotonic_ns")) {
+        frames = frames.with_times_s(times)?;
+    }
+    if let Some(sequences) = column("sequence").map(|numbers| numbers.collect::<Vec<f64>>()).filter(is_whole) {
+        frames = frames.with_sequences(sequences.iter().map(|number| *number as u64).collect())?;
+    }
+    Ok(frames)
 }
 
 /// The shape of a text table, found without reading its numbers.
@@ -130,9 +167,20 @@ impl Shape {
             return Err(super::foreign(file, EXPECTED, first.as_bytes()));
         }
         let separator = Separator::guess(first);
+        let columns = columns_of(first, separator, file)?;
         let header = header_of(first, separator);
         let rows = lines.count() + usize::from(header.is_none());
-        Ok(Self { header, columns: separator.cells(first).count(), rows })
+        Ok(Self { header, columns, rows })
+    }
+}
+
+/// Cells of the first line, counted before anything of them is kept.
+fn columns_of(first: &str, separator: Separator, file: &Path) -> Result<usize, DeviceError> {
+    match separator.cells(first).count() {
+        found if found > MOST_COLUMNS => {
+            Err(DeviceError::Wide { file: file.to_owned(), line: 1, limit: MOST_COLUMNS, found })
+        }
+        found => Ok(found),
     }
 }
 
@@ -142,11 +190,11 @@ fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     numbered.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
 }
 
-/// Names in a first row: every cell that is not empty has a letter and is no number, and there is one.
+/// Names in a first row: no cell is a number, and one has a letter.
 fn header_of(line: &str, separator: Separator) -> Option<Vec<String>> {
-    let is_name = |cell: &str| cell.contains(char::is_alphabetic) && cell.parse::<f64>().is_err();
-    let mut filled = separator.cells(line).filter(|cell| !cell.is_empty()).peekable();
-    let named = filled.peek().is_some() && filled.all(is_name);
+    let filled = || separator.cells(line).filter(|cell| !cell.is_empty());
+    let named =
+        filled().all(|cell| cell.parse::<f64>().is_err()) && filled().any(|cell| cell.contains(char::is_alphabetic));
     named.then(|| separator.cells(line).map(str::to_owned).collect())
 }
 
@@ -174,10 +222,17 @@ impl Separator {
         [';', '\t', ','].into_iter().find(|&mark| line.contains(mark)).map_or(Self::Spaces, Self::Mark)
     }
 
-    /// The cells of a line, without surrounding blanks and double quotes.
+    /// The cells of a line, without surrounding blanks and double quotes; marks between quotes are none.
     fn cells(self, line: &str) -> impl Iterator<Item = &str> {
         let (marked, spaced) = match self {
-            Self::Mark(mark) => (Some(line.split(mark)), None),
+            Self::Mark(mark) => {
+                let mut is_quoted = false;
+                let is_end = move |c: char| {
+                    is_quoted ^= c == '"';
+                    c == mark && !is_quoted
+                };
+                (Some(line.split(is_end)), None)
+            }
             Self::Spaces => (None, Some(line.split_whitespace())),
         };
         marked.into_iter().flatten().chain(spaced.into_iter().flatten()).map(unquote)
@@ -192,6 +247,21 @@ fn unquote(cell: &str) -> &str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lines_longer_than_any_frame_are_refused_before_they_are_read() {
+        let file = Path::new("wide.csv");
+        let wide = "1,".repeat(MOST_COLUMNS) + "2\n";
+        let error = parse(wide.as_bytes(), file).unwrap_err().to_string();
+        assert_eq!(
+            error,
+            format!("wide.csv:1: expected at most {MOST_COLUMNS} values in a line, found {}", MOST_COLUMNS + 1)
+        );
+        assert!(Shape::of(wide.as_bytes(), file).is_err());
+        let ragged = format!("1,2\n{}\n", "1,".repeat(100_000));
+        let error = parse(ragged.as_bytes(), file).unwrap_err().to_string();
+        assert!(error.starts_with("wide.csv:2: expected 2 values as in the first row, found 100001"), "{error}");
+    }
 
     fn parsed(text: &str) -> Result<NumberTable, DeviceError> {
         parse(text.as_bytes(), Path::new("made.csv"))
@@ -254,6 +324,22 @@ mod tests {
         assert!(message("a,b\n").contains("found none"));
         let zip = parse(b"PK\x03\x04\0\0\xff", Path::new("a.csv")).unwrap_err().to_string();
         assert_eq!(zip, "a.csv: expected a text table of numbers, found a ZIP archive (npz or xlsx?)");
+    }
+
+    #[test]
+    fn exported_frames_are_read_back_with_numbers_and_times() {
+        let text = "sequence,device_time_ns,host_monotonic_ns,host_wall_ns,1-2 > 3-4,\"2-3 > 4,5\"\n\
+                    7,,1000000000,1790000000000000000,0.1,-2\n9,,1040000000,1790000000040000000,NaN,3\n";
+        let table = decode(text.as_bytes(), Path::new("made.csv")).unwrap();
+        assert_eq!((table.frames(), table.channels()), (2, 2));
+        assert_eq!(table.sequences(), Some([7, 9].as_slice()));
+        let times = table.times_s().unwrap();
+        assert!(times[0] == 0.0 && (times[1] - 0.04).abs() < 1e-12, "{times:?}");
+        assert!(table.row(0) == Some(&[0.1, -2.0][..]) && table.row(1).unwrap()[0].is_nan());
+        let complex = decode(b"sequence,re a,re b,im a,im b\n0,1,2,3,4\n", Path::new("made.csv")).unwrap();
+        assert_eq!((complex.values(), complex.imaginary()), ([1.0, 2.0].as_slice(), Some([3.0, 4.0].as_slice())));
+        assert!(decode(b"sequence,re a,im a,im b\n0,1,2,3\n", Path::new("made.csv")).is_err());
+        assert!(decode(b"sequence,time_s\n0,1\n", Path::new("made.csv")).is_err());
     }
 
     #[test]

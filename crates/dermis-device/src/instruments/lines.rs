@@ -38,7 +38,7 @@ impl Lines {
             let damaged = skip && self.line.len() >= LONGEST_LINE;
             self.line.clear();
             if damaged {
-                inbox.bad(1);
+                inbox.bad_because(format!("a line without end, of more than {LONGEST_LINE} bytes"));
             }
             return;
         }
@@ -49,8 +49,8 @@ impl Lines {
             self.channels = (self.agreeing.1 >= AGREEING).then_some(count);
             return;
         }
-        if self.channels != Some(count) {
-            inbox.bad(1);
+        if let Some(channels) = self.channels.filter(|channels| *channels != count) {
+            inbox.bad_because(format!("a line of {count} numbers, expected {channels}"));
             return;
         }
         let (sequence, numbers) = (self.sequence, &self.numbers);
@@ -105,6 +105,10 @@ impl Dialogue for Lines {
     }
 
     fn close(&mut self, _send: &mut Vec<u8>) {}
+
+    fn is_frames_only(&self) -> bool {
+        true
+    }
 
     fn layout(&self) -> Option<Layout> {
         self.channels.map(|count| Layout::Channels { count })

@@ -162,7 +162,7 @@ pub fn decode(format: Format, content: &[u8], file: &Path) -> Result<FrameTable,
     }
 }
 
-/// Reads a whole file, refusing more than [`MOST_BYTES`] even where its size is not known beforehand.
+/// Reads a whole regular file, refusing more than [`MOST_BYTES`].
 ///
 /// # Errors
 /// [`DeviceError::Io`] or [`DeviceError::TooLarge`].
@@ -171,7 +171,13 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
     if path.is_dir() {
         return Err(failed(std::io::ErrorKind::IsADirectory.into()));
     }
-    let found = fs::metadata(path).map_err(failed)?.len();
+    let found = fs::metadata(path).map_err(failed)?;
+    if !found.is_file() {
+        // A device or a pipe may have no end, or nobody at its other one.
+        let text = "not a regular file; expected a file that has an end";
+        return Err(failed(std::io::Error::new(std::io::ErrorKind::InvalidInput, text)));
+    }
+    let found = found.len();
     let mut content = Vec::new();
     if found <= MOST_BYTES {
         File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut content)).map_err(failed)?;

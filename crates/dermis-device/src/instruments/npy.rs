@@ -1,5 +1,5 @@
-//! NumPy arrays (`.npy`, format versions 1 to 3): reading `f8 f4 i4 i2 u2` of either byte order and either memory order,
-//! writing little-endian `f8` and `f4` in C order. The format is that of NumPy Enhancement Proposal 1.
+//! NumPy arrays (`.npy`, format versions 1 to 3): reading `f8 f4 i4 i2 u2` of either byte order and either memory
+//! order, writing little-endian `f8` and `f4` in C order. The format is that of NumPy Enhancement Proposal 1.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -24,13 +24,24 @@ pub struct Array {
 }
 
 impl Array {
-    /// Frames in rows: one dimension is one frame, two are frames x channels.
+    /// Frames in rows: one dimension is one frame, two are frames x channels, and three, of which the second is 2,
+    /// frames x (real, imaginary) x channels, as `dermis export` writes complex ones.
     ///
     /// # Errors
     /// [`DeviceError::Field`] for another number of dimensions, [`DeviceError::Empty`], [`DeviceError::Infinite`].
     pub fn into_frames(self, file: &Path) -> Result<FrameTable, DeviceError> {
         let count = match self.shape[..] {
             [count] | [_, count] => count,
+            [_, 2, count] if count > 0 => {
+                let part = |which: usize| -> Vec<f64> {
+                    self.values
+                        .chunks_exact(2 * count)
+                        .flat_map(|frame| &frame[which * count..][..count])
+                        .copied()
+                        .collect()
+                };
+                return FrameTable::new(Layout::Channels { count }, part(0), file)?.with_imaginary(part(1));
+            }
             _ => {
                 let found = shorten(&format!("{:?}", self.shape));
                 return Err(DeviceError::field(file, 1, "shape", &found, "(channels,) or (frames, channels)"));

@@ -19,6 +19,8 @@ pub struct Inbox {
     kept: Option<Frame>,
     shared: Arc<Shared>,
     taken: u64,
+    /// What was wrong with the last damaged frame.
+    reason: Option<String>,
 }
 
 impl Inbox {
@@ -27,7 +29,7 @@ impl Inbox {
         let capacity = capacity.max(2);
         let (filled, frames) = sync_channel(capacity);
         let (spare, empty) = sync_channel(capacity);
-        (Self { filled, empty, kept: None, shared: Arc::default(), taken: 0 }, frames, spare)
+        (Self { filled, empty, kept: None, shared: Arc::default(), taken: 0, reason: None }, frames, spare)
     }
 
     /// A frame that `fill` fills; where the queue is full it is dropped and counted as lost. While nobody has
@@ -57,6 +59,17 @@ impl Inbox {
     /// Counts frames that came damaged or twice.
     pub fn bad(&self, frames: u64) {
         self.shared.bad.fetch_add(frames, Ordering::Relaxed);
+    }
+
+    /// Counts a frame that came damaged, and why, in plain words.
+    pub fn bad_because(&mut self, reason: String) {
+        self.bad(1);
+        self.reason = Some(reason);
+    }
+
+    /// What was wrong with the last damaged frame, where that was said.
+    pub(super) fn reason(&self) -> Option<&str> {
+        self.reason.as_deref()
     }
 
     /// Frames lost and damaged so far.
@@ -140,8 +153,14 @@ impl Shared {
         self.state().problem = None;
     }
 
-    pub(super) fn disconnected(&self, problem: String) {
+    /// Why no frames come now.
+    pub(super) fn troubled(&self, problem: String) {
         self.state().problem = Some(problem);
+    }
+
+    /// Frames come again.
+    pub(super) fn recovered(&self) {
+        self.state().problem = None;
     }
 
     pub(super) fn introduced(&self, layout: Layout, identity: Option<String>) {

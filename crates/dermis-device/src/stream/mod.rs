@@ -1,6 +1,7 @@
 //! Live instruments: a thread of its own reads the port, a sans-I/O [`Dialogue`] makes frames of the bytes, and a dead,
 //! silent or foreign device costs nothing but its frames. Connections that end are made again, ever more slowly.
 
+mod falling;
 mod inbox;
 mod options;
 #[cfg(unix)]
@@ -78,6 +79,11 @@ pub trait Dialogue: Send {
 
     /// Which reading stands at which channel, once that is known.
     fn layout(&self) -> Option<Layout>;
+
+    /// Whether all that comes is frames, so that any byte is owed one.
+    fn is_frames_only(&self) -> bool {
+        false
+    }
 
     /// What the device says that it is, once that is known.
     fn identity(&self) -> Option<String> {

@@ -3,6 +3,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
+use super::falling::Falling;
 use super::{Connect, Dialogue, Inbox, Link, StreamOptions};
 use crate::HostStamp;
 
@@ -19,13 +20,15 @@ pub(super) fn run(
 ) {
     let shared = inbox.shared();
     let mut wait = options.first_wait;
+    let mut ended = Falling::default();
+    let mut owed = Owed::new(connect.name());
     let mut buffer = vec![0; CHUNK];
     while !shared.is_stopped() {
         let before = inbox.taken();
         let reason = match connect.connect() {
             Ok(mut link) => {
                 shared.connected();
-                let ended = talk(link.as_mut(), dialogue.as_mut(), &mut inbox, &mut buffer, options.silence);
+                let ended = talk(link.as_mut(), dialogue.as_mut(), &mut inbox, &mut buffer, options, &mut owed);
                 match ended {
                     Ok(()) => return,
                     Err(reason) => reason,
@@ -36,8 +39,11 @@ pub(super) fn run(
         if inbox.taken() > before {
             wait = options.first_wait;
         }
-        tracing::warn!("{}: {reason}; next attempt in {} ms", connect.name(), wait.as_millis());
-        shared.disconnected(reason);
+        if let Some(times) = ended.count(&reason) {
+            let times = if times > 1 { format!(" ({times} times)") } else { String::new() };
+            tracing::warn!("{}: {reason}{times}; next attempt in {} ms", connect.name(), wait.as_millis());
+        }
+        shared.troubled(reason);
         let until = Instant::now() + wait;
         while !shared.is_stopped() && Instant::now() < until {
             thread::sleep(NAP.min(wait));
@@ -52,11 +58,13 @@ fn talk(
     dialogue: &mut dyn Dialogue,
     inbox: &mut Inbox,
     buffer: &mut [u8],
-    silence: Duration,
+    options: StreamOptions,
+    owed: &mut Owed,
 ) -> Result<(), String> {
     let shared = inbox.shared();
     let opened = Instant::now();
-    let mut heard = opened;
+    let (silence, mut heard) = (options.silence, opened);
+    owed.begin(inbox);
     let mut introduced = false;
     let mut send = Vec::new();
     dialogue.open(&mut send);
@@ -69,6 +77,7 @@ fn talk(
         if count > 0 {
             heard = Instant::now();
             dialogue.receive(&buffer[..count], HostStamp::now(), inbox, &mut send)?;
+            owed.heard(count, inbox, dialogue.is_frames_only(), options.frame)?;
         } else if heard.elapsed() > silence {
             return Err(format!("silent for {:.1} s", silence.as_secs_f64()));
         }
@@ -83,4 +92,74 @@ fn talk(
     // The device may have gone; this is a courtesy.
     let _ = link.write(&send);
     Ok(())
+}
+
+/// So many bytes without a whole frame are nothing that an instrument sends.
+const MOST_OWED: u64 = 256 * 1024;
+/// So many damaged frames in a row are no disturbance.
+const MOST_DAMAGED: u64 = 8;
+/// Instruments that are slower than this many deadlines a frame are not known.
+const SLOWEST: u32 = 10;
+
+/// What a device owes: bytes came, and the whole frame that they are a part of did not yet.
+struct Owed {
+    name: String,
+    damaged: Falling,
+    /// When the last whole frame came, frames and damaged ones by then, and bytes since.
+    since: Instant,
+    taken: u64,
+    bad: u64,
+    bytes: u64,
+    /// Damaged frames that were told of.
+    seen: u64,
+    troubled: bool,
+}
+
+impl Owed {
+    fn new(name: &str) -> Self {
+        let (name, damaged, since) = (name.to_owned(), Falling::default(), Instant::now());
+        Self { name, damaged, since, taken: 0, bad: 0, bytes: 0, seen: 0, troubled: false }
+    }
+
+    /// A connection begins.
+    fn begin(&mut self, inbox: &Inbox) {
+        (self.since, self.taken, self.bad, self.bytes) = (Instant::now(), inbox.taken(), inbox.losses().1, 0);
+    }
+
+    /// Bytes have been taken in.
+    fn heard(&mut self, count: usize, inbox: &mut Inbox, frames_only: bool, patience: Duration) -> Result<(), String> {
+        let bad = inbox.losses().1;
+        if bad > self.seen {
+            self.seen = bad;
+            let reason = inbox.reason().unwrap_or("it fails its checks");
+            if self.damaged.count(reason).is_some() {
+                tracing::warn!("{}: a frame is damaged, {bad} by now: {reason}", self.name);
+            }
+        }
+        if inbox.taken() > self.taken {
+            if std::mem::take(&mut self.troubled) {
+                inbox.shared().recovered();
+            }
+            self.begin(inbox);
+            return Ok(());
+        }
+        self.bytes += count as u64;
+        let (damaged, late) = (bad - self.bad, self.since.elapsed());
+        let is_owed = self.bytes >= MOST_OWED || damaged >= MOST_DAMAGED;
+        if !(late > patience && (is_owed || (frames_only && late > SLOWEST * patience))) {
+            return Ok(());
+        }
+        self.troubled = true;
+        let why = match (damaged, inbox.reason()) {
+            (0, _) => {
+                // What came in place of frames is damage.
+                inbox.bad(1);
+                self.seen += 1;
+                format!("{} bytes came", self.bytes)
+            }
+            (_, None) => format!("{damaged} damaged frames came"),
+            (_, Some(reason)) => format!("{damaged} damaged frames came: {reason}"),
+        };
+        Err(format!("no whole frame for {:.1} s, although {why}", late.as_secs_f64()))
+    }
 }

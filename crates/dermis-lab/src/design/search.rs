@@ -2,10 +2,9 @@
 //! All candidates get the same time for a frame, so that reading more channels makes each noisier: noise power in
 //! proportion to the number of readings, from the skin file's assumed noise in volts on.
 
-use dermis_live::reference::Reference;
 use dermis_tomo::mesh::ElectrodeShape;
 
-use super::{Maps, Noise, Summary};
+use super::{Maps, Noise, SharedInstrument, Summary};
 use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Modality, Pad, Pair, RimElectrode, Skin};
@@ -41,6 +40,8 @@ pub struct Search {
     pub amplitude: f64,
     /// Places along the longer side of the maps.
     pub along: usize,
+    /// Noise of a reading of the skin as it is.
+    pub noise: Noise,
 }
 
 /// Share of the bound that a candidate must gain: less is the mesh, which differs from one candidate to the next.
@@ -68,9 +69,8 @@ pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize))
         });
     }
     let prepared = Prepared::new(skin.clone())?;
-    let reference = Reference::from_baseline(&prepared, &prepared.voltages, None)?;
-    let noise_v = reference.noise.iter().copied().fold(0.0, f64::max);
-    let judge = Judge { noise_v, channels: prepared.channels(), amplitude: search.amplitude, along: search.along };
+    let instrument = SharedInstrument::of(&prepared, search.noise)?;
+    let judge = Judge { instrument, amplitude: search.amplitude, along: search.along };
     let own = Candidate { position_m: judge.summary(&prepared)?, skin: skin.clone() };
     let mut state = State { judge, best: own.clone(), done: 0, all: 0, progress };
     state.all = search.freed.iter().map(|freedom| candidates(*freedom, skin)).sum::<Result<usize, Error>>()?;
@@ -86,18 +86,14 @@ pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize))
 
 /// How candidates are compared.
 struct Judge {
-    /// Noise of the skin as it is.
-    noise_v: f64,
-    /// Its channels.
-    channels: usize,
+    instrument: SharedInstrument,
     amplitude: f64,
     along: usize,
 }
 
 impl Judge {
     fn summary(&self, prepared: &Prepared) -> Result<Summary, Error> {
-        let longer = prepared.channels() as f64 / self.channels as f64;
-        let noise = Noise::Volts(self.noise_v * longer.sqrt());
+        let noise = self.instrument.noise_of(prepared);
         Ok(Summary::of(&Maps::new(prepared, noise, self.amplitude, self.along)?.position_m))
     }
 }

@@ -111,8 +111,8 @@ pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> 
     if request.probabilities.is_some() && model.is_none() {
         return refuse("probabilities", "a network, which gives them", "none for this skin".into());
     }
-    let references = dermis_device::read(&request.reference, request.format)?;
-    let frames = dermis_device::read(&request.frames, request.format)?;
+    let references = dermis_record::read_frames(&request.reference, request.format)?;
+    let frames = dermis_record::read_frames(&request.frames, request.format)?;
     let prepared = Prepared::new(request.skin.clone())?;
     let reads = prepared.skin.backend.reads;
     let reader = |table: &FrameTable| {

@@ -82,6 +82,15 @@ impl TrainSetRequest {
         Ok(())
     }
 
+    /// What the folder of this set says about it, with images on this grid.
+    ///
+    /// # Errors
+    /// A request that makes no sense.
+    pub fn checked_manifest(&self, grid: &PixelGrid) -> Result<Manifest, Error> {
+        self.check()?;
+        Ok(self.manifest(grid))
+    }
+
     fn manifest(&self, grid: &PixelGrid) -> Manifest {
         #[derive(Serialize)]
         struct Recipe {

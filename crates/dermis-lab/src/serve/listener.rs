@@ -10,13 +10,19 @@ use dermis_device::stream::Pty;
 
 /// A host that takes nothing for so long has gone.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// A host that says nothing at all for so long is none.
+const MUTE: Duration = Duration::from_secs(5);
+/// A host that asks for no frames may be silent for so long.
+const IDLE: Duration = Duration::from_secs(60);
+/// Hosts at a socket at once.
+const MOST_HOSTS: usize = 8;
 /// Bytes taken at once.
 const CHUNK: usize = 4096;
 
 /// Where hosts come in.
 #[derive(Debug)]
 pub enum Door {
-    /// A socket; hosts connect, one at a time.
+    /// A socket; hosts connect, a few at a time.
     Tcp(TcpListener),
     /// A pseudo-terminal; whoever opens its other end and speaks is the host.
     #[cfg(unix)]
@@ -33,15 +39,16 @@ impl Door {
         Ok(Self::Tcp(listener))
     }
 
-    /// A host that has come; where one `is_here` already, another is sent away.
-    pub(super) fn knock(&mut self, is_here: bool) -> io::Result<Option<Host>> {
+    /// A host that has come; where so many are here already that there is no room, it is sent away.
+    pub(super) fn knock(&mut self, here: usize) -> io::Result<Option<Host>> {
         match self {
             Self::Tcp(listener) => match listener.accept() {
-                Ok((_, from)) if is_here => {
-                    tracing::warn!("{from} was sent away: another host is connected");
+                Ok((_, from)) if here >= MOST_HOSTS => {
+                    tracing::warn!("{from} was sent away: {MOST_HOSTS} hosts are connected");
                     Ok(None)
                 }
-                Ok((stream, _)) => {
+                Ok((stream, from)) => {
+                    tracing::debug!("{from} has connected");
                     stream.set_nonblocking(true)?;
                     stream.set_nodelay(true)?;
                     Ok(Some(Host::new(Some(stream), Vec::new())))
@@ -51,7 +58,7 @@ impl Door {
                 Err(error) => Err(error),
             },
             #[cfg(unix)]
-            Self::Pty(_) if is_here => Ok(None),
+            Self::Pty(_) if here > 0 => Ok(None),
             #[cfg(unix)]
             Self::Pty(pty) => {
                 let mut buffer = [0; CHUNK];
@@ -80,12 +87,29 @@ pub(super) struct Host {
     waiting: Vec<u8>,
     /// When it last took any.
     took: Instant,
+    /// When it last said anything; none before its first word.
+    spoke: Option<Instant>,
+    since: Instant,
     gone: bool,
 }
 
 impl Host {
     fn new(stream: Option<TcpStream>, said: Vec<u8>) -> Self {
-        Self { stream, said, waiting: Vec::new(), took: Instant::now(), gone: false }
+        let now = Instant::now();
+        let spoke = (!said.is_empty()).then_some(now);
+        Self { stream, said, waiting: Vec::new(), took: now, spoke, since: now, gone: false }
+    }
+
+    /// Whether it holds a place for nothing: it has never said a word, or none for long and takes no frames.
+    pub(super) fn is_mute(&self, device: &WireDevice) -> bool {
+        let mute = match self.spoke {
+            None => self.since.elapsed() > MUTE,
+            Some(spoke) => !device.wants_frames() && spoke.elapsed() > IDLE,
+        };
+        if mute {
+            tracing::warn!("a host was sent away: it said nothing for {:.0} s", self.since.elapsed().as_secs_f64());
+        }
+        mute
     }
 
     /// Bytes that it has not taken yet.
@@ -98,7 +122,10 @@ impl Host {
         device.receive(&std::mem::take(&mut self.said), &mut self.waiting);
         let mut buffer = [0; CHUNK];
         match self.line(door).map(|line| line.read(&mut buffer)) {
-            Some(Ok(count)) if count > 0 => device.receive(&buffer[..count], &mut self.waiting),
+            Some(Ok(count)) if count > 0 => {
+                self.spoke = Some(Instant::now());
+                device.receive(&buffer[..count], &mut self.waiting);
+            }
             Some(Err(error)) if is_passing(error.kind()) => {}
             _ => self.gone = true,
         }

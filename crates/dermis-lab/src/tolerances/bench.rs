@@ -11,6 +11,7 @@ use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
 use dermis_skin::{Skin, WeightChoice};
 use dermis_touch::Observation;
+use dermis_twin::from_skin::MeshSizes;
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PressRange, TwinKit};
@@ -26,16 +27,22 @@ const BASELINE_FRAMES: usize = 32;
 const SETTLED_S: f64 = 1e4;
 /// Where pokes begin in the sequence of places: none is at a place that is pressed.
 const FIRST_POKE: usize = 5000;
+/// Elements of the twins, relative to those of a skin's usual twin: a third of the time, at an error of their own that the skin
+/// as drawn shows too.
+const COARSER: f64 = 1.5;
 /// Between frames that have nothing to do with each other, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
+/// A poke: its place, metres, and its frame.
+type Poked = ([f64; 2], Vec<f64>);
+
 /// What reads a sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Reader {
     /// The skin file's model alone.
     Model,
-    /// A calibration by so many pokes of that very sample.
-    Pokes(usize),
+    /// Calibrations by so many pokes each of that very sample, the first ones of the largest number.
+    Pokes(Vec<usize>),
 }
 
 /// One press as it was seen.
@@ -63,28 +70,64 @@ pub(super) struct Bench {
     imager: Option<Imager>,
     /// Refinements that nobody uses at the moment; making one takes seconds.
     refinements: Mutex<Vec<Refinement>>,
+    /// The skin as drawn. Samples in which only the instrument goes wrong are read from its frames.
+    drawn: Drawn,
+}
+
+/// A skin as drawn, pressed at every place.
+#[derive(Debug)]
+struct Drawn {
+    /// To wire instruments to.
+    frontend: Mutex<Box<dyn Frontend>>,
+    instrument: InstrumentOptions,
+    /// At rest, and pressed at each place, volts.
+    rest_v: Vec<f64>,
+    pressed_v: Vec<Vec<f64>>,
+}
+
+/// What is read.
+enum Body<'a> {
+    Drawn(&'a Drawn),
+    Built(Box<dyn Frontend>),
+}
+
+/// What is done to it.
+enum Act {
+    Rest,
+    /// Pressed at one of the bench's places.
+    Press(usize, Indenter),
+    /// Pressed elsewhere.
+    Poke(Indenter),
 }
 
 /// A twin and its instrument.
-struct Sample {
-    frontend: Box<dyn Frontend>,
+struct Sample<'a> {
+    body: Body<'a>,
     instrument: Instrument,
     gains: Vec<f64>,
     absent: Vec<u32>,
     frame_s: f64,
 }
 
-impl Sample {
-    fn read(&mut self, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
-        let mut frame = self.truth(indenters)?;
+impl Sample<'_> {
+    fn read(&mut self, act: Act) -> Result<Vec<f64>, Error> {
+        let mut frame = self.truth(act)?;
         self.instrument.read(self.frame_s, &mut frame);
         Ok(self.without_absent(frame))
     }
 
-    fn truth(&mut self, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
-        indenters.iter().try_for_each(|indenter| self.frontend.check_indenter(indenter))?;
-        let mut frame = vec![0.0; self.frontend.channel_count()];
-        self.frontend.voltages(indenters, SETTLED_S, &mut frame)?;
+    fn truth(&mut self, act: Act) -> Result<Vec<f64>, Error> {
+        let mut frame = match (&mut self.body, &act) {
+            (Body::Drawn(drawn), Act::Rest) => drawn.rest_v.clone(),
+            (Body::Drawn(drawn), Act::Press(place, _)) => drawn.pressed_v[*place].clone(),
+            (Body::Drawn(drawn), Act::Poke(indenter)) => {
+                settled(&mut **drawn.frontend.lock().unwrap_or_else(PoisonError::into_inner), &[*indenter])?
+            }
+            (Body::Built(frontend), Act::Rest) => settled(&mut **frontend, &[])?,
+            (Body::Built(frontend), Act::Press(_, indenter) | Act::Poke(indenter)) => {
+                settled(&mut **frontend, &[*indenter])?
+            }
+        };
         frame.iter_mut().zip(&self.gains).for_each(|(voltage, gain)| *voltage *= gain);
         Ok(frame)
     }
@@ -95,18 +138,49 @@ impl Sample {
     }
 }
 
+/// What presses: the skin's usual press.
+fn usual_press(press: &PressRange, place_m: [f64; 2]) -> Indenter {
+    Indenter::disc(place_m, press.initial_radius_m, press.initial_pressure_pa)
+}
+
+/// A frame under these indenters once all mechanics have settled.
+fn settled(frontend: &mut dyn Frontend, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
+    indenters.iter().try_for_each(|indenter| frontend.check_indenter(indenter))?;
+    let mut frame = vec![0.0; frontend.channel_count()];
+    frontend.voltages(indenters, SETTLED_S, &mut frame)?;
+    Ok(frame)
+}
+
+impl Drawn {
+    fn new(skin: &Skin, places_m: &[[f64; 2]], indenter: impl Fn([f64; 2]) -> Indenter) -> Result<Self, Error> {
+        let drawn = workshop::as_drawn(skin);
+        let (mut frontend, instrument, _) = TwinKit::of(&drawn)?.twin.into_parts();
+        let rest_v = settled(&mut *frontend, &[])?;
+        let pressed_v =
+            places_m.iter().map(|place| settled(&mut *frontend, &[indenter(*place)])).collect::<Result<_, Error>>()?;
+        Ok(Self { frontend: Mutex::new(frontend), instrument: *instrument.options(), rest_v, pressed_v })
+    }
+}
+
 impl Bench {
     /// Of a skin, to be pressed at so many places.
     pub fn new(skin: &Skin, place_count: usize) -> Result<Self, Error> {
         let mut skin = skin.clone();
         // Every frame counts at once: presses have nothing to do with each other.
         skin.touch.least_frames = 1;
-        // Twins have no board of their own: both they and the model are read by an ideal voltmeter.
+        // A board that loads the skin is known to the model only in kind, and what that costs is not asked here: both are read by
+        // an ideal voltmeter.
         skin.backend.circuit = None;
+        if skin.frontend.coils.is_none() {
+            skin.twin.element_mm = Some(1e3 * COARSER * MeshSizes::of(&skin).element_m);
+        }
         let prepared = Prepared::new(skin.clone())?;
+        let press = dermis_twin::from_skin::press_range(&skin);
+        let places_m = places::pressed(&skin.outline(), place_count, 0)?;
         let mut bench = Self {
-            places_m: places::pressed(&skin.outline(), place_count, 0)?,
-            press: dermis_twin::from_skin::press_range(&skin),
+            drawn: Drawn::new(&skin, &places_m, |place| usual_press(&press, place))?,
+            places_m,
+            press,
             frame_s: 1.0 / skin.backend.frames_per_s.unwrap_or(20.0),
             imager: None,
             refinements: Mutex::new(Vec::new()),
@@ -126,45 +200,70 @@ impl Bench {
         workshop::build(&self.skin, self.prepared.channels(), tolerances, causes, seeds)
     }
 
-    /// Presses a sample at these places. `noise_seed`: of its instrument's noise, none for presses without noise.
+    /// Presses a sample at these places, and looks at it by the skin file's model alone, or as often as there are numbers of pokes
+    /// that it is calibrated with: one list of presses for each. `is_exact`: presses without noise.
     pub fn press(
         &self,
         built: &Built,
-        reader: Reader,
+        reader: &Reader,
         places: &[usize],
         seeds: [u64; 2],
         is_exact: bool,
-    ) -> Result<Vec<Press>, Error> {
+    ) -> Result<Vec<Vec<Press>>, Error> {
         let mut noise_seed = workshop::Dice::new(seeds[0], seeds[1], 0);
         let mut sample = self.sample(built, noise_seed.seed())?;
-        let rest = sample.truth(&[])?;
+        let rest = sample.truth(Act::Rest)?;
         let mut baseline = Vec::with_capacity(BASELINE_FRAMES);
         for _ in 0..BASELINE_FRAMES {
             let mut frame = rest.clone();
             sample.instrument.read(self.frame_s, &mut frame);
             baseline.push(sample.without_absent(frame));
         }
-        let (mut reconstructor, reference) = match reader {
-            Reader::Model => self.by_model(&baseline, &sample.absent)?,
-            Reader::Pokes(count) => self.by_pokes(&baseline, &mut sample, count)?,
+        let pokes = match reader {
+            Reader::Model => Vec::new(),
+            Reader::Pokes(counts) => self.poke(&mut sample, counts.iter().copied().max().unwrap_or(0))?,
         };
+        let mut frames = Vec::with_capacity(places.len());
+        for &place in places {
+            let act = Act::Press(place, usual_press(&self.press, self.places_m[place]));
+            let frame = if is_exact { sample.truth(act)? } else { sample.read(act)? };
+            frames.push((place, sample.without_absent(frame)));
+        }
+        match reader {
+            Reader::Model => {
+                let (mut reconstructor, reference) = self.by_model(&baseline, &sample.absent)?;
+                let presses = self.look(&mut reconstructor, &reference, &frames)?;
+                let refinement = std::mem::replace(&mut reconstructor.refinement, Refinement::none());
+                self.refinements.lock().unwrap_or_else(PoisonError::into_inner).push(refinement);
+                Ok(vec![presses])
+            }
+            Reader::Pokes(counts) => {
+                let by_pokes = |count: &usize| {
+                    let (mut reconstructor, reference) = self.by_pokes(&baseline, &pokes[..*count])?;
+                    self.look(&mut reconstructor, &reference, &frames)
+                };
+                counts.iter().map(by_pokes).collect()
+            }
+        }
+    }
+
+    /// What is seen of presses: their places, and a frame of each.
+    fn look(
+        &self,
+        reconstructor: &mut Reconstructor,
+        reference: &Reference,
+        frames: &[(usize, Vec<f64>)],
+    ) -> Result<Vec<Press>, Error> {
         let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
-        let mut presses = Vec::with_capacity(places.len());
-        for (number, &place) in places.iter().enumerate() {
-            let indenter = self.indenter(self.places_m[place]);
-            let frame = if is_exact { sample.truth(&[indenter])? } else { sample.read(&[indenter])? };
-            let frame = sample.without_absent(frame);
-            let difference = reference.difference(&frame, None);
+        let mut presses = Vec::with_capacity(frames.len());
+        for (number, (place, frame)) in frames.iter().enumerate() {
+            let difference = reference.difference(frame, None);
             let time_ns = (number as u64 + 1) * APART_NS;
             reconstructor.forget(time_ns);
             reconstructor.image(&difference, &mut image)?;
             let placement = reconstructor.place(&difference)?;
             reconstructor.follow_touches(time_ns, &image, placement)?;
-            presses.push(self.seen(place, &reconstructor));
-        }
-        if reader == Reader::Model {
-            let refinement = std::mem::replace(&mut reconstructor.refinement, Refinement::none());
-            self.refinements.lock().unwrap_or_else(PoisonError::into_inner).push(refinement);
+            presses.push(self.seen(*place, reconstructor));
         }
         Ok(presses)
     }
@@ -174,18 +273,25 @@ impl Bench {
         0.5e3 * self.prepared.half_width_m()
     }
 
-    fn sample(&self, built: &Built, noise_seed: u64) -> Result<Sample, Error> {
-        let (frontend, instrument, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
-        let options = *instrument.options();
+    fn sample(&self, built: &Built, noise_seed: u64) -> Result<Sample<'_>, Error> {
+        let (body, options) = if built.is_as_drawn {
+            (Body::Drawn(&self.drawn), self.drawn.instrument)
+        } else {
+            let (frontend, instrument, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
+            (Body::Built(frontend), *instrument.options())
+        };
         let noise = Noise {
             floor_v: built.noise * options.noise.floor_v,
             proportional: built.noise * options.noise.proportional,
         };
         let options = InstrumentOptions { noise, ..options };
-        let instrument = Instrument::new(options, frontend.channel_count(), noise_seed)?;
-        let instrument = frontend.wired(instrument)?;
+        let instrument = Instrument::new(options, self.prepared.channels(), noise_seed)?;
+        let instrument = match &body {
+            Body::Drawn(drawn) => drawn.frontend.lock().unwrap_or_else(PoisonError::into_inner).wired(instrument)?,
+            Body::Built(frontend) => frontend.wired(instrument)?,
+        };
         let absent = built.bad.map_or(Vec::new(), |bad| self.channels_of(bad));
-        Ok(Sample { frontend, instrument, gains: built.gains.clone(), absent, frame_s: self.frame_s })
+        Ok(Sample { body, instrument, gains: built.gains.clone(), absent, frame_s: self.frame_s })
     }
 
     /// Channels that an electrode or coil has a part in.
@@ -197,10 +303,6 @@ impl Bench {
         };
         let channels = protocol.measurements().iter().enumerate();
         channels.filter(|(_, measurement)| uses(measurement)).map(|(channel, _)| channel as u32).collect()
-    }
-
-    fn indenter(&self, place_m: [f64; 2]) -> Indenter {
-        Indenter::disc(place_m, self.press.initial_radius_m, self.press.initial_pressure_pa)
     }
 
     /// Baseline and noise, as the running skin takes them; the covariance of the noise only where weights are made of it.
@@ -252,15 +354,18 @@ impl Bench {
         Ok(refinement)
     }
 
-    fn by_pokes(
-        &self,
-        baseline: &[Vec<f64>],
-        sample: &mut Sample,
-        count: usize,
-    ) -> Result<(Reconstructor, Reference), Error> {
-        let positions_m = places::pressed(&self.skin.outline(), count, FIRST_POKE)?;
-        let frames =
-            positions_m.iter().map(|place| sample.read(&[self.indenter(*place)])).collect::<Result<Vec<_>, _>>()?;
+    /// Pokes at the first so many places of their own, with the frame of each.
+    fn poke(&self, sample: &mut Sample<'_>, count: usize) -> Result<Vec<Poked>, Error> {
+        let places_m = places::pressed(&self.skin.outline(), count, FIRST_POKE)?;
+        let mut poked = Vec::with_capacity(count);
+        for place in places_m {
+            poked.push((place, sample.read(Act::Poke(usual_press(&self.press, place)))?));
+        }
+        Ok(poked)
+    }
+
+    fn by_pokes(&self, baseline: &[Vec<f64>], poked: &[Poked]) -> Result<(Reconstructor, Reference), Error> {
+        let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
         let pokes = Pokes { positions_m, loads: None };
         // One frame too few to be taken for the pokes' own baselines.
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };

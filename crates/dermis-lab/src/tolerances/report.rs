@@ -41,7 +41,7 @@ pub struct Extent {
 
 impl Default for Extent {
     fn default() -> Self {
-        Self { samples: 200, presses: 12, pokes: vec![20, 50, 200], seed: 1 }
+        Self { samples: 200, presses: 5, pokes: vec![20, 50, 200], seed: 1 }
     }
 }
 
@@ -153,9 +153,9 @@ impl ToleranceReport {
     }
 }
 
-/// One row of samples to be tried.
+/// Samples to be tried, and the rows that they make.
 struct Task {
-    name: String,
+    rows: Vec<String>,
     causes: Vec<Cause>,
     reader: Reader,
     samples: usize,
@@ -178,13 +178,12 @@ pub fn run(
     let all: usize = tasks.iter().map(|task| task.samples).sum();
     let done = AtomicUsize::new(0);
     let every: Vec<usize> = (0..PLACES).collect();
-    let readers: Vec<Reader> =
-        std::iter::once(Reader::Model).chain(extent.pokes.iter().map(|count| Reader::Pokes(*count))).collect();
-    let nominal: Vec<Vec<Press>> = readers
+    // One for each reader that a task may have: what amplitudes are compared with.
+    let nominal: Vec<Vec<Vec<Press>>> = [Reader::Model, Reader::Pokes(extent.pokes.clone())]
         .par_iter()
         .map(|reader| {
             let seeds = [extent.seed, NOMINAL];
-            bench.press(&bench.build(tolerances, &[], seeds)?, *reader, &every, seeds, true)
+            bench.press(&bench.build(tolerances, &[], seeds)?, reader, &every, seeds, true)
         })
         .collect::<Result<_, Error>>()?;
     let jobs: Vec<(usize, u64)> = tasks
@@ -192,30 +191,37 @@ pub fn run(
         .enumerate()
         .flat_map(|(k, task)| (0..task.samples as u64).map(move |sample| (k, sample)))
         .collect();
-    let pressed: Vec<Vec<Press>> = jobs
+    let pressed: Vec<Vec<Vec<Press>>> = jobs
         .par_iter()
         .with_max_len(1)
         .map(|&(k, sample)| {
             let (task, seeds) = (&tasks[k], [extent.seed, sample]);
             let built = bench.build(tolerances, &task.causes, seeds)?;
-            let presses = bench.press(&built, task.reader, &some_places(extent, sample), seeds, false);
+            let presses = bench.press(&built, &task.reader, &some_places(extent, sample), seeds, false);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             presses
         })
         .collect::<Result<_, Error>>()?;
-    let of_task = |k: usize| jobs.iter().zip(&pressed).filter(move |(job, _)| job.0 == k).flat_map(|(_, p)| p.iter());
+    let presses_of = |k: usize, row: usize| -> Vec<Press> {
+        let of_task = jobs.iter().zip(&pressed).filter(|(job, _)| job.0 == k);
+        of_task.flat_map(|(_, presses)| presses[row].iter().copied()).collect()
+    };
     let near_mm = bench.near_mm();
-    let mut rows = tasks.iter().enumerate().map(|(k, task)| {
-        let reader = readers.iter().position(|reader| *reader == task.reader).unwrap_or(0);
-        row(task, &of_task(k).copied().collect::<Vec<_>>(), &nominal[reader], near_mm)
-    });
+    let mut all_rows = Vec::new();
+    for (k, task) in tasks.iter().enumerate() {
+        let nominal = &nominal[usize::from(task.reader != Reader::Model)];
+        for (r, name) in task.rows.iter().enumerate() {
+            all_rows.push(row(name.clone(), task.samples, &presses_of(k, r), &nominal[r], near_mm));
+        }
+    }
+    let mut rows = all_rows.into_iter();
     let nominal_row = rows.next();
     let mut causes_alone: Vec<ToleranceRow> = rows.by_ref().take(causes.len() + 1).collect();
     let (Some(nominal), Some(together)) = (nominal_row, causes_alone.pop()) else {
         return Err(Error::Frames { what: "rows".into(), expected: "at least two".into(), got: "fewer".into() });
     };
     let calibrated: Vec<ToleranceRow> = rows.collect();
-    let together_presses: Vec<Press> = of_task(causes.len() + 1).copied().collect();
+    let together_presses = presses_of(causes.len() + 1, 0);
     let places = by_place(&bench, &together_presses);
     let (grid, map_mm) = map(&bench, &places)?;
     Ok(ToleranceReport {
@@ -233,7 +239,7 @@ pub fn run(
 
 fn tasks(causes: &[Cause], extent: &Extent) -> Vec<Task> {
     let row = |name: &str, causes: &[Cause]| Task {
-        name: name.to_string(),
+        rows: vec![name.to_string()],
         causes: causes.to_vec(),
         reader: Reader::Model,
         samples: extent.samples,
@@ -241,12 +247,14 @@ fn tasks(causes: &[Cause], extent: &Extent) -> Vec<Task> {
     let mut tasks = vec![row("as drawn", &[])];
     tasks.extend(causes.iter().map(|cause| row(cause.name(), &[*cause])));
     tasks.push(row("all together", causes));
-    let fewer = (extent.samples / CALIBRATED_SHARE).max(ALL_CALIBRATED).min(extent.samples);
-    tasks.extend(extent.pokes.iter().map(|count| Task {
-        reader: Reader::Pokes(*count),
-        samples: fewer,
-        ..row(&format!("all, calibrated by {count} pokes"), causes)
-    }));
+    if !extent.pokes.is_empty() {
+        tasks.push(Task {
+            rows: extent.pokes.iter().map(|count| format!("all, calibrated by {count} pokes")).collect(),
+            causes: causes.to_vec(),
+            reader: Reader::Pokes(extent.pokes.clone()),
+            samples: (extent.samples / CALIBRATED_SHARE).max(ALL_CALIBRATED).min(extent.samples),
+        });
+    }
     tasks
 }
 
@@ -262,7 +270,7 @@ fn some_places(extent: &Extent, sample: u64) -> Vec<usize> {
     places
 }
 
-fn row(task: &Task, presses: &[Press], nominal: &[Press], near_mm: f64) -> ToleranceRow {
+fn row(name: String, samples: usize, presses: &[Press], nominal: &[Press], near_mm: f64) -> ToleranceRow {
     let errors: Vec<f64> = presses.iter().filter_map(|press| press.error_mm).collect();
     let amplitude = |press: &Press| {
         let (seen, drawn) = (press.amplitude?, nominal[press.place].amplitude?);
@@ -271,8 +279,8 @@ fn row(task: &Task, presses: &[Press], nominal: &[Press], near_mm: f64) -> Toler
     let count = presses.len() as f64;
     let misses = presses.iter().filter(|press| press.error_mm.is_none()).count();
     ToleranceRow {
-        name: task.name.clone(),
-        samples: task.samples,
+        name,
+        samples,
         presses: presses.len(),
         position_mm: median_and_p90(errors),
         amplitude_percent: median_and_p90(presses.iter().filter_map(amplitude).collect()),

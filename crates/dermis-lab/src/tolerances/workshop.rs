@@ -62,6 +62,8 @@ pub(super) struct Built {
     pub noise: f64,
     /// Electrode or coil without contact, from 0.
     pub bad: Option<u32>,
+    /// True where nothing but the instrument and its wires went wrong.
+    pub is_as_drawn: bool,
 }
 
 /// Builds a sample in which these causes go wrong.
@@ -78,6 +80,7 @@ pub(super) fn build(
         gains: vec![1.0; channels],
         noise: 1.0,
         bad: None,
+        is_as_drawn: causes.iter().all(|cause| matches!(cause, Cause::Gain | Cause::Noise | Cause::BadElectrode)),
     };
     let dice = |cause: Cause| Dice::new(seed, sample, cause as u64 + 1);
     let share = |cause: Cause, percent: f64| if causes.contains(&cause) { 0.01 * percent } else { 0.0 };
@@ -131,7 +134,7 @@ pub(super) fn build(
 }
 
 /// The skin without the scatter that its own file gives its elements, and without what its file breaks later.
-fn as_drawn(skin: &Skin) -> Skin {
+pub(super) fn as_drawn(skin: &Skin) -> Skin {
     let mut drawn = skin.clone();
     drawn.twin.faults.clear();
     drawn.twin.treatments.clear();

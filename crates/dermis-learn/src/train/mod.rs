@@ -2,8 +2,6 @@
 //! temperature and for the figures on the model card. Every pass over the samples ends in a checkpoint, from which an
 //! interrupted training goes on as if it had not been.
 
-#[cfg(feature = "train")]
-mod burn;
 mod checkpoint;
 mod finish;
 mod initial;
@@ -26,9 +24,7 @@ use crate::shards::{Manifest, Shard, TrainingSet};
 use crate::weights::Tensors;
 use checkpoint::{Checkpoint, State};
 use initial::initial;
-
-#[cfg(feature = "train")]
-pub use ::burn::tensor::Device;
+use native::NativeUNet;
 
 /// Shards whose samples are mixed: their number bounds the memory.
 const SHARDS_AT_ONCE: usize = 8;
@@ -37,30 +33,6 @@ const LAST_RATE: f64 = 0.02;
 
 /// Share by which a batch moves the running mean and variance; PyTorch's default.
 const MOMENTUM: f32 = 0.1;
-
-/// What computes.
-#[derive(Clone, Debug, Default)]
-#[non_exhaustive]
-pub enum Backend {
-    /// The processor, with the kernels that run networks live.
-    #[default]
-    Native,
-    /// A device of `burn`.
-    #[cfg(feature = "train")]
-    Burn(Device),
-}
-
-/// A U-Net that descends.
-trait Descent {
-    /// One step of Adam on a batch; the loss before it.
-    fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64;
-
-    /// The weights as they are now.
-    fn tensors(&self) -> Result<Tensors, LearnError>;
-
-    /// Adam's moments, as `first.NAME` and `second.NAME`.
-    fn moments(&self) -> Result<Tensors, LearnError>;
-}
 
 /// Samples of one step: images are batch x inputs x rows x columns, labels batch x rows x columns.
 struct Batch<'a> {
@@ -230,11 +202,7 @@ impl TrainOptions {
 /// # Errors
 /// Options or a training set that make no sense, shards that are missing or damaged, a checkpoint of another training, a
 /// checkpoint that cannot be written, a loss that is no longer finite.
-pub fn train(
-    training: &Training<'_>,
-    backend: &Backend,
-    mut progress: impl FnMut(&Progress),
-) -> Result<Model, LearnError> {
+pub fn train(training: &Training<'_>, mut progress: impl FnMut(&Progress)) -> Result<Model, LearnError> {
     let (set, options) = (training.set, training.options);
     options.check()?;
     if options.epochs == 0 && training.start.is_none() {
@@ -261,11 +229,11 @@ pub fn train(
         Some(state) => state,
         None => State::fresh(training.first_weights(&shape)?),
     };
-    let mut network = descent(backend, shape, &state, options)?;
+    let mut network = descent(shape, &state, options)?;
     while state.epoch < options.epochs && state.epoch - state.best_epoch < options.patience {
         let begun = Instant::now();
         let mut pass = Pass { set, split: &split, options, scale: &scale, state: &mut state };
-        let loss = pass.run(network.as_mut(), &mut progress)?;
+        let loss = pass.run(&mut network, &mut progress)?;
         state.tensors = network.tensors()?;
         state.moments = network.moments()?;
         let (held_out_loss, confusion) = held_out(set, &split, shape, &state.tensors, &scale)?;
@@ -282,23 +250,11 @@ pub fn train(
     finish::model(training, shape, &split, &scale, &state)
 }
 
-/// The network of a state on a backend.
-fn descent(
-    backend: &Backend,
-    shape: UNetShape,
-    state: &State,
-    options: &TrainOptions,
-) -> Result<Box<dyn Descent>, LearnError> {
+/// The network of a state.
+fn descent(shape: UNetShape, state: &State, options: &TrainOptions) -> Result<NativeUNet, LearnError> {
     let moments = (state.steps > 0).then_some((&state.moments, state.steps));
     let class_weights = options.weights_of(shape.classes)?;
-    Ok(match backend {
-        Backend::Native => Box::new(native::NativeUNet::new(shape, &state.tensors, moments, &class_weights)?),
-        #[cfg(feature = "train")]
-        Backend::Burn(device) => {
-            let device = device.clone().autodiff();
-            Box::new(burn::BurnUNet::new(shape, &state.tensors, moments, &class_weights, &device)?)
-        }
-    })
+    NativeUNet::new(shape, &state.tensors, moments, &class_weights)
 }
 
 /// Shards to train on and shards held out.
@@ -362,7 +318,7 @@ struct Pass<'a> {
 
 impl Pass<'_> {
     /// The mean loss.
-    fn run(&mut self, network: &mut dyn Descent, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
+    fn run(&mut self, network: &mut NativeUNet, progress: &mut impl FnMut(&Progress)) -> Result<f64, LearnError> {
         let manifest = self.set.manifest();
         let rate = self.options.rate(self.state.epoch);
         let seed = self.options.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(self.state.epoch as u64 + 1);

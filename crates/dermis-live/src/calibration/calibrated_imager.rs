@@ -8,7 +8,7 @@ use super::self_calibrated::SelfCalibrated;
 use crate::Error;
 use crate::imager::{Imager, weighting};
 use crate::prepare::Prepared;
-use crate::reference::Reference;
+use crate::reference::{NoiseSource, Reference};
 
 /// What an operator for a reference consists of, with or without calibration.
 #[derive(Debug)]
@@ -33,6 +33,7 @@ impl CalibratedImager {
         data: &[Vec<f64>],
     ) -> Result<Self, Error> {
         let Some(calibration) = calibration else {
+            check_wiring(prepared)?;
             if let Some(SelfCalibrated { imager, reference, finder }) = SelfCalibrated::fit(prepared, &reference, data)?
             {
                 let placement = Some(PlacementFinder::Matched(Box::new(finder)));
@@ -48,9 +49,22 @@ impl CalibratedImager {
         let problem = LinearProblem::new(measured.jacobian.as_mat(), weighting, prior)?;
         let lambda = problem.choose(&Hyperparameter::Relative(0.1), data)?;
         let imager = Imager::from_problem(prepared, problem, lambda, &reference.noise, 1.0)?;
-        let smallest_amplitude = prepared.skin.touch.hold_sigma.min(0.5 * calibration.weakest_amplitude()?);
-        let finder = LearntFinder::new(calibration.locator(), smallest_amplitude);
+        let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
+        let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
+        let finder = LearntFinder::new(calibration, smallest_amplitude);
         let placement = Some(PlacementFinder::Learnt(Box::new(finder)));
         Ok(Self { imager, reference, placement })
     }
+}
+
+/// Refuses a skin whose wiring is unknown: without a calibration nothing can be said of it.
+pub(crate) fn check_wiring(prepared: &Prepared) -> Result<(), Error> {
+    if prepared.skin.backend.wiring.is_known() {
+        return Ok(());
+    }
+    Err(Error::Frames {
+        what: format!("skin {}, backend.wiring = \"unknown\"", prepared.skin.name),
+        expected: "a calibration (--calibration), made by dermis calibrate".into(),
+        got: "none".into(),
+    })
 }

@@ -1,8 +1,10 @@
 //! What places the single touch of a frame in a calibrated skin.
 
-use dermis_touch::locator::{Locator, LocatorScratch};
+use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
+use super::place_locator::{PlaceLocator, PlaceScratch};
+use super::poke_calibration::Calibration;
 use crate::Error;
 use crate::stages::placement::Placement;
 
@@ -21,8 +23,10 @@ pub enum PlacementFinder {
 /// A locator with its memory.
 #[derive(Clone, Debug)]
 pub struct LearntFinder {
-    locator: Locator,
-    scratch: LocatorScratch,
+    locator: PlaceLocator,
+    scratch: PlaceScratch,
+    /// What the pokes' loads were measured as.
+    load: Option<LoadQuantity>,
     /// Root mean square of the noise-weighted frame below which there is no touch.
     smallest_amplitude: f64,
 }
@@ -42,16 +46,22 @@ impl PlacementFinder {
 
 impl LearntFinder {
     /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
-    pub(super) fn new(locator: &Locator, smallest_amplitude: f64) -> Self {
-        Self { scratch: locator.scratch(), locator: locator.clone(), smallest_amplitude }
+    pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64) -> Self {
+        let locator = calibration.locator().clone();
+        Self { scratch: locator.scratch(), load: calibration.load_quantity(), locator, smallest_amplitude }
     }
 
     fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
-        let located = self.locator.predict_into(difference, &mut self.scratch)?;
+        if difference.iter().all(|v| !v.is_finite() || *v == 0.0) {
+            return Ok(None);
+        }
+        let located = self.locator.locate(difference, &mut self.scratch)?;
         if located.amplitude < self.smallest_amplitude {
             return Ok(None);
         }
+        let load = self.load.zip(located.load);
         Ok(Some(Placement {
+            load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
             doubtful: located.novelty > MOST_NOVELTY,
             position_m: [located.x_m, located.y_m],
             covariance_m2: [

@@ -2,19 +2,9 @@
 
 use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+pub use dermis_touch::LoadQuantity;
 
 use crate::Error;
-
-/// What a poke's load was measured as.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LoadQuantity {
-    /// Depth of indentation, metres.
-    DepthM,
-    /// Force, newtons.
-    ForceN,
-}
 
 /// Pokes at known positions.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -17,7 +17,7 @@ const ENOUGH_BASELINES: usize = 60;
 /// Fewest frames to calibrate on.
 const FEWEST: usize = 20;
 /// Touches are looked for at least this far from the rim, in sizes of a touch: nearer, model and skin part.
-const RIM_SIZES: f64 = 1.2;
+pub(super) const RIM_SIZES: f64 = 1.2;
 
 /// What a skin has calibrated itself to.
 pub(super) struct SelfCalibrated {
@@ -40,7 +40,7 @@ impl SelfCalibrated {
         } else {
             data.iter().map(|frame| relative(frame, true)).collect()
         };
-        if prepared.skin.backend.circuit.is_none() || frames.len() < FEWEST {
+        if prepared.skin.backend.differences || prepared.skin.backend.circuit.is_none() || frames.len() < FEWEST {
             return Ok(None);
         }
         let pixels = prepared.map.inside_centres_m();
@@ -80,7 +80,7 @@ impl SelfCalibrated {
 }
 
 /// Inside pixels with no outside pixel, and no edge of the grid, within `margin_m`.
-fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<[f64; 2]> {
+pub(super) fn places_off_the_rim(prepared: &Prepared, margin_m: f64) -> Vec<[f64; 2]> {
     let grid = prepared.map.grid();
     let mask = prepared.map.inside_mask();
     let outside: Vec<[f64; 2]> = (0..grid.len()).filter(|&p| !mask[p]).map(|p| grid.centre_m(p)).collect();

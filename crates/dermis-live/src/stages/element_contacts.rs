@@ -3,11 +3,11 @@
 //!
 //! With x the travel that a linear spring would have, each element carries `F = k x + c sum (x - x_beside)` (stiffness k,
 //! coupling c to the elements beside it): what a neighbour drags along carries nothing. A touch lies at the centroid of the
-//! forces about its elements.
+//! forces about its elements. Elements whose forces lie in a line are those of several touches.
 
 use dermis_mit::LiftOffFit;
 use dermis_skin::{Layer, Solve};
-use dermis_touch::Contact;
+use dermis_touch::{Contact, ContactSign};
 
 use crate::prepare::Prepared;
 
@@ -16,6 +16,15 @@ const LEAST_SHARE: f64 = 0.05;
 const LEAST_SIGMA: f64 = 3.0;
 /// Elements within so many cells of a touch's own belong to it.
 const REACH_CELLS: f64 = 1.1;
+/// Elements that carry this share of the largest force are pressed, and what lies beside them belongs to the same presses.
+const PRESSED_SHARE: f64 = 0.25;
+/// Forces whose variance along one axis exceeds that across it by so much, cells squared, are those of several presses.
+const ELONGATED_CELLS2: f64 = 0.4;
+/// Presses that forces are divided into: least share of the force, and least distance in cells.
+const LEAST_PART: f64 = 0.15;
+const LEAST_APART_CELLS: f64 = 1.25;
+/// Rounds in which elements find their press.
+const MOST_ROUNDS: usize = 12;
 /// Springs near their end say little of the force: the share of the travel at which it is read at most.
 const MOST_SHARE: f64 = 0.98;
 /// What the centroid of forces misses of a press's place, a standard deviation in cells: how a round face spreads over cells.
@@ -35,6 +44,14 @@ pub(crate) struct ElementContacts {
     join_cells: f64,
     forces_n: Vec<f64>,
     deviations_n: Vec<f64>,
+}
+
+/// What one press may have moved, or several beside each other.
+struct Group {
+    /// Elements that contacts of the image show.
+    contacts: Vec<usize>,
+    /// All elements that carry a force.
+    about: Vec<usize>,
 }
 
 impl ElementContacts {
@@ -72,37 +89,61 @@ impl ElementContacts {
     pub fn place(&mut self, fit: &LiftOffFit, contacts: &mut Vec<Contact>) {
         self.read_forces(fit);
         let own: Vec<usize> = contacts.iter().map(|contact| self.nearest(contact.peak_m)).collect();
-        let mut group: Vec<usize> = (0..contacts.len()).collect();
-        for a in 0..contacts.len() {
-            for b in 0..a {
-                let same_sign = contacts[a].sign == contacts[b].sign;
-                if same_sign && self.cells_between(own[a], own[b]) <= self.join_cells {
-                    let (from, to) = (group[a].max(group[b]), group[a].min(group[b]));
-                    group.iter_mut().filter(|g| **g == from).for_each(|g| *g = to);
+        let mut kept = Vec::with_capacity(contacts.len());
+        for sign in [ContactSign::Positive, ContactSign::Negative] {
+            let members: Vec<usize> = (0..contacts.len()).filter(|&k| contacts[k].sign == sign).collect();
+            let shown: Vec<usize> = members.iter().map(|&k| own[k]).collect();
+            for group in self.groups(&shown) {
+                let members: Vec<usize> =
+                    members.iter().copied().filter(|&k| group.contacts.contains(&own[k])).collect();
+                let parts = self.parts(group.about);
+                let alone = parts.len() == 1;
+                for part in parts {
+                    let of_part: Vec<usize> =
+                        members.iter().copied().filter(|&k| alone || part.contains(&own[k])).collect();
+                    kept.extend(self.contact(&of_part, &members, &part, &own, fit, contacts));
                 }
             }
         }
-        let mut kept = Vec::with_capacity(contacts.len());
-        for first in 0..contacts.len() {
-            if group[first] != first {
-                continue;
-            }
-            let members = || (0..contacts.len()).filter(|&k| group[k] == first);
-            let Some(strongest) = members().max_by(|&a, &b| contacts[a].amplitude.total_cmp(&contacts[b].amplitude))
-            else {
-                continue;
-            };
-            let mut contact = contacts[strongest];
-            let mine: Vec<usize> = members().map(|k| own[k]).collect();
-            let others: Vec<usize> = (0..contacts.len()).filter(|&k| group[k] != first).map(|k| own[k]).collect();
-            if let Some((centroid_m, covariance_m2)) = self.centroid(&mine, &others) {
-                (contact.centroid_m, contact.covariance_m2) = (centroid_m, covariance_m2);
-            }
-            contact.area_m2 = members().map(|k| contacts[k].area_m2).sum();
-            contact.volume = members().map(|k| contacts[k].volume).sum();
-            kept.push(contact);
-        }
+        kept.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
         *contacts = kept;
+    }
+
+    /// The contact of one press: of its members among the contacts of the image, or of all members of a group where the image
+    /// shows none of its own.
+    fn contact(
+        &self,
+        of_part: &[usize],
+        members: &[usize],
+        part: &[usize],
+        own: &[usize],
+        fit: &LiftOffFit,
+        contacts: &[Contact],
+    ) -> Option<Contact> {
+        let strongest_of =
+            |of: &[usize]| of.iter().copied().max_by(|&a, &b| contacts[a].amplitude.total_cmp(&contacts[b].amplitude));
+        let mut contact;
+        if let Some(strongest) = strongest_of(of_part) {
+            contact = contacts[strongest];
+            contact.area_m2 = of_part.iter().map(|&k| contacts[k].area_m2).sum();
+            contact.volume = of_part.iter().map(|&k| contacts[k].volume).sum();
+        } else {
+            // Its peak is hidden beside a higher one: as high as its elements moved.
+            let strongest = strongest_of(members)?;
+            let deepest = part.iter().copied().max_by(|&a, &b| fit.travel_m[a].total_cmp(&fit.travel_m[b]))?;
+            let share = (fit.travel_m[deepest] / fit.travel_m[own[strongest]]).clamp(0.0, 1.0);
+            contact = contacts[strongest];
+            contact.peak_m = self.places_m[deepest];
+            contact.amplitude *= share;
+            contact.peak_value *= share;
+            contact.significance *= share;
+            contact.volume *= share;
+            contact.centroid_m = contact.peak_m;
+        }
+        if let Some((centroid_m, covariance_m2)) = self.centroid(part) {
+            (contact.centroid_m, contact.covariance_m2) = (centroid_m, covariance_m2);
+        }
+        Some(contact)
     }
 
     /// Force on every element, newtons, and its standard deviation.
@@ -119,20 +160,125 @@ impl ElementContacts {
         }
     }
 
-    /// Centroid of the forces on the elements about these, nearer to them than to the others, and its covariance.
-    fn centroid(&self, mine: &[usize], others: &[usize]) -> Option<([f64; 2], [[f64; 2]; 2])> {
+    /// Elements that contacts show, in groups of those that one press may move: no farther apart than so many cells, or with
+    /// pressed elements in common.
+    fn groups(&self, shown: &[usize]) -> Vec<Group> {
+        let mut linked: Vec<Vec<usize>> = Vec::new();
+        for &element in shown {
+            let is_near =
+                |group: &Vec<usize>| group.iter().any(|&other| self.cells_between(element, other) <= self.join_cells);
+            let (near, mut apart): (Vec<_>, Vec<_>) = linked.into_iter().partition(is_near);
+            apart.push(near.concat().into_iter().chain([element]).collect());
+            linked = apart;
+        }
+        // What the contacts show, and their pressed elements.
+        let mut cores: Vec<(Vec<usize>, Vec<usize>)> = Vec::new();
+        for contacts in linked {
+            let core = self.pressed(&contacts);
+            let meets = |other: &(Vec<usize>, Vec<usize>)| other.1.iter().any(|k| core.contains(k));
+            let (met, mut apart): (Vec<_>, Vec<_>) = cores.into_iter().partition(meets);
+            let mut joined = (contacts, core.clone());
+            for (other, pressed) in met {
+                joined.0.extend(other);
+                joined.1.extend(pressed.into_iter().filter(|k| !core.contains(k)));
+            }
+            apart.push(joined);
+            cores = apart;
+        }
+        let about = |k: usize| {
+            let others: Vec<usize> = (0..cores.len()).filter(|&n| n != k).flat_map(|n| cores[n].1.clone()).collect();
+            self.about(&cores[k].1, &others)
+        };
+        let abouts: Vec<Vec<usize>> = (0..cores.len()).map(about).collect();
+        cores.into_iter().zip(abouts).map(|((contacts, _), about)| Group { contacts, about }).collect()
+    }
+
+    /// These elements, and whoever carries much of a force beside one of them, in turn.
+    fn pressed(&self, shown: &[usize]) -> Vec<usize> {
+        let largest = shown.iter().map(|&k| self.forces_n[k]).fold(0.0, f64::max);
+        let mut core: Vec<usize> = shown.to_vec();
+        let mut next = 0;
+        while next < core.len() {
+            let from = core[next];
+            next += 1;
+            for k in 0..self.places_m.len() {
+                let beside = self.cells_between(k, from) <= REACH_CELLS;
+                if beside && self.carries(k, PRESSED_SHARE * largest) && !core.contains(&k) {
+                    core.push(k);
+                }
+            }
+        }
+        core
+    }
+
+    /// Whether an element carries more than a force, and more than noise.
+    fn carries(&self, element: usize, least_n: f64) -> bool {
+        let force = self.forces_n[element];
+        force > least_n && force > LEAST_SIGMA * self.deviations_n[element]
+    }
+
+    /// The elements beside pressed ones that carry a force, nearer to them than to those of others.
+    fn about(&self, core: &[usize], others: &[usize]) -> Vec<usize> {
         let nearest =
             |k: usize, of: &[usize]| of.iter().map(|&m| self.cells_between(k, m)).fold(f64::INFINITY, f64::min);
-        let largest = mine.iter().map(|&k| self.forces_n[k]).fold(0.0, f64::max);
+        let largest = core.iter().map(|&k| self.forces_n[k]).fold(0.0, f64::max);
         let counts = |k: &usize| {
-            let near = nearest(*k, mine);
-            let force = self.forces_n[*k];
-            near <= REACH_CELLS
-                && near <= nearest(*k, others)
-                && force > LEAST_SHARE * largest
-                && force > LEAST_SIGMA * self.deviations_n[*k]
+            let near = nearest(*k, core);
+            near <= REACH_CELLS && near < nearest(*k, others) && self.carries(*k, LEAST_SHARE * largest)
         };
-        let about: Vec<usize> = (0..self.places_m.len()).filter(counts).collect();
+        (0..self.places_m.len()).filter(counts).collect()
+    }
+
+    /// The elements of each press. A round face, wherever it lies, spreads its force alike along all directions, but for a
+    /// quarter of a cell squared that the elements' grid adds; forces that are spread further along one axis than across it are
+    /// those of several presses, and are divided there, however level the forces are between them.
+    fn parts(&self, about: Vec<usize>) -> Vec<Vec<usize>> {
+        match self.divided(&about) {
+            Some(parts) => parts.into_iter().flat_map(|part| self.parts(part)).collect(),
+            None => vec![about],
+        }
+    }
+
+    fn divided(&self, about: &[usize]) -> Option<[Vec<usize>; 2]> {
+        let at = |k: usize| [0, 1].map(|axis| self.places_m[k][axis] / self.cell_m[axis]);
+        let middle = |of: &[usize]| {
+            let sum: f64 = of.iter().map(|&k| self.forces_n[k]).sum();
+            ([0, 1].map(|axis| of.iter().map(|&k| self.forces_n[k] * at(k)[axis]).sum::<f64>() / sum), sum)
+        };
+        let (centre, all_n) = middle(about);
+        let moment = |a: usize, b: usize| {
+            let of = |k: &usize| self.forces_n[*k] * (at(*k)[a] - centre[a]) * (at(*k)[b] - centre[b]);
+            about.iter().map(of).sum::<f64>() / all_n
+        };
+        let (xx, xy, yy) = (moment(0, 0), moment(0, 1), moment(1, 1));
+        let half = (0.5 * (xx - yy)).hypot(xy);
+        if half.is_nan() || 2.0 * half <= ELONGATED_CELLS2 {
+            return None;
+        }
+        let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+        let reach = (0.5 * (xx + yy) + half).sqrt();
+        let along = [reach * angle.cos(), reach * angle.sin()];
+        let mut seeds = [-1.0, 1.0].map(|sign| [0, 1].map(|axis| centre[axis] + sign * along[axis]));
+        let mut parts = [Vec::new(), Vec::new()];
+        for _ in 0..MOST_ROUNDS {
+            let distance = |k: usize, seed: [f64; 2]| (at(k)[0] - seed[0]).hypot(at(k)[1] - seed[1]);
+            let (one, other): (Vec<usize>, Vec<usize>) =
+                about.iter().partition(|&&k| distance(k, seeds[0]) <= distance(k, seeds[1]));
+            let same = parts[0] == one;
+            parts = [one, other];
+            if same || parts.iter().any(Vec::is_empty) {
+                break;
+            }
+            seeds = [0, 1].map(|part| middle(&parts[part]).0);
+        }
+        let least_n = parts.iter().map(|part| middle(part).1).fold(f64::INFINITY, f64::min);
+        let apart = (seeds[0][0] - seeds[1][0]).hypot(seeds[0][1] - seeds[1][1]);
+        (parts.iter().all(|part| !part.is_empty()) && least_n >= LEAST_PART * all_n && apart >= LEAST_APART_CELLS)
+            .then_some(parts)
+    }
+
+    /// Centroid of the forces on these elements, and its covariance.
+    fn centroid(&self, about: &[usize]) -> Option<([f64; 2], [[f64; 2]; 2])> {
         let sum: f64 = about.iter().map(|&k| self.forces_n[k]).sum();
         if sum <= 0.0 {
             return None;
@@ -162,5 +308,76 @@ impl ElementContacts {
     fn cells_between(&self, a: usize, b: usize) -> f64 {
         let [x, y] = [0, 1].map(|axis| ((self.places_m[a][axis] - self.places_m[b][axis]) / self.cell_m[axis]).abs());
         x.max(y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COLUMNS: usize = 8;
+
+    /// Elements of 6 x 8 unit cells with the forces of round faces of these middles and radii, in cells.
+    fn pressed(faces: &[([f64; 2], f64)]) -> ElementContacts {
+        let places_m: Vec<[f64; 2]> = (0..48).map(|k| [(k % COLUMNS) as f64, (k / COLUMNS) as f64]).collect();
+        const FINE: usize = 20;
+        let share = |place: &[f64; 2]| -> f64 {
+            let at = |k: usize| (k as f64 + 0.5) / FINE as f64 - 0.5;
+            let points = (0..FINE * FINE).map(|k| [place[0] + at(k % FINE), place[1] + at(k / FINE)]);
+            let covered = |p: [f64; 2]| faces.iter().any(|(c, r)| (p[0] - c[0]).hypot(p[1] - c[1]) < *r);
+            points.filter(|p| covered(*p)).count() as f64 / (FINE * FINE) as f64
+        };
+        ElementContacts {
+            forces_n: places_m.iter().map(share).collect(),
+            deviations_n: vec![1e-3; places_m.len()],
+            beside: vec![Vec::new(); places_m.len()],
+            stiffness_n_per_m: 1.0,
+            sharpness: 2.0,
+            coupling_n_per_m: 0.0,
+            limit_m: 1.0,
+            join_cells: 1.5,
+            cell_m: [1.0; 2],
+            places_m,
+        }
+    }
+
+    /// Where presses are found, if the image shows the elements that carry most as contacts.
+    fn presses(faces: &[([f64; 2], f64)]) -> Vec<[f64; 2]> {
+        let contacts = pressed(faces);
+        let largest = contacts.forces_n.iter().copied().fold(0.0, f64::max);
+        let shown: Vec<usize> = (0..48).filter(|k| contacts.forces_n[*k] > 0.25 * largest).collect();
+        let parts = contacts.groups(&shown).into_iter().flat_map(|group| contacts.parts(group.about));
+        parts.map(|part| contacts.centroid(&part).unwrap().0).collect()
+    }
+
+    /// Middles between 2 and 3 cells from the left and below.
+    fn middles() -> impl Iterator<Item = [f64; 2]> {
+        (0..36).map(|k| [2.0 + (k % 6) as f64 / 6.0, 2.0 + (k / 6) as f64 / 6.0])
+    }
+
+    #[test]
+    fn one_round_press_is_one_wherever_it_lies() {
+        for middle in middles() {
+            for radius in [0.3, 0.44, 0.8, 1.3] {
+                let found = presses(&[(middle, radius)]);
+                assert_eq!(found.len(), 1, "{middle:?} {radius}: {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn two_presses_beside_each_other_are_two_though_no_element_between_them_is_free() {
+        for middle in middles() {
+            for turn in 0..10 {
+                let (angle, apart) = (0.1 + 0.3 * f64::from(turn % 5), if turn < 5 { 2.1 } else { 1.7 });
+                let other = [middle[0] + apart * angle.cos(), middle[1] + apart * angle.sin()];
+                let found = presses(&[(middle, 0.44), (other, 0.44)]);
+                assert_eq!(found.len(), 2, "{middle:?} {other:?}: {found:?}");
+                for place in [middle, other] {
+                    let off = found.iter().map(|p| (p[0] - place[0]).hypot(p[1] - place[1])).fold(9.0, f64::min);
+                    assert!(off < 0.5, "{place:?}: {found:?}");
+                }
+            }
+        }
     }
 }

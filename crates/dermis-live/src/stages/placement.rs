@@ -1,5 +1,7 @@
 //! The place that a calibration gives the single touch of a frame.
 
+use dermis_touch::TouchLoad;
+
 /// Where a touch lies according to a calibration, in place of the image's own position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -7,6 +9,8 @@ pub struct Placement {
     pub position_m: [f64; 2],
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
+    /// How deep or hard it is pressed, where the calibration's pokes had depths or forces.
+    pub load: Option<TouchLoad>,
     /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
     pub doubtful: bool,
 }

@@ -127,8 +127,10 @@ impl Refinement {
 
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
-        if let By::Patches(patches) = &mut self.by {
-            patches.forget();
+        match &mut self.by {
+            By::Patches(patches) => patches.forget(),
+            By::Spots { stage: Some(spots), .. } => spots.forget(),
+            By::Spots { stage: None, .. } | By::Nothing => {}
         }
     }
 

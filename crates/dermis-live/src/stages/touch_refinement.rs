@@ -1,8 +1,10 @@
 //! Touches of the live pipeline refined by the forward model: each contact of the image becomes the start of a spot, all
-//! spots of a frame are fitted together, and the contact gets the spot's place and covariance.
+//! spots of a frame are fitted together, and the contact gets the spot's place and covariance. Where the frame holds more than
+//! one spot for each contact can explain, two touches may stand so near that the image shows one; they are then told apart by
+//! a fit of two.
 
 use dermis_skin::Layer;
-use dermis_tomo::inverse::{FitScratch, Spot, SpotModel, SpotOptions};
+use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::Contact;
@@ -28,6 +30,26 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
+/// A frame of which a fit leaves more than so many times the noise's energy, and more than this share of its own, may hold two
+/// touches that the image shows as one.
+const UNEXPLAINED_BY_NOISE: f64 = 4.0;
+const UNEXPLAINED: f64 = 0.01;
+/// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
+const MEETING: f64 = 0.1;
+/// Two touches in place of one are believed where they leave no more than this share of what one left,
+const LEFT_BY_TWO: f64 = 0.3;
+/// stand apart by this share of half the shorter side and by so many times the sum of their radii,
+const LEAST_APART: f64 = 0.3;
+const LEAST_APART_RADII: f64 = 1.0;
+/// and press alike within this factor (amplitude times area).
+const MOST_UNLIKE: f64 = 10.0;
+/// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half the
+/// shorter side.
+const DIRECTIONS: usize = 4;
+const LOOKED_FOR_AT: f64 = 0.3;
+/// Contacts that are looked at so in a frame, the strongest, and frames before the next look after one in vain.
+const MOST_JOINED: usize = 3;
+const FRAMES_TO_NEXT_LOOK: u32 = 8;
 
 /// Refines the contacts of one frame after the other, in memory of its own.
 #[derive(Debug)]
@@ -35,6 +57,18 @@ pub(crate) struct SpotStage {
     model: SpotModel,
     scratch: FitScratch,
     starts_m: Vec<[f64; 2]>,
+    /// The spots that contacts are given.
+    spots: Vec<Spot>,
+    /// Starts and spots of an attempt to part a contact.
+    tried_m: Vec<[f64; 2]>,
+    parted: Vec<Spot>,
+    /// Where the two touches of a parted contact were in the last frame.
+    last_parted_m: Option<[[f64; 2]; 2]>,
+    /// Frames before the next attempt.
+    wait: u32,
+    /// Whether a touch is a smooth spot, so that what one spot leaves says that there are two. A patch that conducts as a whole
+    /// is none.
+    are_smooth: bool,
     grid: PixelGrid,
     inside: Vec<bool>,
     half_width_m: f64,
@@ -46,6 +80,12 @@ impl SpotStage {
         Self {
             scratch: model.scratch(),
             starts_m: Vec::with_capacity(MOST_SPOTS),
+            spots: Vec::with_capacity(MOST_SPOTS),
+            tried_m: Vec::with_capacity(MOST_SPOTS),
+            parted: Vec::with_capacity(MOST_SPOTS),
+            last_parted_m: None,
+            wait: 0,
+            are_smooth: matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_)),
             grid: *prepared.map.grid(),
             inside: prepared.map.inside_mask(),
             half_width_m: prepared.half_width_m(),
@@ -54,15 +94,37 @@ impl SpotStage {
     }
 
     /// Gives the strongest contacts, all of which are fitted together, the places of their spots. Contacts whose spot is not
-    /// believed, and all of a frame that cannot be fitted, stay as the image has them. Allocates nothing.
-    pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut [Contact]) {
+    /// believed, and all of a frame that cannot be fitted, stay as the image has them. A contact that two spots explain and one
+    /// does not becomes two. Allocates nothing once `contacts` has grown to size.
+    pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         let count = contacts.len().min(MOST_SPOTS);
         self.starts_m.clear();
         self.starts_m.extend(contacts[..count].iter().map(|contact| contact.centroid_m));
         // A frame that is not all finite numbers, or a contact at the very rim: nothing to fit.
-        let Ok(outcome) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
+        let Ok(mut outcome) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
+        while let Some(weaker) = self.meeting() {
+            contacts.remove(weaker);
+            self.starts_m.remove(weaker);
+            let Ok(fewer) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
+            outcome = fewer;
+        }
+        self.spots.clear();
+        self.spots.extend_from_slice(self.scratch.spots());
+        if let Some((joined, better)) = self.part(difference, &outcome) {
+            outcome = better;
+            std::mem::swap(&mut self.spots, &mut self.parted);
+            let two = [self.spots[joined], self.spots[joined + 1]];
+            self.last_parted_m = Some(two.map(|spot| spot.position_m));
+            contacts.insert(joined + 1, contacts[joined]);
+            self.starts_m.insert(joined + 1, two[1].position_m);
+            self.starts_m[joined] = two[0].position_m;
+            let largest = two[0].amplitude.max(two[1].amplitude);
+            for (contact, spot) in contacts[joined..joined + 2].iter_mut().zip(two) {
+                share_of(contact, spot.amplitude / largest, spot.position_m);
+            }
+        }
         let explained = outcome.residual <= EXPLAINED * outcome.energy;
-        for ((k, contact), spot) in contacts.iter_mut().enumerate().zip(self.scratch.spots()) {
+        for (k, (contact, spot)) in contacts.iter_mut().zip(&self.spots).enumerate() {
             if self.is_believed(spot) && self.is_near(k, spot.position_m, explained) {
                 let c = &spot.covariance;
                 contact.centroid_m = spot.position_m;
@@ -70,6 +132,91 @@ impl SpotStage {
                 contact.radius_m = Some(spot.radius_m);
             }
         }
+        contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+    }
+
+    /// The weaker of two contacts whose spots have met in one place: lobes of one touch in the image.
+    fn meeting(&self) -> Option<usize> {
+        let spots = self.scratch.spots();
+        let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < MEETING * self.half_width_m;
+        let met = |k: &usize| spots[..*k].iter().any(|spot| near(spot.position_m, spots[*k].position_m));
+        if self.are_smooth { (1..spots.len()).find(met) } else { None }
+    }
+
+    /// The next frame has nothing to do with the last.
+    pub(crate) fn forget(&mut self) {
+        (self.last_parted_m, self.wait) = (None, 0);
+    }
+
+    /// Which contact is two touches, and the fit that says so, whose spots are then in `parted`: a frame that one spot for each
+    /// contact leaves unexplained is fitted with one more, from several starts about each of the strongest contacts.
+    fn part(&mut self, difference: &[f64], single: &FitOutcome) -> Option<(usize, FitOutcome)> {
+        if !self.are_smooth {
+            return None;
+        }
+        let last = self.last_parted_m.take();
+        let suspect = single.residual > UNEXPLAINED_BY_NOISE && single.residual > UNEXPLAINED * single.energy;
+        if !suspect || self.starts_m.len() >= MOST_SPOTS {
+            self.wait = 0;
+            return None;
+        }
+        if let Some(last) = last {
+            let middle = [0, 1].map(|axis| 0.5 * (last[0][axis] + last[1][axis]));
+            let away = |start: &[f64; 2]| (start[0] - middle[0]).hypot(start[1] - middle[1]);
+            let nearest = self.starts_m.iter().enumerate().min_by(|a, b| away(a.1).total_cmp(&away(b.1)));
+            let joined = nearest.map_or(0, |(k, _)| k);
+            if let Some(outcome) = self.try_two(difference, joined, last, single) {
+                return Some((joined, outcome));
+            }
+        }
+        if self.wait > 0 {
+            self.wait -= 1;
+            return None;
+        }
+        for joined in 0..self.starts_m.len().min(MOST_JOINED) {
+            let [x, y] = self.starts_m[joined];
+            for direction in 0..DIRECTIONS {
+                let angle = std::f64::consts::PI * direction as f64 / DIRECTIONS as f64;
+                let reach = LOOKED_FOR_AT * self.half_width_m;
+                let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
+                let two = [[x + dx, y + dy], [x - dx, y - dy]];
+                if let Some(outcome) = self.try_two(difference, joined, two, single) {
+                    return Some((joined, outcome));
+                }
+            }
+        }
+        self.wait = FRAMES_TO_NEXT_LOOK;
+        None
+    }
+
+    /// A fit with two spots in place of one, where it is believed.
+    fn try_two(
+        &mut self,
+        difference: &[f64],
+        joined: usize,
+        two_m: [[f64; 2]; 2],
+        single: &FitOutcome,
+    ) -> Option<FitOutcome> {
+        self.tried_m.clear();
+        self.tried_m.extend_from_slice(&self.starts_m[..joined]);
+        self.tried_m.extend_from_slice(&two_m);
+        self.tried_m.extend_from_slice(&self.starts_m[joined + 1..]);
+        // A start off the skin: nothing to fit from there.
+        let outcome = self.model.fit(difference, &self.tried_m, &mut self.scratch).ok()?;
+        let spots = self.scratch.spots();
+        let (a, b) = (&spots[joined], &spots[joined + 1]);
+        let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
+        let press = |spot: &Spot| spot.amplitude * spot.radius_m * spot.radius_m;
+        let alike = press(a) < MOST_UNLIKE * press(b) && press(b) < MOST_UNLIKE * press(a);
+        let is_better = outcome.residual <= LEFT_BY_TWO * single.residual;
+        let are_two =
+            apart_m >= LEAST_APART * self.half_width_m && apart_m >= LEAST_APART_RADII * (a.radius_m + b.radius_m);
+        if !(is_better && are_two && alike && self.is_believed(a) && self.is_believed(b)) {
+            return None;
+        }
+        self.parted.clear();
+        self.parted.extend_from_slice(spots);
+        Some(outcome)
     }
 
     fn is_believed(&self, spot: &Spot) -> bool {
@@ -88,6 +235,16 @@ impl SpotStage {
         own <= FAR * self.half_width_m
             || own <= allowed * self.half_width_m && self.starts_m.iter().all(|start| own <= moved(*start))
     }
+}
+
+/// Makes a contact one of the touches that the image shows together.
+fn share_of(contact: &mut Contact, share: f64, position_m: [f64; 2]) {
+    contact.peak_m = position_m;
+    contact.centroid_m = position_m;
+    contact.amplitude *= share;
+    contact.peak_value *= share;
+    contact.volume *= share;
+    contact.significance *= share;
 }
 
 /// The tabulated responses to spots at these channel deviations (volts).

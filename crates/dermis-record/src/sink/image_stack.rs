@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use dermis_device::instruments::npy;
 
+use super::interface::{Sink, Summary};
 use super::staged::StagedFile;
 use super::touch_table::finished;
-use super::{Sink, Summary};
 use crate::Error;
 use dermis_live::output::Output;
 

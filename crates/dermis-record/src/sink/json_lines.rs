@@ -1,18 +1,20 @@
 //! One JSON object a line and frame, for pipes and logs.
 
 mod damage;
+mod number;
 
-use std::fmt::{self, Write as _};
+use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
-use super::{Sink, Summary, TouchRow};
+use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers};
 use crate::Error;
 use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
+use number::{Number, push_since};
 
 /// Which frames get a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -29,7 +31,8 @@ pub enum LinesFor {
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
 /// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
 /// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward model placed
-/// it, the fitted `radius_mm`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
+/// it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm` or `poke_force_n` and
+/// `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
 /// number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted` `with` another, `since_s`) and
 /// `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from 1; where a frame's number or time is
 /// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`FrameAnomalies`]). Where there is damage, or something to
@@ -148,10 +151,6 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     );
 }
 
-fn push_since(text: &mut String, since_ns: u64) {
-    let _ = write!(text, ",\"since_s\":{}.{:09}}}", since_ns / 1_000_000_000, since_ns % 1_000_000_000);
-}
-
 fn push_touch(text: &mut String, touch: &Touch) {
     let phase = match touch.phase {
         TouchPhase::Begin => "begin",
@@ -178,16 +177,12 @@ fn push_touch(text: &mut String, touch: &Touch) {
     if let Some(radius_m) = touch.radius_m {
         let _ = write!(text, ",\"radius_mm\":{}", Number(1e3 * radius_m));
     }
-    text.push('}');
-}
-
-/// A number as JSON has it.
-struct Number(f64);
-
-impl fmt::Display for Number {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.0.is_finite() { write!(out, "{}", self.0) } else { out.write_str("null") }
+    if let Some(load) = &touch.load {
+        for (name, value) in load_names(load.quantity).into_iter().zip(load_numbers(load)) {
+            let _ = write!(text, ",\"{name}\":{}", Number(value));
+        }
     }
+    text.push('}');
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use dermis_device::Place;
+
 use crate::Error;
 
 /// A file under construction beside its final name. Dropped before [`StagedFile::finish`], it disappears.
@@ -17,12 +19,13 @@ pub(crate) struct StagedFile {
     out: BufWriter<File>,
     /// None when the target is written directly.
     temporary: Option<PathBuf>,
-    target: PathBuf,
+    place: Place,
 }
 
 impl StagedFile {
     pub(crate) fn create(path: &Path) -> Result<Self, Error> {
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        let place = Place::at(&target);
         let special = fs::metadata(&target).is_ok_and(|found| !found.is_file() && !found.is_dir());
         let (temporary, file) = if special {
             (None, OpenOptions::new().write(true).open(&target).map_err(Error::io(path))?)
@@ -30,22 +33,25 @@ impl StagedFile {
             let (temporary, file) = create_beside(&target).map_err(Error::io(path))?;
             (Some(temporary), file)
         };
-        Ok(Self { out: BufWriter::new(file), temporary, target })
+        Ok(Self { out: BufWriter::new(file), temporary, place })
     }
 
     /// Synchronises the content to disk and gives it its name.
     pub(crate) fn finish(mut self) -> Result<(), Error> {
-        self.settle().map_err(Error::io(self.target.clone()))
+        self.settle().map_err(Error::io(self.place.path().to_owned()))
     }
 
     /// The same where the file is no longer to be had by value.
     pub(crate) fn settle(&mut self) -> io::Result<()> {
         self.out.flush()?;
-        let Some(temporary) = &self.temporary else { return Ok(()) };
+        if self.temporary.is_none() {
+            return Ok(());
+        }
         self.out.get_ref().sync_all()?;
-        fs::rename(temporary, &self.target)?;
-        self.temporary = None;
-        sync_directory(&self.target);
+        // A finished file is kept even where its name was taken meanwhile.
+        let Some(temporary) = self.temporary.take() else { return Ok(()) };
+        self.place.put(&temporary)?;
+        sync_directory(self.place.path());
         Ok(())
     }
 }

@@ -3,10 +3,11 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers};
 use super::staged::StagedFile;
-use super::{Sink, Summary, TouchRow};
 use crate::Error;
 use dermis_live::output::Output;
+use dermis_touch::LoadQuantity;
 
 /// The table's head.
 const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm";
@@ -14,7 +15,8 @@ const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm"
 const FORCES: &str = ",force_n,force_range";
 
 /// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and, where forces are read, `force_n,force_range` as
-/// [`super::JsonLines`] has them.
+/// [`super::JsonLines`] has them; where a calibration by pokes reads depths or forces, `depth_mm,sigma_depth_mm` or
+/// `poke_force_n,sigma_poke_force_n`, NaN for a touch without.
 ///
 /// `frame` counts accepted frames from 0, so that it is the index into an [`super::ImageStack`] of the same run whatever
 /// the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not filtered),
@@ -25,6 +27,7 @@ pub struct TouchTable {
     path: PathBuf,
     file: Option<StagedFile>,
     forces: bool,
+    load: Option<LoadQuantity>,
     summary: Summary,
 }
 
@@ -34,9 +37,21 @@ impl TouchTable {
     /// # Errors
     /// [`Error::Io`] when no file can be made beside `path`.
     pub fn create(path: &Path, forces: bool) -> Result<Self, Error> {
+        Self::create_with_load(path, forces, None)
+    }
+
+    /// As [`TouchTable::create`], with columns for what a calibration by pokes reads beside the place.
+    ///
+    /// # Errors
+    /// As [`TouchTable::create`].
+    pub fn create_with_load(path: &Path, forces: bool, load: Option<LoadQuantity>) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
-        writeln!(file, "{HEAD}{}", if forces { FORCES } else { "" }).map_err(Error::io(path))?;
-        Ok(Self { path: path.to_owned(), file: Some(file), forces, summary: Summary::default() })
+        let load_head = load.map_or(String::new(), |quantity| {
+            let [value, sigma] = load_names(quantity);
+            format!(",{value},{sigma}")
+        });
+        writeln!(file, "{HEAD}{}{load_head}", if forces { FORCES } else { "" }).map_err(Error::io(path))?;
+        Ok(Self { path: path.to_owned(), file: Some(file), forces, load, summary: Summary::default() })
     }
 }
 
@@ -50,9 +65,17 @@ impl Sink for TouchTable {
                 .and_then(|()| match touch.force.filter(|_| self.forces) {
                     Some(force) => {
                         let nearest = force.nearest_n().unwrap_or(f64::NAN);
-                        writeln!(file, ",{nearest},{}", force.range())
+                        write!(file, ",{nearest},{}", force.range())
                     }
-                    None => writeln!(file, "{}", if self.forces { ",NaN,none" } else { "" }),
+                    None => write!(file, "{}", if self.forces { ",NaN,none" } else { "" }),
+                })
+                .and_then(|()| match (self.load, touch.load) {
+                    (Some(_), Some(load)) => {
+                        let [value, sigma] = load_numbers(&load);
+                        writeln!(file, ",{value},{sigma}")
+                    }
+                    (Some(_), None) => writeln!(file, ",NaN,NaN"),
+                    (None, _) => writeln!(file),
                 })
                 .map_err(Error::io(&self.path))?;
             self.summary.written += 1;
@@ -120,6 +143,21 @@ mod tests {
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<&str> = text.lines().collect();
         assert!(lines[0].ends_with("sigma_y_mm,force_n,force_range") && lines[1].ends_with(",0.5,above"), "{text}");
+    }
+
+    #[test]
+    fn loads_of_pokes_have_columns_of_their_own() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("t.csv");
+        let mut table = TouchTable::create_with_load(&path, false, Some(LoadQuantity::DepthM)).unwrap();
+        let mut deep = touch(1, TouchPhase::Move, 0.0, 0.0);
+        deep.load = Some(dermis_touch::TouchLoad { quantity: LoadQuantity::DepthM, value: 0.002, sigma: 0.0005 });
+        table.accept(&output(1, &[0.0; 6], &[deep, touch(2, TouchPhase::Move, 0.0, 0.0)], &[])).unwrap();
+        table.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].ends_with("sigma_y_mm,depth_mm,sigma_depth_mm"), "{text}");
+        assert!(lines[1].ends_with(",2,0.5") && lines[2].ends_with(",NaN,NaN"), "{text}");
     }
 
     #[test]

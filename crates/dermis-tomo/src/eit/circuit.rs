@@ -13,7 +13,7 @@
 
 use std::collections::HashMap;
 
-use faer::{Mat, Side, linalg::solvers::Solve};
+use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
 use thiserror::Error;
 
 use super::forward::{EitError, Solution};
@@ -139,7 +139,7 @@ impl ReadoutCircuit {
     pub fn response(&self, solution: &Solution<'_>, sheet_conductance_s: f64) -> Result<CircuitResponse, EitError> {
         self.validate(sheet_conductance_s)?;
         let protocol = solution.model().protocol();
-        let admittance = electrode_admittance(solution)?;
+        let admittance = electrode_admittance(solution.transfer_impedance())?;
         let mut stimulations = Vec::new();
         let mut known: HashMap<Vec<u64>, usize> = HashMap::new();
         let mut channels = Vec::with_capacity(protocol.channel_count());
@@ -159,6 +159,27 @@ impl ReadoutCircuit {
         let effective = Protocol::from_patterns(protocol.electrode_count(), stimulations, channels)
             .map_err(|_| CircuitError::Impedance)?;
         Ok(CircuitResponse { voltages, effective })
+    }
+
+    /// Readings of a protocol's channels, volts, signed, on a skin of these transfer impedances between its electrodes
+    /// ([`Solution::transfer_impedance`]), however they were found; otherwise as [`ReadoutCircuit::response`].
+    ///
+    /// # Errors
+    /// As [`ReadoutCircuit::response`].
+    pub fn voltages(
+        &self,
+        protocol: &Protocol,
+        impedance: MatRef<'_, f64>,
+        sheet_conductance_s: f64,
+    ) -> Result<Vec<f64>, EitError> {
+        self.validate(sheet_conductance_s)?;
+        let admittance = electrode_admittance(impedance)?;
+        let read = |channel: usize| -> Result<f64, CircuitError> {
+            let connection = Connection::of(protocol, channel)?;
+            let solved = self.solve(&connection, &admittance, sheet_conductance_s);
+            Ok(solved.ok_or(CircuitError::Floating { channel })?.voltage)
+        };
+        Ok((0..protocol.channel_count()).map(read).collect::<Result<_, CircuitError>>()?)
     }
 
     fn validate(&self, sheet_conductance_s: f64) -> Result<(), CircuitError> {
@@ -269,8 +290,7 @@ fn pair(what: &'static str, channel: usize, pattern: &Pattern) -> Result<(usize,
 }
 
 /// `G`, electrodes x electrodes in siemens: currents into the skin for given electrode potentials. Its rows add to zero.
-fn electrode_admittance(solution: &Solution<'_>) -> Result<Mat<f64>, CircuitError> {
-    let impedance = solution.transfer_impedance();
+fn electrode_admittance(impedance: MatRef<'_, f64>) -> Result<Mat<f64>, CircuitError> {
     let last = impedance.nrows() - 1;
     let factor = impedance.submatrix(0, 0, last, last).llt(Side::Lower).map_err(|_| CircuitError::Impedance)?;
     let inverse = factor.solve(Mat::<f64>::identity(last, last));

@@ -6,7 +6,7 @@ use std::collections::HashMap;
 
 use pulp::{Arch, NullaryFnOnce};
 
-use super::forward::Solution;
+use super::forward::{EitError, Solution};
 use super::protocol::{Pattern, Protocol};
 use super::system::ElementGeometry;
 use crate::mesh::{Mesh, PixelMap};
@@ -65,6 +65,48 @@ impl Solution<'_> {
         Arch::new().dispatch(ToPixels { fields: &fields, map, by_pixel: &mut by_pixel });
         fields.channels_of_pairs(&by_pixel, map.inside_count())
     }
+}
+
+impl Solution<'_> {
+    /// `J' c`: how a weighted sum of the channels changes with the conductivity of every element, without forming J. The
+    /// weighted measuring patterns of a stimulation are one adjoint field, so that this costs as many fields as there are
+    /// stimulations, whatever the number of channels.
+    ///
+    /// # Errors
+    /// [`EitError::ChannelCount`] unless there is one weight a channel.
+    pub fn vjp(&self, cotangent: &[f64]) -> Result<Vec<f64>, EitError> {
+        let protocol = &self.model.protocol;
+        if cotangent.len() != protocol.channel_count() {
+            return Err(EitError::ChannelCount { expected: protocol.channel_count(), got: cotangent.len() });
+        }
+        let mut adjoints: Vec<Vec<(u32, f64)>> = vec![Vec::new(); protocol.stimulations().len()];
+        for (channel, (measurement, weight)) in protocol.measurements().iter().zip(cotangent).enumerate() {
+            let entries = protocol.pattern_of(channel).entries().iter().map(|&(electrode, w)| (electrode, weight * w));
+            adjoints[measurement.stimulation as usize].extend(entries);
+        }
+        let (mesh, geometry) = (&self.model.body.mesh, &self.model.geometry);
+        let mut gradient = vec![0.0; mesh.element_count()];
+        for (stimulation, adjoint) in protocol.stimulations().iter().zip(adjoints) {
+            let (drive, read) = (self.pattern_potentials(stimulation), self.pattern_potentials(&Pattern::new(adjoint)));
+            for (element, sum) in gradient.iter_mut().enumerate() {
+                let (cell, root) = (mesh.element(element), geometry.root(element));
+                let (u, w) = (root_gradient(cell, root, &drive), root_gradient(cell, root, &read));
+                *sum -= u[0] * w[0] + u[1] * w[1] + u[2] * w[2];
+            }
+        }
+        Ok(gradient)
+    }
+}
+
+/// `C' du` of one field in one element, as [`Fields::gradients`] has it.
+fn root_gradient(cell: &[u32], root: &[f64], potentials: &[f64]) -> [f64; 3] {
+    let rise = |corner: usize| potentials[cell[corner] as usize] - potentials[cell[0] as usize];
+    let (a, b) = (rise(1), rise(2));
+    if cell.len() == 3 {
+        return [root[0] * a + root[1] * b, root[2] * b, 0.0];
+    }
+    let c = rise(3);
+    [root[0] * a + root[1] * b + root[3] * c, root[2] * b + root[4] * c, root[5] * c]
 }
 
 /// Loop over blocks of elements, compiled for the vector instructions of the machine.

@@ -38,6 +38,7 @@ fn touch(position_m: [f64; 2]) -> Touch {
         area_m2: 3e-4,
         force: None,
         radius_m: Some(0.01),
+        load: None,
         age_frames: 1,
         begin_time_ns: 0,
         time_ns: 0,

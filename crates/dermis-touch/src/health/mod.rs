@@ -7,8 +7,8 @@
 //! by beyond their noise is a fault of the instrument. Channels without such a partner are compared with what the others
 //! let expect under the linear model, far more generously, since touches are not small.
 
-mod blame;
-mod evidence;
+mod channel_state;
+mod electrode_faults;
 mod monitor;
 mod start;
 mod wiring;

@@ -1,7 +1,7 @@
 //! The monitor: one frame after the other, in memory that it keeps.
 
-use super::blame::Blame;
-use super::evidence::ChannelState;
+use super::channel_state::ChannelState;
+use super::electrode_faults::ElectrodeFaults;
 use super::wiring::Wiring;
 use super::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health, HealthParams};
 use crate::error::{TouchError, require_length};
@@ -24,7 +24,7 @@ pub struct HealthMonitor {
     pub(super) wiring: Wiring,
     pub(super) params: HealthParams,
     pub(super) channels: Vec<ChannelState>,
-    blame: Blame,
+    electrodes: ElectrodeFaults,
     faults: Vec<ChannelFault>,
     electrode_faults: Vec<ElectrodeFault>,
     /// Declared: bad, or using a lost electrode.
@@ -47,7 +47,7 @@ impl HealthMonitor {
     pub fn new(wiring: Wiring, params: HealthParams) -> Self {
         let count = wiring.channel_count();
         Self {
-            blame: Blame::new(&wiring),
+            electrodes: ElectrodeFaults::new(&wiring),
             channels: vec![ChannelState::new(); count],
             faults: Vec::with_capacity(count),
             electrode_faults: Vec::with_capacity(2 * wiring.electrode_count()),
@@ -300,12 +300,12 @@ impl HealthMonitor {
     pub(super) fn conclude(&mut self) {
         let channels = &self.channels;
         let bad = |channel: u32| channels[channel as usize].bad;
-        self.blame.judge(&self.wiring, &self.params, bad, &mut self.electrode_faults);
+        self.electrodes.judge(&self.wiring, &self.params, bad, &mut self.electrode_faults);
         self.excluded.copy_from_slice(&self.declared);
         for (declared, state) in self.declared.iter_mut().zip(&self.channels) {
             *declared = state.bad.is_some();
         }
-        for electrode in (0..self.blame.lost().len()).filter(|&e| self.blame.lost()[e]) {
+        for electrode in (0..self.electrodes.lost().len()).filter(|&e| self.electrodes.lost()[e]) {
             self.wiring.channels_of(electrode as u32).iter().for_each(|&c| self.declared[c as usize] = true);
         }
         self.faults.clear();

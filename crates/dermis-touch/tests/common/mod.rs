@@ -80,6 +80,8 @@ pub fn contact(x_mm: f64, y_mm: f64, strength: ContactStrength) -> Contact {
         strength,
         force: None,
         radius_m: None,
+        model_variance_m2: 0.0,
+        load: None,
     }
 }
 

@@ -8,6 +8,7 @@
 //! along the cut needs none of this ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and holds back by
 //! [`Cut::joining_per_m`].
 
+use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
 
 use super::element::SheetConductance;
@@ -49,6 +50,28 @@ impl Cut {
     /// Distance between its ends, metres.
     pub fn length_m(&self) -> f64 {
         (self.to_m[0] - self.from_m[0]).hypot(self.to_m[1] - self.from_m[1])
+    }
+
+    /// Whether another one has the same ends, whichever comes first.
+    pub fn is_along(&self, other: &Self) -> bool {
+        (self.from_m == other.from_m && self.to_m == other.to_m)
+            || (self.from_m == other.to_m && self.to_m == other.from_m)
+    }
+
+    /// Refuses a cut with an end farther from a skin (its bounding box) than the skin is long.
+    ///
+    /// # Errors
+    /// The end and where it may be.
+    pub fn check_reach(&self, outline: &Outline) -> Result<(), TwinError> {
+        let (low, high) = outline.bounds_m();
+        let reach_m = (high[0] - low[0]).max(high[1] - low[1]);
+        for end in [self.from_m, self.to_m] {
+            if (0..2).any(|axis| end[axis] < low[axis] - reach_m || end[axis] > high[axis] + reach_m) {
+                let expected = "an end no farther from the skin than the skin is long";
+                return Err(TwinError::Place { what: "end of a cut", x_m: end[0], y_m: end[1], expected });
+            }
+        }
+        Ok(())
     }
 
     /// The point at a share of its length, 0 at `from_m` and 1 at `to_m`.

@@ -73,8 +73,8 @@ fn others(number: &Value) -> Vec<Value> {
     }
 }
 
-/// Changes every number of a skin's frontend, one at a time, and asserts that its twin reads otherwise; for those of `bounds`,
-/// that it may be pressed elsewhere.
+/// Changes every number of a skin's frontend and of its readout circuit, one at a time, and asserts that its twin reads
+/// otherwise; for those of `bounds`, that it may be pressed elsewhere.
 fn every_number_counts(mut skin: Skin, press: Press, bounds: &[&str]) {
     skin.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
     let skin = skin.checked().unwrap();
@@ -83,6 +83,7 @@ fn every_number_counts(mut skin: Skin, press: Press, bounds: &[&str]) {
     let file = serde_json::to_value(&skin).unwrap();
     let (mut places, mut ignored) = (Vec::new(), Vec::new());
     numbers(&file["frontend"], "/frontend", &mut places);
+    numbers(&file["backend"]["circuit"], "/backend/circuit", &mut places);
     for place in &places {
         let with = |other: Value| -> Result<bool, String> {
             let mut file = file.clone();
@@ -162,6 +163,30 @@ fn a_sheet_is_made_of_all_numbers_of_its_file() {
     let mut skin = Skin::rectangle("gel", 120.0, 80.0, Layer::Sheet(layer));
     (skin.twin.element_mm, skin.twin.electrode_element_mm) = (Some(6.0), Some(3.0));
     every_number_counts(skin, Press { at_mm: [11.0, -7.0], radius_mm: 10.0, kpa: 30.0 }, &[]);
+}
+
+#[test]
+fn a_readout_circuit_is_made_of_all_numbers_of_its_file() {
+    let layer = SheetLayer { memory: MEMORY, smoothing_mm: Some(2.0), ..SheetLayer::gel(5.0, 0.2) };
+    let mut skin = Skin::rectangle("loaded-gel", 120.0, 80.0, Layer::Sheet(layer));
+    (skin.twin.element_mm, skin.twin.electrode_element_mm) = (Some(8.0), Some(4.0));
+    skin.backend.circuit = Skin::open("hydrogel-disc").unwrap().backend.circuit;
+    every_number_counts(skin, Press { at_mm: [11.0, -7.0], radius_mm: 10.0, kpa: 30.0 }, &[]);
+}
+
+#[test]
+fn a_twin_behind_a_circuit_reads_what_the_model_of_that_circuit_says() {
+    let skin = Skin::open("hydrogel-disc").unwrap();
+    let mut ideal = skin.clone();
+    ideal.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
+    let mut twin = AnyTwin::from_skin(&ideal).unwrap();
+    let mut frame = Vec::new();
+    twin.step(0.0, &mut frame).unwrap();
+    let model = Prepared::new(skin).unwrap().voltages;
+    let largest = model.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    // Another mesh: the readings near the electrodes differ by its elements.
+    let worst = frame.iter().zip(&model).map(|(a, b)| (a - b.abs()).abs()).fold(0.0, f64::max);
+    assert!(worst < 0.05 * largest, "{worst} of {largest}");
 }
 
 #[test]

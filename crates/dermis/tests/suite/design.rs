@@ -114,7 +114,7 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
     (skin.imaging.grid, skin.imaging.elements) = (24, 1000);
     let mut count = [0, 0];
     let mut search = |freed: &[Freedom]| {
-        let search = Search { freed: freed.to_vec(), amplitude: AMPLITUDE, along: 10 };
+        let search = Search { freed: freed.to_vec(), amplitude: AMPLITUDE, along: 10, noise: Noise::Assumed };
         let found = improve(&skin, &search, |done, all| count = [done, all]).unwrap();
         assert_eq!(count[0], count[1], "{freed:?}");
         // What is written is a skin file, and that of the skin that was judged.
@@ -139,7 +139,7 @@ fn electrodes_moved_away_come_back() {
     let mut skin = Skin::open("golfball-tank").unwrap();
     (skin.imaging.grid, skin.imaging.elements) = (24, 1000);
     skin.frontend.electrodes = rim(&skin, |k| if k == 4 { 15.0 } else { 0.0 });
-    let search = Search { freed: vec![Freedom::Electrodes], amplitude: AMPLITUDE, along: 10 };
+    let search = Search { freed: vec![Freedom::Electrodes], amplitude: AMPLITUDE, along: 10, noise: Noise::Assumed };
     let [own, best] = improve(&skin, &search, |_, _| {}).unwrap();
     assert!(best.position_m.worst < own.position_m.worst, "{own:?} {best:?}");
 }
@@ -156,7 +156,7 @@ fn rim(skin: &Skin, off_deg: impl Fn(usize) -> f64) -> dermis::skin::Electrodes 
 fn lists_cannot_be_counted_anew() {
     let mut skin = Skin::open("golfball-tank").unwrap();
     skin.frontend.electrodes = rim(&skin, |_| 0.0);
-    let search = Search { freed: vec![Freedom::Count], amplitude: AMPLITUDE, along: 6 };
+    let search = Search { freed: vec![Freedom::Count], amplitude: AMPLITUDE, along: 6, noise: Noise::Assumed };
     let error = improve(&skin, &search, |_, _| {}).unwrap_err().to_string();
     assert!(error.contains("frontend.electrodes of golfball-tank"), "{error}");
 }

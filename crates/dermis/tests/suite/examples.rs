@@ -7,6 +7,7 @@ use dermis::device::FileSpec;
 use dermis::lab::reconstruct::{Request, reconstruct};
 use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
 use dermis::twin::from_skin::press_range;
+use dermis::twin::mechanics::Indenter;
 
 fn example(name: &str) -> Skin {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../skins/examples/{name}.toml"));
@@ -17,25 +18,23 @@ fn file_spec(path: PathBuf) -> FileSpec {
     path.to_str().unwrap().parse().unwrap()
 }
 
-/// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen as
-/// several.
-fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
+/// Touches in the last of so many frames of each press, millimetres.
+fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<[f64; 2]>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11);
     let request = SampleRequest {
         skin: skin.clone(),
-        presses: places.clone(),
+        presses: presses.to_vec(),
         baseline: at("b.npy"),
         frames: at("f.npy"),
         truth: None,
         seed: Some(2),
-        repeats: 1,
+        repeats,
     };
     sample(&request, |_, _| {}).unwrap();
     let request = Request {
         skin,
-        baseline: file_spec(at("b.npy")),
+        baseline: Some(file_spec(at("b.npy"))),
         frames: file_spec(at("f.npy")),
         format: None,
         calibration: None,
@@ -46,21 +45,59 @@ fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     };
     reconstruct(&request, |_, _| {}).unwrap();
     let text = std::fs::read_to_string(at("t.csv")).unwrap();
-    let mut found: Vec<Vec<[f64; 2]>> = vec![Vec::new(); presses];
+    let mut found: Vec<Vec<[f64; 2]>> = vec![Vec::new(); presses.len()];
     for line in text.lines().skip(1) {
         let cells: Vec<f64> = line.split(',').take(4).map(|cell| cell.parse().unwrap()).collect();
-        found[cells[0] as usize].push([cells[2], cells[3]]);
+        if cells[0] as usize % repeats == repeats - 1 {
+            found[cells[0] as usize / repeats].push([cells[2], cells[3]]);
+        }
     }
+    found
+}
+
+fn distance_mm(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+fn place_mm(indenter: &Indenter) -> [f64; 2] {
+    indenter.centre_m.map(|value| 1e3 * value)
+}
+
+/// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen as
+/// several.
+fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
+    let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11);
+    let found = touches_of(skin, &places, 1);
     let (mut errors, mut missed, mut several) = (Vec::new(), 0, 0);
     for (press, found) in places.iter().zip(&found) {
-        let [x, y] = press[0].centre_m.map(|value| 1e3 * value);
-        let nearest = found.iter().map(|p| (p[0] - x).hypot(p[1] - y)).fold(f64::INFINITY, f64::min);
+        let away = |p: &[f64; 2]| distance_mm(*p, place_mm(&press[0]));
+        errors.push(found.iter().map(away).fold(f64::INFINITY, f64::min));
         missed += usize::from(found.is_empty());
         several += usize::from(found.len() > 1);
-        errors.push(nearest);
     }
     errors.sort_by(f64::total_cmp);
     (errors[presses / 2], missed, several)
+}
+
+/// Of so many pairs of presses a quarter of the longer side apart, those of which both were found, each nearer than half of that.
+fn pairs_found(skin: Skin, pairs: usize) -> usize {
+    let (low, high) = skin.outline().bounds_m();
+    let apart_mm = 0.25e3 * (high[0] - low[0]).max(high[1] - low[1]);
+    let places = random_presses(&skin.outline(), &press_range(&skin), 40 * pairs, 7);
+    let partner = |k: usize| {
+        let fits = |press: &&Vec<Indenter>| {
+            (distance_mm(place_mm(&press[0]), place_mm(&places[k][0])) / apart_mm - 1.0).abs() < 0.03
+        };
+        places.iter().skip(pairs).find(fits)
+    };
+    let presses: Vec<Vec<Indenter>> = (0..pairs).filter_map(|k| Some(vec![places[k][0], partner(k)?[0]])).collect();
+    assert!(presses.len() + 1 >= pairs, "{} pairs", presses.len());
+    let found = touches_of(skin, &presses, 12);
+    let both = |(press, found): &(&Vec<Indenter>, &Vec<[f64; 2]>)| {
+        let near = |k: usize, p: &[f64; 2]| distance_mm(*p, place_mm(&press[k])) < 0.5 * apart_mm;
+        (0..2).all(|k| found.iter().any(|p| near(k, p))) && found.len() >= 2
+    };
+    presses.iter().zip(&found).filter(both).count() + pairs - presses.len()
 }
 
 #[test]
@@ -72,6 +109,14 @@ fn presses_anywhere_are_found_on_every_example() {
         assert!(median <= 0.03 * shorter_mm, "{name}: {median} mm");
         // One in twenty may lie where little is seen.
         assert!(missed <= 1 && several <= 2, "{name}: {missed} missed, {several} seen as several");
+    }
+}
+
+#[test]
+fn two_presses_a_quarter_of_the_longer_side_apart_are_two() {
+    for (name, least) in [("gel-pad", 9), ("l-sandwich", 8), ("fabric-ring", 8), ("liquid-ellipse", 9), ("em-3x4", 9)] {
+        let found = pairs_found(example(name), 10);
+        assert!(found >= least, "{name}: {found} of 10 pairs");
     }
 }
 

@@ -1,5 +1,5 @@
 //! The measured gelatin skin through the public path: reconstruct without labels, calibrate, reconstruct calibrated.
-//! Data: DSHardman/HydrogelEIT in `../shared/data/hydrogel`; positions are used to calibrate where it says so, and to
+//! Data: DSHardman/HydrogelEIT (the set `hydrogel`); positions are used to calibrate where it says so, and to
 //! measure errors.
 
 use dermis::live::calibration::Calibration;
@@ -7,25 +7,17 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use dermis::lab::reconstruct::{Request, reconstruct};
-use dermis::live::calibration::{Pokes, read_pokes};
+use dermis::live::calibration::{CalibratedImager, Pokes, find_circuit, read_pokes, relative_changes};
 use dermis::live::channels::ChannelReader;
 use dermis::live::prepare::Prepared;
-use dermis::skin::Skin;
+use dermis::live::reference::Reference;
+use dermis::skin::{CircuitChoice, Skin};
 use dermis_device::FileSpec;
 
 struct Data {
     before: Vec<Vec<f64>>,
     pressed: Vec<Vec<f64>>,
     pokes: Pokes,
-}
-
-fn folder() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/hydrogel");
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: the hydrogel skin's measurements are not at ../shared/data/hydrogel");
-    None
 }
 
 fn load(folder: &Path) -> Data {
@@ -76,7 +68,7 @@ fn run(data: &Data, test: &[usize], calibration: Option<PathBuf>) -> Outcome {
     write(&path("f.csv"), &test.iter().map(|&i| &data.pressed[i]).collect::<Vec<_>>());
     let request = Request {
         skin: Skin::open("hydrogel-disc").unwrap(),
-        baseline: FileSpec::all(path("b.csv")),
+        baseline: Some(FileSpec::all(path("b.csv"))),
         frames: FileSpec::all(path("f.csv")),
         format: None,
         calibration,
@@ -117,7 +109,7 @@ fn calibrate(data: &Data, train: &[usize], path: &Path) {
 
 #[test]
 fn touches_are_located_without_labels() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = dermis_testdata::set("hydrogel") else { return };
     let data = load(&folder);
     let all: Vec<usize> = (0..data.pressed.len()).collect();
     let outcome = run(&data, &all, None);
@@ -135,7 +127,7 @@ fn touches_are_located_without_labels() {
 /// Every fifth poke is tested, the others train; or every tenth trains (50), a different hundred is tested.
 #[test]
 fn pokes_make_it_precise() {
-    let Some(folder) = folder() else { return };
+    let Some(folder) = dermis_testdata::set("hydrogel") else { return };
     let data = load(&folder);
     let place = tempfile::tempdir().unwrap();
     let test: Vec<usize> = (0..500).filter(|i| i % 5 == 2).collect();
@@ -161,5 +153,53 @@ fn pokes_make_it_precise() {
         // Asked for are 60 to 76 % over many splits; one split of 100 scatters by 5 % about its mean,
         // and with 50 pokes by the choice of the pokes as well.
         assert!(outcome.within.iter().all(|share| (0.5..=0.85).contains(share)), "{:?}", outcome.within);
+    }
+}
+
+/// From a skin file without a circuit: found from the presses themselves, no label taking part.
+#[test]
+fn the_circuit_is_found_from_unknown_presses() {
+    let Some(folder) = dermis_testdata::set("hydrogel") else { return };
+    let data = load(&folder);
+    let mut skin = Skin::open("hydrogel-disc").unwrap();
+    skin.backend.circuit = None;
+    let ignorant = Prepared::new(skin.clone()).unwrap();
+    let all: Vec<usize> = (0..500).collect();
+    let few: Vec<usize> = (0..500).step_by(25).collect();
+    for (rows, is_enough) in [(&all, true), (&few, false)] {
+        let pick = |frames: &[Vec<f64>]| rows.iter().map(|&i| frames[i].clone()).collect::<Vec<_>>();
+        let (before, pressed) = (pick(&data.before), pick(&data.pressed));
+        let changes = relative_changes(&ignorant, &before, &pressed).unwrap();
+        let fit = find_circuit(&ignorant, &changes, |_| {}).unwrap();
+        let mut found = skin.clone();
+        found.backend.circuit = fit.circuit.map(CircuitChoice::Known);
+        let prepared = Prepared::new(found).unwrap();
+        // The finder as `reconstruct` makes it: of these frames, and tested on all.
+        let reference = Reference::of(&prepared, &pick(&data.before)).unwrap();
+        let differences = |rows: &[usize]| -> Vec<Vec<f64>> {
+            rows.iter().map(|&i| reference.difference(&data.pressed[i], Some(&data.before[i]))).collect()
+        };
+        let single = Reference { successive: Vec::new(), ..reference.clone() };
+        let made = CalibratedImager::new(&prepared, None, single, &differences(rows)).unwrap();
+        let mut finder = made.placement.unwrap();
+        let mut errors: Vec<f64> = all
+            .iter()
+            .filter_map(|&i| {
+                let difference = made.reference.difference(&data.pressed[i], Some(&data.before[i]));
+                let [x, y] = finder.place(&difference).unwrap()?.position_m;
+                Some(1e3 * (x - data.pokes.positions_m[i][0]).hypot(y - data.pokes.positions_m[i][1]))
+            })
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        let at = |share: f64| errors[(errors.len() as f64 * share) as usize];
+        println!("{} presses: {fit:?}, {} found, {:.2} / {:.2} mm", rows.len(), errors.len(), at(0.5), at(0.9));
+        assert!(fit.score > fit.score_before + 0.05 && fit.fits(), "{fit:?}");
+        // Twenty presses do not tell which lines are read: that is said, and most places are not found.
+        assert_eq!(fit.is_trusted(), is_enough, "{fit:?}");
+        if is_enough {
+            // Weak presses are left to the image by the finder's threshold.
+            assert!(errors.len() >= 450, "{}", errors.len());
+            assert!(at(0.5) <= 5.0 && at(0.9) <= 10.0, "{} {}", at(0.5), at(0.9));
+        }
     }
 }

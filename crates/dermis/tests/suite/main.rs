@@ -2,26 +2,36 @@
 
 mod allocation;
 mod any_skin;
+mod channel_search;
 mod damage;
 mod design;
 mod doctor;
 mod em;
 mod examples;
+mod five_skins;
 mod forces;
+mod frame_noise;
+mod fuzz;
 mod healing_square;
 mod health;
 mod hostile;
 mod hydrogel;
 mod ionic;
 mod learning;
+#[allow(dead_code, reason = "the tests of streams use the rest of it")]
+#[path = "../../../dermis-device/tests/own_clock/mod.rs"]
+mod own_clock;
 mod piezo;
 mod recording;
 mod reliability;
 mod reproduce;
 mod rerun;
 mod served_twin;
+mod session;
+mod sigmas;
 mod spots;
 mod tanks;
+mod teaching;
 mod twin_faults;
 
 /// A skin file's text with these lines in its table of the twin.

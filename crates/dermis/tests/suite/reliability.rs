@@ -133,6 +133,7 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
     let options = StreamOptions {
         patience: LIMIT,
         silence: Duration::from_millis(300),
+        frame: LIMIT,
         first_wait: Duration::from_millis(2),
         longest_wait: Duration::from_millis(10),
         queue: 4096,

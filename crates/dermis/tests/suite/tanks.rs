@@ -1,5 +1,5 @@
 //! Four tanks measured by others, from file to images and touches by the same call as `dermis reconstruct`. The data are
-//! not part of this repository; without them the tests say so and pass.
+//! not part of this repository; without them the tests count as skipped.
 
 mod golfball;
 mod ktc;
@@ -14,14 +14,9 @@ use dermis::lab::reconstruct::{Report, Request, reconstruct};
 use dermis::skin::Skin;
 use dermis_device::FileSpec;
 
-/// A file or directory of the measured data, if it is there.
-pub(crate) fn measured(path: &str) -> Option<PathBuf> {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data").join(path);
-    if data.exists() {
-        return Some(data);
-    }
-    println!("skipped: measured data is missing at ../shared/data/{path}");
-    None
+/// A file or folder of a set of measured data, if the set is there; otherwise the test counts as skipped.
+pub(crate) fn measured(set: &str, path: &str) -> Option<PathBuf> {
+    Some(dermis_testdata::set(set)?.join(path))
 }
 
 /// One row of a table of touches.
@@ -68,7 +63,7 @@ pub(crate) fn run_with(skin: Skin, baseline: FileSpec, frames: FileSpec) -> Outc
     let (touches, images) = (folder.path().join("t.csv"), folder.path().join("i.npy"));
     let request = Request {
         skin,
-        baseline,
+        baseline: Some(baseline),
         frames,
         format: None,
         calibration: None,

@@ -21,7 +21,17 @@ fn broken(faults: &str) -> Skin {
 }
 
 /// Runs so many frames of a skin's twin through acquisition and pipeline; the frames' numbers and raw channels.
-fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>, AcquisitionCounters) {
+fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>) {
+    let (numbers, raw, _) = run_until(skin, frames, |_| true);
+    (numbers, raw)
+}
+
+/// The same, and what the acquisition has counted when its queue is full and the counts are as expected, or after a minute.
+fn run_until(
+    skin: &Skin,
+    frames: usize,
+    is_expected: impl Fn(&AcquisitionCounters) -> bool,
+) -> (Vec<u64>, Vec<Vec<f64>>, AcquisitionCounters) {
     let (source, _commands) = TwinSource::new(skin).unwrap();
     let layout = Layout::Channels { count: skin.protocol().unwrap().channel_count() };
     let mut pipeline = Pipeline::new(Prepared::new(skin.clone()).unwrap(), &layout, None).unwrap();
@@ -38,17 +48,16 @@ fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>, AcquisitionCount
             other => panic!("{other:?} after {} frames", numbers.len()),
         }
     }
-    // The thread runs ahead until its queue is full: its counts then stand still.
-    let mut counters = acquisition.counters();
-    for _ in 0..100 {
-        std::thread::sleep(Duration::from_millis(20));
-        let now = acquisition.counters();
-        if now == counters && acquisition.waiting() == QUEUE {
+    // The thread runs ahead until its queue is full and one frame more waits for room: its counts then stand still.
+    for _ in 0..3000 {
+        if acquisition.waiting() == QUEUE && is_expected(&acquisition.counters()) {
             break;
         }
-        counters = now;
+        std::thread::sleep(Duration::from_millis(20));
     }
-    (numbers, raw, counters)
+    // Counts that go on are seen to be wrong.
+    std::thread::sleep(Duration::from_millis(20));
+    (numbers, raw, acquisition.counters())
 }
 
 #[test]
@@ -71,14 +80,15 @@ fn dropped_and_repeated_frames_are_counted_exactly() {
         }
     }
     let count = 100;
-    let (numbers, _, counters) = run(&skin, count);
+    // The source runs ahead by the queue of four and the frame that waits for room, and then stands.
+    let expected = (lost_before[count + 4], repeated_before[count + 4]);
+    let (numbers, _, counters) = run_until(&skin, count, |counters| (counters.lost, counters.repeated) == expected);
     assert_eq!(numbers, delivered[..count]);
     // The gaps in the numbers are the frames lost.
     let gaps = numbers.windows(2).map(|pair| pair[1] - pair[0] - 1).sum::<u64>() + numbers[0];
     assert_eq!(gaps, lost_before[count - 1]);
     assert!(gaps > 5 && repeated_before[count - 1] > 3, "{gaps} {}", repeated_before[count - 1]);
-    // The source has run ahead by the queue of four and the frame that waits for room, and then stands.
-    assert_eq!((counters.lost, counters.repeated), (lost_before[count + 4], repeated_before[count + 4]));
+    assert_eq!((counters.lost, counters.repeated), expected);
     assert_eq!((counters.dropped, counters.bad), (0, 0));
 }
 
@@ -88,8 +98,8 @@ fn an_open_electrode_comes_and_goes_in_its_time() {
     let skin = broken("{ open_electrodes = [5], from_s = 1.39, until_s = 1.45 }");
     let sound = broken("");
     let protocol = skin.protocol().unwrap();
-    let (numbers, raw, _) = run(&skin, 38);
-    let (_, expected, _) = run(&sound, 38);
+    let (numbers, raw) = run(&skin, 38);
+    let (_, expected) = run(&sound, 38);
     assert_eq!(numbers, (0..38).collect::<Vec<u64>>());
     for frame in 0..38 {
         let changed: Vec<usize> = (0..208).filter(|&k| raw[frame][k] != expected[frame][k]).collect();
@@ -113,9 +123,9 @@ fn complex_and_rectified_readings_come_to_the_same_channels() {
             builtin_text("healing-square").unwrap().replace("[backend]", &format!("[backend]\nreads = \"{reads}\""));
         Skin::parse(&crate::with_twin(&text, &format!("phase_error_deg = {phase_deg:.1}")), "a test").unwrap()
     };
-    let (_, signed, _) = run(&skin("signed", 0.0), 33);
-    let (_, complex, _) = run(&skin("complex", 30.0), 33);
-    let (_, magnitude, _) = run(&skin("magnitude", 30.0), 33);
+    let (_, signed) = run(&skin("signed", 0.0), 33);
+    let (_, complex) = run(&skin("complex", 30.0), 33);
+    let (_, magnitude) = run(&skin("magnitude", 30.0), 33);
     let largest = signed[32].iter().fold(0.0_f64, |most, v| most.max(v.abs()));
     for channel in 0..208 {
         // In phase with the baseline the complex reading has its whole size; noise is 3e-4 of the largest channel.

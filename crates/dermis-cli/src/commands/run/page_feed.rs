@@ -8,6 +8,10 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use crate::page::{
+    Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
+    TouchView, Update,
+};
 use dermis::device::acquire::AcquisitionCounters;
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
@@ -15,10 +19,6 @@ use dermis::live::prepare::Prepared;
 use dermis::record::RecorderStatus;
 use dermis::skin::Bend;
 use dermis::twin::PressRange;
-use dermis_cli::page::{
-    Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
-    TouchView, Update,
-};
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_tomo::mesh::{Contact, Outline};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
@@ -71,6 +71,11 @@ impl PageFeed {
     /// What the page is to show.
     pub fn update(&self) -> &Update {
         &self.update
+    }
+
+    /// The twin shows touches by itself, or not.
+    pub fn demonstrate(&mut self, demonstrates: bool) {
+        self.update.state.demonstrates = demonstrates;
     }
 
     /// Takes over one frame's results.

@@ -4,30 +4,36 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
-use dermis::lab::twin_source::{TwinCommand, TwinSource};
 use dermis::live::calibration::Calibration;
 use dermis::live::forces::parse_forces;
-use dermis::live::pipeline::Pipeline;
+use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
 use dermis::live::prepare::Prepared;
-use dermis::record::{Recording, RecordingHead, Replay};
+use dermis::record::{Recording, RecordingHead, is_recording, read_frames};
 use dermis::skin::Skin;
-use dermis::twin::PressRange;
-use dermis_device::stream::{StreamOptions, StreamSource};
-use dermis_device::{Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire};
+use dermis::source::{OpenedSource, SourceOptions, TwinControl, open_source};
+use dermis_device::{FileSpec, Format, Source, SourceSelector};
 
+use super::super::skin_word::SkinWord;
+use super::super::{busy, hint};
 use crate::exit::UsageError;
 
 /// The arguments that say which frames, of which skin, read by which calibrations.
 #[derive(clap::Args)]
 pub struct InputArguments {
-    /// Built-in skin or skin file.
-    #[arg(default_value = "healing-square", value_name = "SKIN")]
-    skin: String,
+    #[command(flatten)]
+    skin: SkinWord,
     /// Where frames come from: twin, a file (a recording .mcap, or anything that `reconstruct` reads), tcp:HOST:PORT,
-    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that send
-    /// just numbers.
+    /// serial:PORT[@BAUD] or serial:VID:PID[:SERIAL]. After a port, #lines or #floats:CHANNELS for instruments that
+    /// send just numbers.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
+    /// Frames of the untouched skin, of the source's own file for instance. Without them the first 32 frames are taken
+    /// for it.
+    #[arg(long, value_name = "FILE[#FRAMES]")]
+    baseline: Option<FileSpec>,
+    /// Format of files of frames (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
+    #[arg(long)]
+    format: Option<Format>,
     /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
     #[arg(long)]
     as_set: bool,
@@ -45,13 +51,27 @@ pub struct InputArguments {
 impl InputArguments {
     /// Opens the source, its pipeline, and what a recording of it says at its beginning.
     pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
-        let opened = open(&self.source, &self.skin, self.speed, self.as_set)?;
-        let (pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
+        let skin = self.skin.or("healing-square")?;
+        // What is wrong with a file is said before the work of preparing a skin.
+        let baseline = self.baseline.as_ref().map(|spec| read_frames(spec, self.format)).transpose()?;
+        let busy = busy(format!("preparing {skin}"));
+        let options = SourceOptions { speed: self.speed, as_set: self.as_set, format: self.format };
+        let opened = open(&self.source, &skin, &options)?;
+        let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
+        match &baseline {
+            Some(table) => pipeline.set_baseline(table)?,
+            None if opened.is_file => hint(&format!(
+                "the first {TARE_FRAMES} frames of {} are taken for the untouched skin; --baseline FILE[#FRAMES] names others",
+                opened.source.name()
+            )),
+            None => {}
+        }
+        busy.finish();
         Ok((opened, pipeline, head))
     }
 }
 
-/// A source and what goes with it.
+/// A source, the skin that its frames are of, and what goes with it.
 pub struct Opened {
     /// The skin that the frames are of.
     pub skin: Skin,
@@ -61,6 +81,8 @@ pub struct Opened {
     pub twin: Option<TwinControl>,
     /// A file may be held up, and a twin without pace; an instrument may not.
     pub wait: bool,
+    /// It is a table of frames, or a recording, and ends.
+    pub is_file: bool,
 }
 
 impl Opened {
@@ -91,81 +113,43 @@ impl Opened {
     }
 }
 
-/// How a running twin is pressed.
-pub struct TwinControl {
-    /// Where commands go.
-    pub commands: crossbeam_channel::Sender<TwinCommand>,
-    /// What people may press with.
-    pub press: PressRange,
-    /// What the twin has to say.
-    pub notices: crossbeam_channel::Receiver<String>,
+/// Opens what `--source` names.
+///
+/// # Errors
+/// As [`open_of`].
+pub fn open(selector: &str, skin_name: &str, options: &SourceOptions) -> anyhow::Result<Opened> {
+    open_of(selector, &|name| super::skin(name.unwrap_or(skin_name)), options)
 }
 
-/// Opens what `--source` names. An instrument on the wire is set to the skin file's protocol and current, unless it shall stay
-/// `as_set`.
-pub fn open(selector: &str, skin_name: &str, speed: f64, as_set: bool) -> anyhow::Result<Opened> {
+/// As [`open`], of the skin that `find` makes of the name in the selector, or of none where it has no name. A recording is
+/// of the skin that is in it, and a twin of the one in its name.
+///
+/// # Errors
+/// A selector that names nothing, a skin or source that cannot be opened.
+pub fn open_of(
+    selector: &str,
+    find: &dyn Fn(Option<&str>) -> anyhow::Result<Skin>,
+    options: &SourceOptions,
+) -> anyhow::Result<Opened> {
+    let speed = options.speed;
     if !(speed >= 0.0 && speed.is_finite()) {
-        return Err(
-            UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")).into()
-        );
+        let text = format!("--speed {speed}: expected 0 (as fast as possible) or a positive number");
+        return Err(UsageError(text).into());
     }
-    if selector == "twin" {
-        let skin = super::skin(skin_name)?;
-        let (source, commands) = TwinSource::new(&skin)?;
-        let twin = Some(TwinControl { commands, press: source.press_range(), notices: source.notices() });
-        // Asked for as fast as possible, a twin waits for whoever takes its frames.
-        let wait = speed == 0.0;
-        let source = if wait { source.unpaced() } else { source };
-        return Ok(Opened { skin, source: Box::new(source), twin, wait });
-    }
-    let pacing = |rate: Option<f64>| match (speed, rate) {
-        (0.0, _) => Pacing::Immediate,
-        (_, None) => Pacing::Recorded,
-        (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
-    };
-    match selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
-        SourceSelector::Twin { name } => open("twin", name.as_deref().unwrap_or(skin_name), speed, as_set),
-        SourceSelector::File(spec) if spec.path.extension().is_some_and(|extension| extension == "mcap") => {
+    let selector = selector.parse::<SourceSelector>().map_err(dermis::Error::from)?;
+    let skin = match &selector {
+        SourceSelector::Twin { name } => find(name.as_deref())?,
+        SourceSelector::File(spec) if is_recording(&spec.path) => {
             let recording = Recording::open(&spec.path)?;
-            let file = spec.path.display().to_string();
-            let skin = Skin::parse_any_version(&recording.head().skin_toml, &file)?;
-            let replay = Replay::new(recording, pacing(None), Repeat::Once).map_err(dermis::Error::from)?;
-            Ok(Opened { skin, source: Box::new(replay), twin: None, wait: true })
+            Skin::parse_any_version(&recording.head().skin_toml, &spec.path.display().to_string())?
         }
-        SourceSelector::File(spec) => {
-            let skin = super::skin(skin_name)?;
-            let table = dermis_device::read(&spec, None).map_err(dermis::Error::from)?;
-            let rate = match table.times_s() {
-                Some(_) if speed == 1.0 => None,
-                _ => Some(skin.backend.frames_per_s.unwrap_or(20.0)),
-            };
-            let playback = Playback::new(table, pacing(rate), Repeat::Once).map_err(dermis::Error::from)?;
-            Ok(Opened { skin, source: Box::new(playback), twin: None, wait: true })
-        }
-        live => {
-            let skin = super::skin(skin_name)?;
-            let source = open_live(&live, &skin, as_set)?;
-            tracing::info!("{live}: {}", source.identity().unwrap_or_default());
-            Ok(Opened { skin, source: Box::new(source), twin: None, wait: false })
-        }
-    }
-}
-
-/// Opens an instrument. One on the wire is set to what the skin file says, as far as it can be, unless it shall stay `as_set`.
-fn open_live(selector: &SourceSelector, skin: &Skin, as_set: bool) -> anyhow::Result<StreamSource> {
-    let options = StreamOptions::default();
-    let on_the_wire = matches!(
-        selector,
-        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
-            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
-    );
-    let opened = if on_the_wire && !as_set {
-        let setup = super::super::device::orders_of(skin)?;
-        open_wire(selector, options, setup, true).map(|(source, _)| source)
-    } else {
-        open_stream(selector, options)
+        _ => find(None)?,
     };
-    Ok(opened.map_err(dermis::Error::from)?)
+    // The twin that was named is the skin's own.
+    let is_twin = matches!(selector, SourceSelector::Twin { .. });
+    let selector = if is_twin { SourceSelector::Twin { name: None } } else { selector };
+    let OpenedSource { source, twin, waits: wait, is_file } = open_source(&selector, &skin, options)?;
+    Ok(Opened { skin, source, twin, wait, is_file })
 }
 
 /// Asks the desktop to show the page; without a desktop nothing happens.

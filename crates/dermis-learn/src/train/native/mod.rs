@@ -9,7 +9,7 @@ mod sample;
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::{Batch, Descent};
+use super::Batch;
 use crate::LearnError;
 use crate::kernels::{pool, pool_back, repeat, repeat_back};
 use crate::shape::{TensorSpec, UNetShape};
@@ -198,8 +198,9 @@ impl NativeUNet {
     }
 }
 
-impl Descent for NativeUNet {
-    fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
+impl NativeUNet {
+    /// One step of Adam on a batch; the loss before it.
+    pub(super) fn step(&mut self, batch: &Batch<'_>, rate: f64) -> f64 {
         let loss = self.slopes(batch);
         self.steps += 1;
         let steps = self.steps;
@@ -207,7 +208,8 @@ impl Descent for NativeUNet {
         loss
     }
 
-    fn tensors(&self) -> Result<Tensors, LearnError> {
+    /// The weights as they are now.
+    pub(super) fn tensors(&self) -> Result<Tensors, LearnError> {
         let mut tensors = Tensors::default();
         let specs = self.shape.tensors();
         let (of_layers, of_head) = specs.split_at(specs.len() - 2);
@@ -225,7 +227,8 @@ impl Descent for NativeUNet {
         Ok(tensors)
     }
 
-    fn moments(&self) -> Result<Tensors, LearnError> {
+    /// Adam's moments, as `first.NAME` and `second.NAME`.
+    pub(super) fn moments(&self) -> Result<Tensors, LearnError> {
         let mut tensors = Tensors::default();
         let specs = self.shape.tensors();
         let (of_layers, of_head) = specs.split_at(specs.len() - 2);

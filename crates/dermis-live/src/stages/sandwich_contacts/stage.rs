@@ -271,6 +271,8 @@ impl PatchStage {
                 strength,
                 force: None,
                 radius_m: Some(patch.radius_m),
+                model_variance_m2: 0.0,
+                load: None,
             }
         }));
         contacts.retain(|contact| contact.amplitude >= self.rule.smallest_amplitude);

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use dermis_touch::damage::{Damage, DamageState};
 
-use super::{Number, push_since};
+use super::number::{Number, push_since};
 use dermis_live::stages::damage::DamageView;
 
 /// Appends what is known of damage, if there is anything to tell. Suspicions are not told.

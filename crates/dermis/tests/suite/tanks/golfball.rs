@@ -9,7 +9,7 @@ fn error_mm(rows: &[Row], x_mm: f64, y_mm: f64) -> f64 {
 // Measured: 3.9 mm at the centre, 8.3 mm at (0, 70) mm; of the pair 8.5 and 13.8 mm.
 #[test]
 fn balls_are_found_where_they_hang() {
-    let Some(file) = measured("golfball/phantom_A.csv") else { return };
+    let Some(file) = measured("golfball", "phantom_A.csv") else { return };
     for (frame, balls, limit_mm) in [
         ("setup2", vec![(0.0, 0.0)], 10.0),
         ("setup3", vec![(0.0, 70.0)], 15.0),

@@ -61,7 +61,7 @@ fn assert_no_holes(outcome: &Outcome) {
 // Measured: 0.928, 0.943, 0.940, 0.749; mean 0.890.
 #[test]
 fn refined_images_show_the_phantoms() {
-    let Some(directory) = measured("ktc") else { return };
+    let Some(directory) = measured("ktc", "") else { return };
     let file = directory.join("voltages.csv");
     let outcome = run("ktc-tank", chosen(&file, "ref"), chosen(&file, FRAMES));
     let found = correlations(&directory, &outcome);
@@ -74,7 +74,7 @@ fn refined_images_show_the_phantoms() {
 // Measured: 0.827, 0.886, 0.870, 0.767; mean 0.838.
 #[test]
 fn linear_images_are_good_enough_too() {
-    let Some(directory) = measured("ktc") else { return };
+    let Some(directory) = measured("ktc", "") else { return };
     let file = directory.join("voltages.csv");
     let mut skin = Skin::open("ktc-tank").unwrap();
     skin.imaging.refinement = None;
@@ -116,7 +116,7 @@ fn without_electrodes(directory: &Path, lost: &[u32], refined: bool) -> (Vec<f64
 // (0.780), scattered 0.866 (0.822).
 #[test]
 fn lost_electrodes_leave_images() {
-    let Some(directory) = measured("ktc") else { return };
+    let Some(directory) = measured("ktc", "") else { return };
     let consecutive = |count: u32| (1..=count).collect::<Vec<_>>();
     let scattered_8 = vec![2, 5, 11, 12, 18, 23, 27, 30];
     let scattered_12 = vec![2, 4, 7, 10, 12, 15, 19, 20, 24, 26, 30, 32];

@@ -44,7 +44,7 @@ fn check(name: &str, folder: &str, outcome: &Outcome) {
 // Measured: within 0.31 of a pitch for every object of every file, no ghost among the touches.
 #[test]
 fn metal_and_plastic_lie_at_their_electrodes() {
-    let Some(directory) = measured("pyeidors-tank") else { return };
+    let Some(directory) = measured("pyeidors-tank", "") else { return };
     let mut files = 0;
     for folder in std::fs::read_dir(directory).unwrap().flatten() {
         for file in std::fs::read_dir(folder.path()).unwrap().flatten().map(|entry| entry.path()) {

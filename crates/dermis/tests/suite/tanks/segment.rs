@@ -40,7 +40,7 @@ fn scores(directory: &Path, level: u32, model: Option<&Model>) -> Vec<f64> {
 // Measured: 0.661, 0.772, 0.882, 0.832; all levels are in the chapter on learning.
 #[test]
 fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
-    let Some(directory) = measured("ktc") else { return };
+    let Some(directory) = measured("ktc", "") else { return };
     let found = scores(&directory, 7, None);
     let mean = found.iter().sum::<f64>() / 4.0;
     println!("ktc level 7: {found:.3?} mean {mean:.3}");
@@ -51,7 +51,7 @@ fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
 // on simulations alone.
 #[test]
 fn the_network_segments_the_phantoms_with_all_electrodes_and_without_twelve() {
-    let Some(directory) = measured("ktc") else { return };
+    let Some(directory) = measured("ktc", "") else { return };
     let model = built_in("ktc-tank").unwrap().unwrap();
     for (level, least) in [(1, 0.90), (7, 0.78)] {
         let found = scores(&directory, level, Some(&model));

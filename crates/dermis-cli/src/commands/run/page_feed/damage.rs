@@ -1,7 +1,7 @@
 //! Damage and baselines as the page lists them.
 
+use crate::page::{BaselineRow, DamageRow, DamageView, ProposalView};
 use dermis::live::stages::damage::DamageView as Known;
-use dermis_cli::page::{BaselineRow, DamageRow, DamageView, ProposalView};
 use dermis_touch::ReferenceOrigin;
 
 use super::MM;

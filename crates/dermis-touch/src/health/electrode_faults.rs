@@ -9,13 +9,13 @@ const FEWEST: usize = 3;
 
 /// Judges electrodes in memory of its own.
 #[derive(Debug, Clone)]
-pub(super) struct Blame {
+pub(super) struct ElectrodeFaults {
     lost: Vec<bool>,
     before: Vec<bool>,
     explained: Vec<bool>,
 }
 
-impl Blame {
+impl ElectrodeFaults {
     pub fn new(wiring: &Wiring) -> Self {
         let electrodes = wiring.electrode_count();
         Self {

@@ -1,0 +1,88 @@
+//! `dermis order`: which order the numbers of an unknown file are in, as the lines of a skin file.
+
+use std::io::Write;
+
+use dermis::lab::channel_search::{FoundOrder, OrderCandidate, find_order};
+use dermis::record::read_frames;
+use dermis::skin::Skin;
+use dermis_device::{FileSpec, Format};
+
+use super::skin_word::SkinWord;
+use super::{print_json, spinner};
+use crate::exit::Outcome;
+
+const EXAMPLE: &str = "\
+Examples:
+  dermis order healing-square --baseline rest.csv
+  dermis order healing-square --baseline 'rest.csv#0..1' --json
+
+Compares frames of the untouched skin with what the skin's model would read under every protocol that gives as many numbers:
+drives and measurements of every distance, with and without driven electrodes, either sign, lists that begin elsewhere, run
+backwards or rotate with the drive, and electrodes counted from another one or the other way round. The first is written as
+lines for [backend] in the skin file. Without a SKIN, discs with evenly spaced electrodes are tried.
+Exit code 1: nothing fits, or no candidate stands out.";
+
+/// Arguments of `dermis order`.
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLE)]
+pub struct Arguments {
+    #[command(flatten)]
+    skin: SkinWord,
+    /// Frames of the untouched skin.
+    #[arg(long, value_name = "FILE[#FRAMES]")]
+    baseline: FileSpec,
+    /// Format of the file (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
+    #[arg(long)]
+    format: Option<Format>,
+    /// Print JSON instead of text.
+    #[arg(long)]
+    json: bool,
+}
+
+impl Arguments {
+    /// Searches, and says what fits.
+    pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let skin = self.skin.given()?.map(|name| Skin::open(&name)).transpose()?;
+        let table = read_frames(&self.baseline, self.format)?;
+        let spinner = spinner("comparing orders");
+        let found = find_order(&table, skin.as_ref());
+        spinner.finish_and_clear();
+        let found = found?;
+        if self.json {
+            print_json(&found, out)?;
+        } else {
+            print(&found, out)?;
+        }
+        Ok(if found.is_clear { Outcome::Done } else { Outcome::ProblemsFound })
+    }
+}
+
+fn print(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(out, "{} readings, mean of {} frames", found.readings, found.frames)?;
+    writeln!(out, "{}", found.verdict())?;
+    let Some(best) = found.candidates.first() else { return Ok(()) };
+    print_lines(best, out)?;
+    writeln!(out, "{:>11} {:>7}  order", "correlation", "score")?;
+    for candidate in &found.candidates {
+        writeln!(out, "{:>11.4} {:>7.4}  {}", candidate.correlation, candidate.score, candidate.description)?;
+    }
+    Ok(())
+}
+
+/// What other commands say of a file in another order than the skin's: in a sentence, and as lines to write.
+pub(super) fn print_order(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
+    writeln!(out, "order of the channels: {}", found.verdict())?;
+    found.candidates.first().map_or(Ok(()), |best| print_lines(best, out))
+}
+
+fn print_lines(best: &OrderCandidate, out: &mut dyn Write) -> std::io::Result<()> {
+    if best.same > 0 {
+        let same = best.same;
+        writeln!(
+            out,
+            "{same} other ways to count this body's electrodes and lists give the same numbers; a press decides"
+        )?;
+    }
+    writeln!(out, "\n# for [backend] of the skin file, {} electrodes", best.electrodes)?;
+    writeln!(out, "{}", best.lines())
+}

@@ -1,0 +1,58 @@
+//! SKIN, in the same place in every command: the first word. `--skin`, as some commands had it, is understood as well.
+
+use dermis::skin::Skin;
+
+use crate::exit::UsageError;
+
+/// Which skin, where one may be named.
+#[derive(clap::Args)]
+pub(super) struct SkinWord {
+    /// Built-in skin or skin file.
+    #[arg(value_name = "SKIN")]
+    skin: Option<String>,
+    /// As SKIN; for scripts written for earlier versions.
+    #[arg(long = "skin", value_name = "SKIN", hide = true)]
+    option: Option<String>,
+}
+
+impl SkinWord {
+    /// What was given.
+    ///
+    /// # Errors
+    /// Two skins.
+    pub fn given(&self) -> Result<Option<String>, UsageError> {
+        if let Some(option) = &self.option {
+            if let Some(word) = &self.skin {
+                return Err(UsageError(format!("{word} and --skin {option}: expected one skin, as the first word")));
+            }
+            super::hint(&format!("--skin {option} is the first word now, without --skin"));
+        }
+        Ok(self.skin.clone().or_else(|| self.option.clone()))
+    }
+
+    /// The skin, which must be given.
+    ///
+    /// # Errors
+    /// Two skins, none, or one that cannot be read.
+    pub fn open(&self) -> anyhow::Result<Skin> {
+        super::run::skin(&self.needed()?)
+    }
+
+    /// What was given, or a default.
+    ///
+    /// # Errors
+    /// Two skins.
+    pub fn or(&self, default: &str) -> Result<String, UsageError> {
+        Ok(self.given()?.unwrap_or_else(|| default.to_owned()))
+    }
+
+    /// What was given.
+    ///
+    /// # Errors
+    /// Two skins, or none.
+    pub fn needed(&self) -> Result<String, UsageError> {
+        let expected =
+            "SKIN is missing: expected a built-in skin (`dermis skins list`) or a skin file as the first word";
+        self.given()?.ok_or_else(|| UsageError(expected.into()))
+    }
+}

@@ -1,0 +1,68 @@
+//! Signals that ask the command to end. Until something is under way that has to be finished, the first one ends the process
+//! at once; from then on the first lets it finish, and the second ends it within a second: recordings are made whole even if
+//! the rest of the process is busy or stuck.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Mutex, Once, PoisonError};
+use std::time::Duration;
+
+use dermis::record::RecordingStop;
+
+/// What a shell expects of a command that was interrupted.
+const INTERRUPTED: i32 = 130;
+/// For recordings to be made whole after the second signal.
+const LAST_WORDS: Duration = Duration::from_millis(800);
+
+static INSTALLED: Once = Once::new();
+static RAISED: AtomicBool = AtomicBool::new(false);
+static IS_UNDER_WAY: AtomicBool = AtomicBool::new(false);
+static SIGNALS: AtomicU32 = AtomicU32::new(0);
+static RECORDINGS: Mutex<Vec<RecordingStop>> = Mutex::new(Vec::new());
+
+/// Nothing is under way: a process that runs a second command begins it as the first one.
+pub fn reset() {
+    IS_UNDER_WAY.store(false, Ordering::SeqCst);
+    RAISED.store(false, Ordering::SeqCst);
+    SIGNALS.store(0, Ordering::SeqCst);
+}
+
+/// From here on the first signal is a wish, which the caller looks for in what is returned. Commands that never come here
+/// leave the signals to the process. Where the system refuses them, they end the process as they always do.
+pub fn begin() -> &'static AtomicBool {
+    IS_UNDER_WAY.store(true, Ordering::SeqCst);
+    INSTALLED.call_once(|| {
+        if let Err(error) = ctrlc::set_handler(on_signal) {
+            tracing::debug!("signals end the process at once: {error}");
+        }
+    });
+    &RAISED
+}
+
+/// This recording is to be made whole whatever happens.
+pub fn protect(recording: RecordingStop) {
+    let mut recordings = RECORDINGS.lock().unwrap_or_else(PoisonError::into_inner);
+    recordings.retain(|other| !other.has_ended());
+    recordings.push(recording);
+}
+
+fn on_signal() {
+    let signals = SIGNALS.fetch_add(1, Ordering::SeqCst) + 1;
+    if !IS_UNDER_WAY.load(Ordering::SeqCst) {
+        // Nothing has been written that is not whole.
+        std::process::exit(INTERRUPTED);
+    }
+    RAISED.store(true, Ordering::SeqCst);
+    if signals < 2 {
+        return;
+    }
+    // A lock that is held by a stuck thread must not hold up the end.
+    let recordings = RECORDINGS.try_lock().map(|all| all.clone()).unwrap_or_default();
+    recordings.iter().for_each(RecordingStop::ask);
+    let until = std::time::Instant::now() + LAST_WORDS;
+    for recording in &recordings {
+        if !recording.wait(until.saturating_duration_since(std::time::Instant::now())) {
+            eprintln!("error: a recording was not made whole in time; `dermis recover` makes it so");
+        }
+    }
+    std::process::exit(INTERRUPTED);
+}

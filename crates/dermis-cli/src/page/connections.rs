@@ -1,0 +1,210 @@
+//! Connections before they are pages: whoever opens one and does not send a whole request head in time is cut off, and where
+//! all places are taken the one that has been silent longest gives its place up.
+
+use std::collections::VecDeque;
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::serve::Listener;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::oneshot;
+use tokio::time::{Instant, Sleep, sleep};
+
+/// What ends a request's head.
+const HEAD_END: &[u8] = b"\r\n\r\n";
+/// What begins the answer after which a connection is a page's socket.
+const SWITCHED: &[u8] = b"HTTP/1.1 101";
+
+/// A listener whose connections are bounded in number and in time.
+pub(super) struct Bounded {
+    inner: TcpListener,
+    most: usize,
+    patience: Duration,
+    open: Arc<AtomicUsize>,
+    /// Connections in the order they came.
+    waiting: VecDeque<Waiting>,
+}
+
+/// A connection that may still have to send a head.
+struct Waiting {
+    /// A whole request has come.
+    is_known: Arc<AtomicBool>,
+    give_up: oneshot::Sender<()>,
+}
+
+impl Bounded {
+    /// At most so many connections, each with so much time for the head of a request.
+    pub fn new(inner: TcpListener, most: usize, patience: Duration) -> Self {
+        Self { inner, most: most.max(1), patience, open: Arc::default(), waiting: VecDeque::new() }
+    }
+
+    /// Makes room where all places are taken; false where nobody can be asked to go.
+    fn make_room(&mut self) -> bool {
+        self.waiting.retain(|waiting| !waiting.give_up.is_closed());
+        if self.open.load(Ordering::Relaxed) < self.most {
+            return true;
+        }
+        let silent = self.waiting.iter().position(|waiting| !waiting.is_known.load(Ordering::Relaxed));
+        let silent = silent.and_then(|index| self.waiting.remove(index));
+        silent.is_some_and(|waiting| waiting.give_up.send(()).is_ok())
+    }
+}
+
+impl Listener for Bounded {
+    type Io = Connection;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Connection, SocketAddr) {
+        loop {
+            match self.inner.accept().await {
+                // All places are held by pages: whoever comes now is sent away without a word.
+                Ok(_) if !self.make_room() => {}
+                Ok((stream, from)) => {
+                    if let Err(error) = stream.set_nodelay(true) {
+                        tracing::debug!("a connection keeps its delay: {error}");
+                    }
+                    let is_known = Arc::new(AtomicBool::new(false));
+                    let (give_up, asked_to_go) = oneshot::channel();
+                    self.waiting.push_back(Waiting { is_known: is_known.clone(), give_up });
+                    self.open.fetch_add(1, Ordering::Relaxed);
+                    let connection = Connection {
+                        stream,
+                        state: State::Head { seen: 0 },
+                        until: Box::pin(sleep(self.patience)),
+                        patience: self.patience,
+                        asked_to_go: Some(asked_to_go),
+                        is_known,
+                        open: self.open.clone(),
+                    };
+                    return (connection, from);
+                }
+                // No descriptors left, or a connection that has gone already: neither ends the server.
+                Err(error) => {
+                    tracing::debug!("a connection failed: {error}");
+                    sleep(Duration::from_millis(50)).await;
+                }
+            }
+        }
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.inner.local_addr()
+    }
+}
+
+/// Where a connection stands.
+#[derive(Clone, Copy, PartialEq)]
+enum State {
+    /// A request's head is awaited; so many bytes of its end have come.
+    Head { seen: usize },
+    /// A head has come and is being answered.
+    Answering,
+    /// A page's socket, which has rules of its own.
+    Socket,
+}
+
+/// A connection with a deadline for the head of every request.
+pub(super) struct Connection {
+    stream: TcpStream,
+    state: State,
+    until: Pin<Box<Sleep>>,
+    patience: Duration,
+    asked_to_go: Option<oneshot::Receiver<()>>,
+    is_known: Arc<AtomicBool>,
+    open: Arc<AtomicUsize>,
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.open.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Connection {
+    fn expects_head(&mut self) {
+        self.state = State::Head { seen: 0 };
+        self.until.as_mut().reset(Instant::now() + self.patience);
+    }
+
+    /// Whether it has been too long, or another needs the place.
+    fn is_over(&mut self, context: &mut Context<'_>) -> bool {
+        if !matches!(self.state, State::Head { .. }) {
+            return false;
+        }
+        // A listener that has gone asks nobody to go.
+        if let Some(asked) = &mut self.asked_to_go
+            && let Poll::Ready(asked) = Pin::new(asked).poll(context)
+        {
+            self.asked_to_go = None;
+            if asked.is_ok() {
+                return true;
+            }
+        }
+        self.until.as_mut().poll(context).is_ready()
+    }
+
+    fn read(&mut self, bytes: &[u8]) {
+        let State::Head { mut seen } = self.state else { return };
+        for byte in bytes {
+            seen = match (*byte == HEAD_END[seen], *byte) {
+                (true, _) => seen + 1,
+                (false, b'\r') => 1,
+                _ => 0,
+            };
+            if seen == HEAD_END.len() {
+                self.state = State::Answering;
+                self.is_known.store(true, Ordering::Relaxed);
+                return;
+            }
+        }
+        self.state = State::Head { seen };
+    }
+
+    fn written(&mut self, bytes: &[u8]) {
+        match self.state {
+            State::Answering if bytes.starts_with(SWITCHED) => self.state = State::Socket,
+            State::Answering | State::Head { .. } => self.expects_head(),
+            State::Socket => {}
+        }
+    }
+}
+
+impl AsyncRead for Connection {
+    fn poll_read(self: Pin<&mut Self>, context: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        if this.is_over(context) {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        let before = buffer.filled().len();
+        let outcome = Pin::new(&mut this.stream).poll_read(context, buffer);
+        let bytes = buffer.filled()[before..].to_vec();
+        this.read(&bytes);
+        outcome
+    }
+}
+
+impl AsyncWrite for Connection {
+    fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let this = self.get_mut();
+        let outcome = Pin::new(&mut this.stream).poll_write(context, bytes);
+        if let Poll::Ready(Ok(_)) = outcome {
+            this.written(bytes);
+        }
+        outcome
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
+    }
+}

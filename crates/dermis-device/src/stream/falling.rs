@@ -1,0 +1,34 @@
+//! What goes on happening is said at once, and then ever more rarely: the 1st, 2nd, 4th, 8th ... time.
+
+/// Counts how often the same was to be said. Texts that differ in numbers alone are the same.
+#[derive(Debug, Default)]
+pub(super) struct Falling {
+    said: String,
+    times: u64,
+}
+
+impl Falling {
+    /// How often this has come by now, where that is to be said.
+    pub fn count(&mut self, text: &str) -> Option<u64> {
+        let words: String = text.chars().filter(|c| !c.is_ascii_digit()).collect();
+        if words != self.said {
+            (self.said, self.times) = (words, 0);
+        }
+        self.times += 1;
+        self.times.is_power_of_two().then_some(self.times)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_is_said_ever_more_rarely_and_something_else_at_once() {
+        let mut falling = Falling::default();
+        let told = (0..1000).filter(|k| falling.count(&format!("silent for {k} s")).is_some()).count();
+        assert_eq!(told, 10);
+        assert_eq!(falling.count("connection refused"), Some(1));
+        assert_eq!(falling.count("silent for 2.0 s"), Some(1));
+    }
+}

@@ -1,0 +1,102 @@
+//! Skins side by side on equal terms: one instrument, and the same time for a frame of each. What it has for a reading
+//! is then in proportion to one over the number of readings, so that the noise power of a reading is in proportion to
+//! that number: more electrodes are not better for nothing. All bounds grow with the noise alike, so which skin is
+//! better does not depend on how much noise is assumed.
+
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+
+use super::{Noise, Summary};
+use crate::Error;
+
+/// Bounds closer than this share are equal: meshes differ by as much.
+const EQUAL: f64 = 0.1;
+
+/// One instrument for several skins.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SharedInstrument {
+    /// Noise of a reading of a frame with [`Self::readings`].
+    pub noise: Noise,
+    /// Readings of a frame for which that noise holds.
+    pub readings: usize,
+}
+
+impl SharedInstrument {
+    /// The instrument of a skin, as [`Noise`] has it; what the skin file assumes becomes volts, the same for every
+    /// channel.
+    ///
+    /// # Errors
+    /// A skin whose model has no voltages.
+    pub fn of(prepared: &Prepared, noise: Noise) -> Result<Self, Error> {
+        let noise = match noise {
+            Noise::Assumed => {
+                let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
+                Noise::Volts(reference.noise.iter().copied().fold(0.0, f64::max))
+            }
+            stated => stated,
+        };
+        Ok(Self { noise, readings: prepared.channels() })
+    }
+
+    /// Its noise on another skin, at the same time for a frame.
+    pub fn noise_of(&self, prepared: &Prepared) -> Noise {
+        let longer = prepared.channels() as f64 / self.readings as f64;
+        match self.noise {
+            Noise::Volts(volts) => Noise::Volts(volts * longer.sqrt()),
+            Noise::Decibels(db) => Noise::Decibels(db - 10.0 * longer.log10()),
+            Noise::Assumed => Noise::Assumed,
+        }
+    }
+}
+
+/// Which of several skins places touches best, in a sentence: by the bound on the position at the worst place, and
+/// whether the median place says the same. `None` for fewer than two.
+pub fn verdict(skins: &[(&str, Summary)]) -> Option<String> {
+    let best_by = |of: fn(&Summary) -> f64| skins.iter().min_by(|a, b| of(&a.1).total_cmp(&of(&b.1)));
+    let (name, best) = best_by(|summary| summary.worst).filter(|_| skins.len() > 1)?;
+    let mut others: Vec<&(&str, Summary)> = skins.iter().filter(|(other, _)| other != name).collect();
+    others.sort_by(|a, b| a.1.worst.total_cmp(&b.1.worst));
+    let next = others.first()?;
+    let millimetres = 1e3 * best.worst;
+    if next.1.worst < (1.0 + EQUAL) * best.worst {
+        let equal: Vec<&str> =
+            others.iter().filter(|other| other.1.worst < (1.0 + EQUAL) * best.worst).map(|other| other.0).collect();
+        return Some(format!(
+            "{name} and {} place touches equally well at their worst places, to {millimetres:.3} mm within 10 %",
+            equal.join(", ")
+        ));
+    }
+    let times: Vec<String> = others
+        .iter()
+        .map(|(other, summary)| format!("{:.1} times better than {other}", summary.worst / best.worst))
+        .collect();
+    let (at_median, median) = best_by(|summary| summary.median)?;
+    let agrees = if at_median == name || best.median < (1.0 + EQUAL) * median.median {
+        "; at the median place too".to_string()
+    } else {
+        format!("; at the median place {at_median} is better")
+    };
+    Some(format!("{name} places touches best: to {millimetres:.3} mm at its worst place, {}{agrees}", times.join(", ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn summary(worst: f64, median: f64) -> Summary {
+        Summary { worst, median, best: median }
+    }
+
+    #[test]
+    fn verdicts_name_the_best_or_say_that_there_is_none() {
+        assert_eq!(verdict(&[("a", summary(1e-3, 1e-3))]), None);
+        let text = verdict(&[("a", summary(2e-3, 1e-3)), ("b", summary(1e-3, 0.5e-3)), ("c", summary(3e-3, 2e-3))]);
+        let said = "b places touches best: to 1.000 mm at its worst place, 2.0 times better than a, 3.0 times better than c; \
+                    at the median place too";
+        assert_eq!(text.as_deref(), Some(said));
+        let text = verdict(&[("a", summary(2e-3, 0.5e-3)), ("b", summary(1e-3, 1e-3))]).unwrap();
+        assert!(text.ends_with("; at the median place a is better"), "{text}");
+        let text = verdict(&[("a", summary(1.05e-3, 1e-3)), ("b", summary(1e-3, 1e-3))]).unwrap();
+        assert!(text.starts_with("b and a place touches equally well"), "{text}");
+    }
+}

@@ -1,0 +1,341 @@
+//! Finds what a readout does to the potentials (loads of its lines, what a reading is made of) from frames of unknown
+//! touches. The score of a circuit is the median correlation of frames with the best of its touch templates, once each
+//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part.
+//!
+//! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear,
+//! `J = sum_ab I_a K_b J_ab`, with J_ab of one unit current from electrode 0 to a, read between 0 and b. The J_ab are
+//! computed once, and every circuit costs one product of matrices.
+
+use dermis_skin::{Circuit, CircuitChoice, Polarity};
+use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, Solution};
+use dermis_tomo::inverse::{
+    CalibrationOptions, LEAST_CALIBRATION_FRAMES, SelfCalibration, TouchEffect, TouchTemplates,
+};
+use faer::Mat;
+
+use super::self_calibrated::{RIM_SIZES, places_off_the_rim};
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::{Reference, check_frames};
+
+/// Below this score the model is doubted: another circuit, another order or another layout.
+pub const TRUSTED_SCORE: f64 = 0.75;
+/// A circuit that reads other lines must score less by this. On a measured skin, 500 presses tell them apart by 0.023 and choose
+/// well; 20 presses by 0.002, and choose lines that place worse.
+pub const CLEAR_BY: f64 = 0.01;
+/// A circuit must beat what the file has by this much to take its place.
+const LEAST_GAIN: f64 = 0.005;
+/// At most so many frames take part in the search; all judge what it ends with.
+const SEARCH_FRAMES: usize = 150;
+/// Most channels and electrodes that are searched for: the products of electrodes are kept for every place.
+const MOST_CHANNELS: usize = 2048;
+const MOST_ELECTRODES: usize = 64;
+/// At most so many places.
+const MOST_PLACES: usize = 700;
+/// Readings to begin with: weights of the positive, the negative and the sink line.
+const READINGS: [[f64; 3]; 8] = [
+    [1.0, -1.0, 0.0],
+    [-0.5, 1.0, -0.5],
+    [1.0, -0.5, -0.5],
+    [0.5, 0.5, -1.0],
+    [1.0, 0.0, -1.0],
+    [0.0, 1.0, -1.0],
+    [1.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0],
+];
+/// Loads of connected and idle lines to begin with.
+const LOADS: [[f64; 2]; 5] = [[0.1, 0.03], [0.5, 0.15], [2.0, 0.5], [0.5, 0.01], [0.1, 0.1]];
+/// So many of these are improved, in steps of the logarithm of loads and of the direction of readings, halved so often.
+const IMPROVED: usize = 3;
+const LOAD_STEP: f64 = 0.8;
+const READING_STEP: f64 = 0.3;
+const HALVINGS: usize = 3;
+/// Frames that change less than this part of what most do show no touch.
+const LEAST_CHANGE: f64 = 0.1;
+/// Loads stay within these bounds.
+const LOAD_BOUNDS: [f64; 2] = [1e-3, 1e2];
+
+/// What was found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CircuitFit {
+    /// The best circuit; `None` where an ideal voltmeter explains the frames as well.
+    pub circuit: Option<Circuit>,
+    /// Its score on all frames.
+    pub score: f64,
+    /// The score of the skin file's own circuit, or of an ideal voltmeter where it has none.
+    pub score_before: f64,
+    /// The best score of a circuit that reads other lines: how clear the choice is.
+    pub runner_up: Option<(Circuit, f64)>,
+    /// Frames that took part.
+    pub frames: usize,
+    /// Circuits tried.
+    pub tried: usize,
+}
+
+impl CircuitFit {
+    /// Whether the frames look like single touches on the model at all.
+    pub fn fits(&self) -> bool {
+        self.score >= TRUSTED_SCORE
+    }
+
+    /// Whether no circuit that reads other lines fits nearly as well.
+    pub fn is_clear(&self) -> bool {
+        self.runner_up.is_none_or(|(_, score)| self.score - score >= CLEAR_BY)
+    }
+
+    /// Whether the circuit is to be relied on: it fits, and no other does.
+    pub fn is_trusted(&self) -> bool {
+        self.fits() && self.is_clear()
+    }
+}
+
+/// Relative changes `(v - v_0) / mean(v_0)` of frames against their own baselines (as many) or the mean of all; of
+/// successive baselines where there are no frames.
+///
+/// # Errors
+/// Frames of another length, or too few of them.
+pub fn relative_changes(
+    prepared: &Prepared,
+    baselines: &[Vec<f64>],
+    frames: &[Vec<f64>],
+) -> Result<Vec<Vec<f64>>, Error> {
+    let reference = Reference::of(prepared, baselines)?;
+    let divided = |difference: Vec<f64>| -> Vec<f64> {
+        difference.iter().zip(&reference.baseline).map(|(d, b)| if *b == 0.0 { f64::NAN } else { d / b }).collect()
+    };
+    if frames.is_empty() {
+        return Ok(reference.successive.iter().cloned().map(divided).collect());
+    }
+    check_frames("pressed", frames, prepared.channels())?;
+    let paired = baselines.len() == frames.len() && frames.len() > 1;
+    let change = |(i, frame): (usize, &Vec<f64>)| {
+        let rest = if paired { &baselines[i] } else { &reference.baseline };
+        divided(frame.iter().zip(rest).map(|(f, b)| f - b).collect())
+    };
+    Ok(frames.iter().enumerate().map(change).collect())
+}
+
+/// Frames whose change is large enough to be a touch, relative to the larger ones.
+fn touched(frames: &[Vec<f64>]) -> Vec<&Vec<f64>> {
+    let size = |frame: &Vec<f64>| {
+        let finite: Vec<f64> = frame.iter().copied().filter(|v| v.is_finite()).map(f64::abs).collect();
+        finite.iter().sum::<f64>() / finite.len().max(1) as f64
+    };
+    let sizes: Vec<f64> = frames.iter().map(size).collect();
+    let mut sorted = sizes.clone();
+    sorted.sort_by(f64::total_cmp);
+    let large = sorted.get(sorted.len() * 9 / 10).copied().unwrap_or(0.0);
+    frames.iter().zip(&sizes).filter(|(_, size)| **size > LEAST_CHANGE * large).map(|(frame, _)| frame).collect()
+}
+
+/// Searches for the circuit under which the frames (relative changes, see [`relative_changes`]) look most like single
+/// touches. `progress` is told how many circuits were tried.
+///
+/// # Errors
+/// A skin without electrodes in pairs, with too many of them, or too few frames.
+pub fn find_circuit(
+    prepared: &Prepared,
+    frames: &[Vec<f64>],
+    mut progress: impl FnMut(usize),
+) -> Result<CircuitFit, Error> {
+    let refuse = |what: &str, expected: String, got: String| Err(Error::Frames { what: what.into(), expected, got });
+    let (electrodes, channels) = (prepared.protocol.electrode_count(), prepared.channels());
+    let name = &prepared.skin.name;
+    if prepared.skin.frontend.coils.is_some() || !prepared.skin.backend.wiring.is_known() {
+        return refuse("finding the circuit", "a skin of electrodes of known wiring".into(), format!("skin {name}"));
+    }
+    if electrodes > MOST_ELECTRODES || channels > MOST_CHANNELS {
+        let expected = format!("at most {MOST_ELECTRODES} electrodes and {MOST_CHANNELS} channels");
+        return refuse("finding the circuit", expected, format!("{electrodes} and {channels}"));
+    }
+    let frames: &[Vec<f64>] = &touched(frames).into_iter().cloned().collect::<Vec<_>>();
+    if frames.len() < LEAST_CALIBRATION_FRAMES {
+        let expected = format!("at least {LEAST_CALIBRATION_FRAMES}, of touches at different places");
+        return refuse("frames to find the circuit from", expected, frames.len().to_string());
+    }
+    let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
+    let sigma = vec![prepared.skin.sheet_conductance_s(); prepared.body.mesh.mesh.element_count()];
+    let solution = model.solve(&sigma)?;
+    let count = frames.len().min(SEARCH_FRAMES);
+    let some: Vec<Vec<f64>> = (0..count).map(|i| frames[i * frames.len() / count].clone()).collect();
+    let mut judge = Judge { prepared, solution: &solution, products: Products::new(prepared, &sigma)?, tried: 0 };
+    let mut score = |circuit: Option<&Circuit>| {
+        let score = judge.score(circuit, &some);
+        progress(judge.tried);
+        score
+    };
+    let mut begun: Vec<(f64, Point)> = Vec::new();
+    for reading in READINGS {
+        let tries = LOADS.map(|[load, idle]| Point { load, idle, reading: unit(reading) });
+        let scored = tries.map(|point| (score(Some(&point.circuit())), point));
+        // One of each kind of reading is kept, so that the search does not begin thrice at one place.
+        begun.extend(scored.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
+    }
+    begun.sort_by(|a, b| b.0.total_cmp(&a.0));
+    begun.truncate(IMPROVED);
+    let mut improved: Vec<(f64, Point)> = begun.iter().map(|start| climb(*start, &mut score)).collect();
+    improved.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let best = improved[0].1;
+    let other = improved.iter().skip(1).find(|(_, point)| dot(point.reading, best.reading).abs() < 0.9);
+    let own = match &prepared.skin.backend.circuit {
+        Some(CircuitChoice::Known(circuit)) => Some(*circuit),
+        _ => None,
+    };
+    let score_before = judge.score(own.as_ref(), frames);
+    let ideal = if own.is_some() { judge.score(None, frames) } else { score_before };
+    let found = judge.score(Some(&best.circuit()), frames);
+    let runner_up = other.map(|(_, point)| (point.circuit(), judge.score(Some(&point.circuit()), frames)));
+    let candidates = [(own, score_before), (None, ideal), (Some(best.circuit()), found - LEAST_GAIN)];
+    let winner = candidates.iter().fold(candidates[0], |best, next| if next.1 > best.1 { *next } else { best });
+    let score = if winner.0 == Some(best.circuit()) { found } else { winner.1 };
+    Ok(CircuitFit { circuit: winner.0, score, score_before, runner_up, frames: frames.len(), tried: judge.tried })
+}
+
+/// A circuit on its way.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    load: f64,
+    idle: f64,
+    /// Of unit length.
+    reading: [f64; 3],
+}
+
+impl Point {
+    /// Rounded to three digits, as it stands in a file; the largest weight is 1.
+    fn circuit(self) -> Circuit {
+        let round = |v: f64| if v == 0.0 { 0.0 } else { format!("{v:.2e}").parse().unwrap_or(v) };
+        let largest = self.reading.iter().fold(0.0, |most: f64, w| if w.abs() > most.abs() { *w } else { most });
+        let reading = self.reading.map(|w| (1e3 * w / largest).round() / 1e3);
+        Circuit { load: round(self.load), idle: round(self.idle), reading }
+    }
+
+    /// Its neighbours at a share of the first steps.
+    fn neighbours(self, share: f64) -> Vec<Self> {
+        let mut all = Vec::with_capacity(10);
+        for sign in [1.0, -1.0] {
+            let factor = (sign * share * LOAD_STEP).exp();
+            let bounded = |v: f64| v.clamp(LOAD_BOUNDS[0], LOAD_BOUNDS[1]);
+            all.push(Self { load: bounded(factor * self.load), ..self });
+            all.push(Self { idle: bounded(factor * self.idle), ..self });
+            for axis in 0..3 {
+                let mut reading = self.reading;
+                reading[axis] += sign * share * READING_STEP;
+                if dot(reading, reading) > 1e-6 {
+                    all.push(Self { reading: unit(reading), ..self });
+                }
+            }
+        }
+        all
+    }
+}
+
+/// Goes to better neighbours as long as there are any, in ever smaller steps.
+fn climb(start: (f64, Point), score: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
+    let mut best = start;
+    for halving in 0..=HALVINGS {
+        let share = 0.5_f64.powi(halving as i32);
+        for _ in 0..3 {
+            let before = best.0;
+            for next in best.1.neighbours(share) {
+                let reached = score(Some(&next.circuit()));
+                if reached > best.0 {
+                    best = (reached, next);
+                }
+            }
+            if best.0 <= before {
+                break;
+            }
+        }
+    }
+    best
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn unit(v: [f64; 3]) -> [f64; 3] {
+    let length = dot(v, v).sqrt();
+    v.map(|w| w / length)
+}
+
+/// What scores circuits.
+struct Judge<'a> {
+    prepared: &'a Prepared,
+    solution: &'a Solution<'a>,
+    products: Products,
+    tried: usize,
+}
+
+impl Judge<'_> {
+    /// The score of a circuit, of an ideal voltmeter for `None`; that of nothing at all for one that cannot be.
+    fn score(&mut self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> f64 {
+        self.tried += 1;
+        self.calibrate(circuit, frames).map_or(-1.0, |calibration| calibration.score())
+    }
+
+    fn calibrate(&self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> Result<SelfCalibration, Error> {
+        let conductance = self.prepared.skin.sheet_conductance_s();
+        let (voltages, templates) = match circuit {
+            None => (self.solution.voltages(), self.products.templates(&self.prepared.protocol)?),
+            Some(circuit) => {
+                let response = circuit.readout().response(self.solution, conductance)?;
+                (response.voltages, self.products.templates(&response.effective)?)
+            }
+        };
+        let options = CalibrationOptions { effect: touch_effect(self.prepared), ..CalibrationOptions::default() };
+        Ok(SelfCalibration::fit(&templates, &voltages, frames, options)?)
+    }
+}
+
+/// What a touch of this skin does.
+pub(super) fn touch_effect(prepared: &Prepared) -> TouchEffect {
+    match prepared.skin.imaging.polarity {
+        Polarity::LowersConductivity => TouchEffect::LowersConductivity,
+        Polarity::RaisesConductivity => TouchEffect::RaisesConductivity,
+    }
+}
+
+/// Templates of unit currents from electrode 0 to a, read between 0 and b: what every circuit's templates are sums of.
+struct Products {
+    electrodes: usize,
+    /// (electrodes - 1)^2 rows, a-major, by places.
+    rows: Mat<f64>,
+    places_m: Vec<[f64; 2]>,
+}
+
+impl Products {
+    fn new(prepared: &Prepared, sigma: &[f64]) -> Result<Self, Error> {
+        let electrodes = prepared.protocol.electrode_count();
+        let others = 1..electrodes as u32;
+        let stimulations: Vec<Pattern> = others.clone().map(|a| Pattern::pair(a, 0, 1.0)).collect();
+        let channels = (0..stimulations.len())
+            .flat_map(|stimulation| others.clone().map(move |b| (Pattern::pair(b, 0, 1.0), stimulation)))
+            .collect();
+        let protocol = Protocol::from_patterns(electrodes, stimulations, channels)
+            .map_err(|source| Error::Protocol { skin: prepared.skin.name.clone(), source })?;
+        let model = ForwardModel::new(prepared.body.mesh.clone(), protocol)?;
+        let jacobian = model.solve(sigma)?.jacobian_to_pixels(&prepared.map);
+        let size = prepared.skin.touch.relative_size * prepared.half_width_m();
+        let places = places_off_the_rim(prepared, RIM_SIZES * size);
+        let step = places.len().div_ceil(MOST_PLACES).max(1);
+        let places_m: Vec<[f64; 2]> = places.into_iter().step_by(step).collect();
+        let pixels = prepared.map.inside_centres_m();
+        let templates = TouchTemplates::blurred(jacobian.as_mat(), &pixels, &places_m, size)?;
+        Ok(Self { electrodes, rows: templates.matrix().to_owned(), places_m })
+    }
+
+    /// The templates of a protocol's channels.
+    fn templates(&self, protocol: &Protocol) -> Result<TouchTemplates, Error> {
+        let others = self.electrodes - 1;
+        let mut shares = Mat::<f64>::zeros(protocol.channel_count(), others * others);
+        for channel in 0..protocol.channel_count() {
+            for &(a, current) in protocol.stimulation_of(channel).entries().iter().filter(|entry| entry.0 > 0) {
+                for &(b, weight) in protocol.pattern_of(channel).entries().iter().filter(|entry| entry.0 > 0) {
+                    shares[(channel, (a as usize - 1) * others + b as usize - 1)] += current * weight;
+                }
+            }
+        }
+        Ok(TouchTemplates::new(&shares * &self.rows, self.places_m.clone())?)
+    }
+}

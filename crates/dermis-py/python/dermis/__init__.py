@@ -1,0 +1,102 @@
+"""Tomographic tactile skins: design, simulate, run and record them.
+
+A *skin file* describes a conductive sheet with its electrodes and the instrument that reads it. From it follow a forward
+model (:meth:`Skin.model`), a digital twin (:class:`Twin`), and a pipeline from frames to touches (:class:`Pipeline`,
+:func:`open`).
+
+>>> import dermis
+>>> skin = dermis.Skin("healing-square")
+>>> skin.model().voltages().shape
+(208,)
+
+SI units inside; every name says its unit where it is another. The frame of a skin: x to the right, y up, seen from the
+toucher. Images have row 0 at the top (+y) and NaN outside the skin.
+"""
+
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
+from . import errors
+from ._dermis import (
+    Calibration,
+    Frame,
+    Grid,
+    Maps,
+    Model,
+    Network,
+    Pipeline,
+    Recording,
+    Result,
+    Session,
+    Skin,
+    Twin,
+    __version__,
+    calibrate,
+    design,
+    open,
+    read_frames,
+)
+from ._order import Order, find_order
+from ._tables import touch_dtype
+from .errors import (
+    Error,
+    FileError,
+    InputError,
+    InternalError,
+    SessionError,
+    SkinError,
+    SolverError,
+    SourceError,
+)
+
+if _TYPE_CHECKING:
+    from . import eit, jax, mit, plot, ray, torch
+
+__all__ = [
+    "Calibration",
+    "Error",
+    "FileError",
+    "Frame",
+    "Grid",
+    "InputError",
+    "InternalError",
+    "Maps",
+    "Model",
+    "Network",
+    "Order",
+    "Pipeline",
+    "Recording",
+    "Result",
+    "Session",
+    "SessionError",
+    "Skin",
+    "SkinError",
+    "SolverError",
+    "SourceError",
+    "Twin",
+    "__version__",
+    "calibrate",
+    "design",
+    "errors",
+    "find_order",
+    "open",
+    "read_frames",
+    "touch_dtype",
+]
+
+_SUBMODULES = ("eit", "jax", "mit", "plot", "ray", "torch")
+
+
+def __getattr__(name: str):
+    if name in _SUBMODULES:
+        return _import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *_SUBMODULES])
+
+
+def _model_of(skin: Skin) -> Model:
+    """A model that was pickled: of its skin."""
+    return skin.model()

@@ -1,0 +1,198 @@
+"""Electrical impedance tomography on your own meshes: the parts of :class:`dermis.Model`, one by one.
+
+Meshes are triangles (flat, or a surface in space) or tetrahedra. Electrodes are sets of edges, faces or elements under the
+complete electrode model, or points. Signs and units are those of EIDORS: current counted into the body, ``J = dv/dsigma``;
+on a flat mesh conductivities are sheet conductances (S), contact impedances ohm.m on edges and ohm.m^2 on elements.
+
+>>> import numpy as np
+>>> from dermis import eit
+>>> nodes = [[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]]
+>>> mesh = eit.Mesh(nodes, [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+>>> points = [eit.Electrode.point(node) for node in range(4)]
+>>> model = eit.ForwardModel(mesh, points, eit.Protocol.adjacent(4))
+>>> model.voltages(np.ones(4)).shape
+(4,)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ._dermis import Electrode, ForwardModel, Mesh, Operator, Prior, Protocol, greit_figures
+from .errors import InputError
+
+__all__ = [
+    "Electrode",
+    "ForwardModel",
+    "Mesh",
+    "Operator",
+    "Prior",
+    "Protocol",
+    "greit_figures",
+    "mesh_from",
+    "points",
+    "protocol_from_pyeit",
+    "pyeidors_model",
+    "pyeit_model",
+    "ring_electrodes",
+]
+
+
+def points(nodes: Any) -> list[Electrode]:
+    """Point electrodes at these nodes, in order."""
+    return [Electrode.point(int(node)) for node in np.asarray(nodes).ravel()]
+
+
+def mesh_from(mesh: Any) -> Mesh:
+    """A mesh from another package's.
+
+    Parameters
+    ----------
+    mesh : object
+        A ``meshio.Mesh`` (``points`` and ``cells``; tetrahedra are taken where there are some, triangles otherwise), a
+        ``pyeit`` mesh (``node``, ``element``), an EIDORS or PyEIDORS ``fwd_model`` (``nodes``, ``elems`` from 1 or from
+        0), or a dictionary with such keys. Nodes that no element uses are left out.
+
+    Returns
+    -------
+    Mesh
+        Its nodes are numbered as before where every node is used.
+    """
+    nodes, elements = _arrays_of(mesh)
+    return Mesh(*_used(nodes, elements))
+
+
+def _get(mesh: Any, *names: str) -> Any:
+    for name in names:
+        value = mesh.get(name) if isinstance(mesh, dict) else getattr(mesh, name, None)
+        if value is not None:
+            return value
+    return None
+
+
+def _arrays_of(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    nodes = _get(mesh, "points", "node", "nodes")
+    cells = _get(mesh, "cells_dict")
+    if nodes is not None and cells is not None:
+        for kind in ("tetra", "triangle"):
+            if len(cells.get(kind, ())):
+                return _flat(np.asarray(nodes, float), np.asarray(cells[kind], np.int64))
+        raise InputError(f"mesh: expected cells of kind tetra or triangle, got {', '.join(cells) or 'none'}")
+    elements = _get(mesh, "element", "elements", "elems")
+    if nodes is None or elements is None:
+        raise InputError(
+            "mesh: expected points and cells (meshio), node and element (pyEIT), or nodes and elems (EIDORS, "
+            f"PyEIDORS), got {type(mesh).__name__}"
+        )
+    nodes, elements = np.asarray(nodes, float), np.asarray(elements, np.int64)
+    if elements.ndim == 2 and elements.size and elements.min() == 1 and elements.max() == len(nodes):
+        elements = elements - 1
+    return _flat(nodes, elements)
+
+
+def _flat(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Drops a third coordinate that triangles do not need."""
+    if nodes.ndim == 2 and nodes.shape[1] == 3 and elements.ndim == 2 and elements.shape[1] == 3:
+        if len(nodes) and np.ptp(nodes[:, 2]) == 0.0:
+            nodes = nodes[:, :2]
+    return nodes, elements
+
+
+def _used(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if nodes.ndim != 2 or elements.ndim != 2 or not elements.size:
+        return nodes, elements
+    used = np.unique(elements)
+    if used[0] < 0 or used[-1] >= len(nodes) or len(used) == len(nodes):
+        return nodes, elements
+    number = np.zeros(len(nodes), np.int64)
+    number[used] = np.arange(len(used))
+    return nodes[used], number[elements]
+
+
+def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:
+    """The protocol of a ``pyeit`` protocol object.
+
+    pyEIT drives +1 into ``ex_mat[:, 0]`` and -1 into ``ex_mat[:, 1]``, and reads the potential of ``meas_mat[:, 0]`` less
+    that of ``meas_mat[:, 1]``; in ``meas_mat``'s third column, where there is one, is the stimulation.
+    """
+    drives = np.asarray(protocol.ex_mat, np.int64)
+    reads = np.asarray(protocol.meas_mat, np.int64)
+    if reads.ndim == 3:
+        of = np.repeat(np.arange(reads.shape[0]), reads.shape[1])
+        reads = reads.reshape(-1, reads.shape[2])
+    else:
+        of = reads[:, 2]
+    count = int(getattr(protocol, "n_el", 1 + max(drives.max(), reads[:, :2].max())))
+    stimulations = np.zeros((len(drives), count))
+    rows = np.arange(len(drives))
+    np.add.at(stimulations, (rows, drives[:, 0]), amplitude_a)
+    np.add.at(stimulations, (rows, drives[:, 1]), -amplitude_a)
+    measurements = np.zeros((len(reads), count))
+    rows = np.arange(len(reads))
+    np.add.at(measurements, (rows, reads[:, 0]), 1.0)
+    np.add.at(measurements, (rows, reads[:, 1]), -1.0)
+    return Protocol(stimulations, measurements, of)
+
+
+def pyeit_model(mesh: Any, protocol: Any, amplitude_a: float = 1.0) -> ForwardModel:
+    """The forward model of a ``pyeit`` mesh and protocol, with pyEIT's own point electrodes (``el_pos``)."""
+    nodes, elements = _arrays_of(mesh)
+    return ForwardModel(Mesh(nodes, elements), points(mesh.el_pos), protocol_from_pyeit(protocol, amplitude_a))
+
+
+def pyeidors_model(fwd_model: Any) -> ForwardModel:
+    """The forward model of an EIDORS or PyEIDORS ``fwd_model``.
+
+    Electrodes are the boundary faces between each one's ``nodes`` (a point where there is one node), with its
+    ``z_contact``; stimulations are ``stimulation[i].stim_pattern`` (A) and ``.meas_pattern``. Indices count from 1 where
+    the largest is the number of nodes, as EIDORS writes them.
+    """
+    nodes, elements = _arrays_of(fwd_model)
+    mesh = Mesh(nodes, elements)
+    one_based = int(np.asarray(_get(fwd_model, "elems", "elements"), np.int64).max()) == len(nodes)
+    boundary = mesh.boundary_faces.astype(np.int64)
+    electrodes = []
+    for electrode in _get(fwd_model, "electrode", "electrodes"):
+        members = np.asarray(_get(electrode, "nodes"), np.int64).ravel() - int(one_based)
+        if len(members) == 1:
+            electrodes.append(Electrode.point(int(members[0])))
+            continue
+        faces = boundary[np.isin(boundary, members).all(axis=1)]
+        impedance = float(_get(electrode, "z_contact"))
+        make = Electrode.edges if faces.shape[1] == 2 else Electrode.faces
+        electrodes.append(make(faces, impedance))
+    stimulations, measurements, of = [], [], []
+    for number, stimulation in enumerate(_get(fwd_model, "stimulation", "stimulations")):
+        stimulations.append(_dense(_get(stimulation, "stim_pattern")).ravel())
+        rows = np.atleast_2d(_dense(_get(stimulation, "meas_pattern")))
+        measurements.extend(rows)
+        of.extend([number] * len(rows))
+    return ForwardModel(mesh, electrodes, Protocol(stimulations, measurements, of))
+
+
+def _dense(pattern: Any) -> np.ndarray:
+    return np.asarray(pattern.toarray() if hasattr(pattern, "toarray") else pattern, float)
+
+
+def ring_electrodes(mesh: Mesh, count: int, width_m: float, contact_impedance: float, *, start_rad: float = 0.0) -> list[Electrode]:
+    """Electrodes at equal angles round a flat mesh's rim: the boundary edges whose middles lie within half a width (along
+    a circle through them) of each middle, counter-clockwise from ``start_rad``. Edges are as the mesh has them: a mesh that is coarse
+    beside the width gives electrodes of other widths.
+    """
+    nodes = np.asarray(mesh.nodes)[:, :2]
+    edges = mesh.boundary_faces
+    if edges.shape[1] != 2:
+        raise InputError("mesh: expected a flat mesh of triangles, got tetrahedra")
+    middles = nodes[edges].mean(axis=1) - nodes.mean(axis=0)
+    angles, radii = np.arctan2(middles[:, 1], middles[:, 0]), np.hypot(middles[:, 0], middles[:, 1])
+    electrodes = []
+    for number in range(count):
+        off = angles - start_rad - 2.0 * np.pi * number / count
+        off = (off + np.pi) % (2.0 * np.pi) - np.pi
+        chosen = edges[np.abs(off) * radii <= 0.5 * width_m]
+        if not len(chosen):
+            raise InputError(f"electrode {number}: expected an edge within {width_m} m, got none; the mesh is too coarse")
+        electrodes.append(Electrode.edges(chosen, contact_impedance))
+    return electrodes

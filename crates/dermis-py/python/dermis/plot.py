@@ -1,0 +1,91 @@
+"""Drawings on matplotlib axes, which is imported here and nowhere else."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def _axes(axes: Any) -> Any:
+    if axes is None:
+        import matplotlib.pyplot as plt
+
+        axes = plt.figure(constrained_layout=True).add_subplot()
+    axes.set_aspect("equal")
+    axes.set_xlabel("x (mm)")
+    axes.set_ylabel("y (mm)")
+    return axes
+
+
+def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
+    """A skin: its rim, electrodes and their numbers, from 1 as on its file.
+
+    Parameters
+    ----------
+    of : Skin or Model
+        What to draw.
+    axes : matplotlib.axes.Axes, optional
+        Where; a new figure's where left out.
+    mesh : bool
+        Whether elements are drawn.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in millimetres.
+    """
+    model = of if hasattr(of, "nodes") else of.model()
+    axes = _axes(axes)
+    nodes = 1e3 * np.asarray(model.nodes)[:, :2]
+    if mesh:
+        axes.triplot(nodes[:, 0], nodes[:, 1], model.elements, lw=0.2, color="0.7")
+    rim = 1e3 * model.skin.outline
+    axes.plot(*np.vstack([rim, rim[:1]]).T, color="0.2", lw=1)
+    for number, electrode in enumerate(model.electrodes, start=1):
+        parts = electrode.parts
+        if electrode.kind == "edges":
+            for edge in parts:
+                axes.plot(*nodes[edge].T, color="tab:orange", lw=3, solid_capstyle="butt")
+            middle = nodes[parts].reshape(-1, 2).mean(axis=0)
+        elif electrode.kind == "elements":
+            for element in parts:
+                axes.fill(*nodes[model.elements[element]].T, color="tab:orange", lw=0)
+            middle = nodes[model.elements[parts]].reshape(-1, 2).mean(axis=0)
+        else:
+            middle = nodes[parts[0]]
+            axes.plot(*middle, ".", color="tab:orange")
+        axes.annotate(str(number), middle, ha="center", va="center", fontsize=7)
+    axes.set_title(model.skin.title or model.skin.name)
+    return axes
+
+
+def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", symmetric: bool = True) -> Any:
+    """An image with its colour bar, the scale of both axes in millimetres."""
+    axes = _axes(axes)
+    values = np.asarray(values)
+    finite = values[np.isfinite(values)]
+    most = float(np.abs(finite).max()) if finite.size else 1.0
+    limits = {"vmin": -most, "vmax": most, "cmap": "RdBu_r"} if symmetric else {"cmap": "viridis"}
+    shown = axes.imshow(values, extent=extent_mm, origin="upper", **limits)
+    axes.figure.colorbar(shown, ax=axes, label=label)
+    return axes
+
+
+def result(of: Any, axes: Any = None) -> Any:
+    """A result's image, with its touches as crosses of one standard deviation and their identities."""
+    axes = image(of.image, of.extent_mm, axes, label=of.image_quantity)
+    for touch in of.touches:
+        if touch.phase == "end":
+            continue
+        axes.errorbar(touch.x_mm, touch.y_mm, xerr=touch.sigma_x_mm, yerr=touch.sigma_y_mm, color="k", capsize=3)
+        axes.annotate(f" {touch.id}", (touch.x_mm, touch.y_mm))
+    axes.set_title(f"frame {of.sequence}, {of.time_s:.2f} s")
+    return axes
+
+
+def maps(of: Any, axes: Any = None, *, what: str = "position_bound_mm") -> Any:
+    """A map of a design: `position_bound_mm`, `sensitivity`, `smallest_change`, `amplitude_bound` or `spread_mm`."""
+    axes = image(getattr(of, what), of.extent_mm, axes, label=what.replace("_", " "), symmetric=False)
+    axes.set_title(of.skin.title or of.skin.name)
+    return axes

@@ -1,0 +1,198 @@
+//! Arrays in and out. What comes in is taken as it is where it is a C-ordered, aligned array of native doubles, read-only ones
+//! included, and converted by NumPy otherwise; what goes out is owned by its array.
+
+use numpy::{
+    Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
+    PyUntypedArrayMethods,
+};
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::{Fault, Kind};
+
+/// Doubles from Python, C-ordered.
+pub struct Doubles<'py> {
+    array: PyReadonlyArrayDyn<'py, f64>,
+}
+
+impl<'py> Doubles<'py> {
+    /// Takes anything that NumPy makes real numbers of; `what` names it in errors.
+    pub fn of(what: &str, value: &Bound<'py, PyAny>) -> PyResult<Self> {
+        let array = match value.cast::<PyArrayDyn<f64>>() {
+            // Kinds of arrays that build on NumPy's own may mean more than their numbers, as masked ones do.
+            Ok(array) if value.is_exact_instance_of::<PyUntypedArray>() && is_plain(array) => array.clone(),
+            _ => converted::<f64>(what, value, "float64", "real numbers", "fiu")?,
+        };
+        let array = array.try_readonly().map_err(|error| {
+            Fault::new(Kind::Input, format!("{what}: the array is being written to at this moment: {error}"))
+        })?;
+        Ok(Self { array })
+    }
+
+    /// Its shape.
+    pub fn shape(&self) -> &[usize] {
+        self.array.shape()
+    }
+
+    /// Its numbers, row after row.
+    pub fn values(&self) -> PyResult<&[f64]> {
+        Ok(self.array.as_slice().map_err(|error| Fault::new(Kind::Internal, format!("array: {error}")))?)
+    }
+
+    /// One number each.
+    pub fn vector(what: &str, value: &Bound<'py, PyAny>, length: usize, of: &str) -> PyResult<Self> {
+        let doubles = Self::of(what, value)?;
+        if doubles.shape() != [length] {
+            return Err(Fault::input(what, format!("shape ({length},), {of}"), shape_text(doubles.shape())).into());
+        }
+        Ok(doubles)
+    }
+
+    /// Rows of a length, one row also without the axis of rows; the array and whether there was one.
+    pub fn rows(what: &str, value: &Bound<'py, PyAny>, length: usize, of: &str) -> PyResult<(Self, bool)> {
+        let doubles = Self::of(what, value)?;
+        let (fits, single) = match doubles.shape() {
+            [columns] => (*columns == length, true),
+            [_, columns] => (*columns == length, false),
+            _ => (false, false),
+        };
+        if !fits {
+            let expected = format!("shape (n, {length}) or ({length},), {of}");
+            return Err(Fault::input(what, expected, shape_text(doubles.shape())).into());
+        }
+        Ok((doubles, single))
+    }
+
+    /// The rows as vectors.
+    pub fn to_rows(&self) -> PyResult<Vec<Vec<f64>>> {
+        let columns = self.shape().last().copied().unwrap_or(1).max(1);
+        Ok(self.values()?.chunks_exact(columns).map(<[f64]>::to_vec).collect())
+    }
+
+    /// Refuses NaN and infinities.
+    pub fn finite(self, what: &str) -> PyResult<Self> {
+        match self.values()?.iter().position(|value| !value.is_finite()) {
+            Some(at) => {
+                let place = index_text(self.shape(), at);
+                Err(Fault::input(what, "finite numbers", format!("{} at {place}", self.values()?[at])).into())
+            }
+            None => Ok(self),
+        }
+    }
+}
+
+/// Indices from Python: whole numbers from 0 to below a limit, with the array's shape.
+pub fn indices(what: &str, value: &Bound<'_, PyAny>, below: usize, of: &str) -> PyResult<(Vec<u32>, Vec<usize>)> {
+    let array = converted::<i64>(what, value, "int64", "whole numbers", "iu")?;
+    let array = array.try_readonly().map_err(|error| Fault::new(Kind::Input, format!("{what}: {error}")))?;
+    let values = array.as_slice().map_err(|error| Fault::new(Kind::Internal, format!("array: {error}")))?;
+    let limit = below.min(u32::MAX as usize);
+    let index = |(at, &value): (usize, &i64)| match usize::try_from(value) {
+        Ok(value) if value < limit => Ok(value as u32),
+        _ => {
+            let place = index_text(array.shape(), at);
+            Err(Fault::input(
+                what,
+                format!("indices of {of}, 0 to {}", limit.saturating_sub(1)),
+                format!("{value} at {place}"),
+            ))
+        }
+    };
+    let list = values.iter().enumerate().map(index).collect::<Result<Vec<u32>, Fault>>()?;
+    Ok((list, array.shape().to_vec()))
+}
+
+fn is_plain<T: Element>(array: &Bound<'_, PyArrayDyn<T>>) -> bool {
+    array.is_c_contiguous() && (array.data() as usize).is_multiple_of(std::mem::align_of::<T>())
+}
+
+/// By NumPy: native, aligned, C-ordered. `kinds` are those of data types that are taken.
+fn converted<'py, T: Element>(
+    what: &str,
+    value: &Bound<'py, PyAny>,
+    dtype: &str,
+    expected: &str,
+    kinds: &str,
+) -> PyResult<Bound<'py, PyArrayDyn<T>>> {
+    let py = value.py();
+    let numpy = py.import(intern!(py, "numpy"))?;
+    let refuse = |got: String| PyErr::from(Fault::input(what, expected, got));
+    let masked = numpy.getattr("ma")?.getattr("MaskedArray")?;
+    if value.is_instance(&masked)? {
+        return Err(refuse("a masked array; .filled(numpy.nan) says that masked values are missing".into()));
+    }
+    let plain = numpy.call_method1(intern!(py, "asarray"), (value,)).map_err(|error| {
+        if error.is_instance_of::<pyo3::exceptions::PyException>(py) {
+            refuse(format!("{}, which is no array ({})", type_name(value), error.value(py)))
+        } else {
+            error
+        }
+    })?;
+    let kind: String = plain.getattr("dtype")?.getattr("kind")?.extract()?;
+    let empty = plain.getattr("size")?.extract::<usize>()? == 0;
+    let is_taken = kinds.contains(&kind) || (empty && kind == "f");
+    if !is_taken {
+        return Err(refuse(format!("an array of {}", plain.getattr("dtype")?.str()?)));
+    }
+    let options = PyDict::new(py);
+    options.set_item("dtype", dtype)?;
+    options.set_item("requirements", ("C", "A"))?;
+    let shaped = numpy.call_method("require", (plain,), Some(&options))?;
+    shaped.cast_into::<PyArrayDyn<T>>().map_err(|error| refuse(error.to_string()))
+}
+
+/// `(3, 4)`, as Python writes it.
+pub fn shape_text(shape: &[usize]) -> String {
+    let numbers: Vec<String> = shape.iter().map(ToString::to_string).collect();
+    let comma = if shape.len() == 1 { "," } else { "" };
+    format!("shape ({}{comma})", numbers.join(", "))
+}
+
+fn index_text(shape: &[usize], mut at: usize) -> String {
+    let mut place = vec![0; shape.len()];
+    for (axis, &length) in shape.iter().enumerate().rev() {
+        let length = length.max(1);
+        place[axis] = at % length;
+        at /= length;
+    }
+    let numbers: Vec<String> = place.iter().map(ToString::to_string).collect();
+    format!("[{}]", numbers.join(", "))
+}
+
+/// The name of a value's type.
+pub fn type_name(value: &Bound<'_, PyAny>) -> String {
+    value.get_type().name().map_or_else(|_| "a value".into(), |name| name.to_string())
+}
+
+/// An array of one axis.
+pub fn array1<T: Element>(py: Python<'_>, values: Vec<T>) -> Bound<'_, PyArray1<T>> {
+    values.into_pyarray(py)
+}
+
+/// An array of rows.
+pub fn array2<T: Element>(
+    py: Python<'_>,
+    values: Vec<T>,
+    rows: usize,
+    columns: usize,
+) -> PyResult<Bound<'_, PyArray2<T>>> {
+    values.into_pyarray(py).reshape([rows, columns])
+}
+
+/// An array of images.
+pub fn array3<T: Element>(
+    py: Python<'_>,
+    values: Vec<T>,
+    [images, rows, columns]: [usize; 3],
+) -> PyResult<Bound<'_, PyArray3<T>>> {
+    values.into_pyarray(py).reshape([images, rows, columns])
+}
+
+/// An array that Python may not write to: a view of what an object shows again and again.
+pub fn read_only<'py, T: Element, D: numpy::ndarray::Dimension>(
+    array: Bound<'py, numpy::PyArray<T, D>>,
+) -> PyResult<Bound<'py, numpy::PyArray<T, D>>> {
+    array.call_method1("setflags", (false,))?;
+    Ok(array)
+}

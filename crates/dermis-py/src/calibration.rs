@@ -1,0 +1,142 @@
+//! [`PyCalibration`]: what pokes at known places teach.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use dermis::live::calibration::{Calibration, LoadQuantity, Pokes};
+use dermis::live::prepare::Prepared;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+use crate::arrays::{Doubles, array1, array2};
+use crate::errors::Fault;
+use crate::model::PyModel;
+use crate::skin::skin_of;
+use crate::work::{run, run_interruptibly};
+
+/// A calibration by pokes.
+#[pyclass(frozen, module = "dermis", name = "Calibration")]
+pub struct PyCalibration {
+    /// As the pipeline takes it.
+    pub calibration: Calibration,
+}
+
+/// The prepared skin of what Python calls a skin: the object, its model, a name, a path, or text.
+pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
+    if let Ok(model) = value.cast::<PyModel>() {
+        return Ok(model.get().prepared.clone());
+    }
+    let skin = skin_of(value)?;
+    run_interruptibly(value.py(), move || Ok(Arc::new(Prepared::new(skin)?)))
+}
+
+/// Fits a calibration to pokes at known places.
+///
+/// Parameters
+/// ----------
+/// skin : Skin, Model or str
+///     What was poked.
+/// baselines : array_like
+///     Shape (k,) or (n, k): the untouched skin, one frame or several for all pokes, or one before each.
+/// frames : array_like
+///     Shape (n, k): the pressed skin, one frame a poke.
+/// positions_m : array_like
+///     Shape (n, 2): where each poke was, metres from the skin's centre.
+/// depths_m, forces_n : array_like, optional
+///     Shape (n,): how hard, by one of the two.
+///
+/// Returns
+/// -------
+/// Calibration
+///     What :class:`Pipeline` and the command take.
+#[pyfunction]
+#[pyo3(signature = (skin, baselines, frames, positions_m, *, depths_m=None, forces_n=None))]
+pub fn calibrate(
+    py: Python<'_>,
+    skin: &Bound<'_, PyAny>,
+    baselines: &Bound<'_, PyAny>,
+    frames: &Bound<'_, PyAny>,
+    positions_m: &Bound<'_, PyAny>,
+    depths_m: Option<&Bound<'_, PyAny>>,
+    forces_n: Option<&Bound<'_, PyAny>>,
+) -> PyResult<PyCalibration> {
+    let prepared = prepared_of(skin)?;
+    let channels = prepared.channels();
+    let of = format!("one reading a channel of skin {}", prepared.skin.name);
+    let baselines = Doubles::rows("baselines", baselines, channels, &of)?.0.to_rows()?;
+    let frames = Doubles::rows("frames", frames, channels, &of)?.0.to_rows()?;
+    let positions = Doubles::rows("positions_m", positions_m, 2, "x and y of a poke")?.0.finite("positions_m")?;
+    let positions_m: Vec<[f64; 2]> = positions.values()?.chunks_exact(2).map(|p| [p[0], p[1]]).collect();
+    let loads = match (depths_m, forces_n) {
+        (Some(_), Some(_)) => return Err(Fault::input("loads", "depths_m or forces_n", "both").into()),
+        (Some(depths), None) => Some(("depths_m", LoadQuantity::DepthM, depths)),
+        (None, Some(forces)) => Some(("forces_n", LoadQuantity::ForceN, forces)),
+        (None, None) => None,
+    };
+    let loads = match loads {
+        Some((what, quantity, values)) => {
+            let values = Doubles::vector(what, values, positions_m.len(), "one a poke")?.finite(what)?;
+            Some((quantity, values.values()?.to_vec()))
+        }
+        None => None,
+    };
+    let pokes = Pokes { positions_m, loads };
+    let calibration = run_interruptibly(py, move || Ok(Calibration::fit(&prepared, &baselines, &frames, &pokes)?))?;
+    Ok(PyCalibration { calibration })
+}
+
+#[pymethods]
+impl PyCalibration {
+    /// Reads a calibration's file.
+    #[staticmethod]
+    fn load(path: PathBuf) -> PyResult<Self> {
+        Ok(Self { calibration: Calibration::load(&path).map_err(Fault::from)? })
+    }
+
+    /// Writes it as JSON, whole or not at all.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        run(py, || Ok(self.calibration.save(&path)?))
+    }
+
+    /// Number of pokes.
+    #[getter]
+    fn pokes(&self) -> usize {
+        self.calibration.pokes()
+    }
+
+    /// Median distance of a poke from where the others put it, millimetres.
+    #[getter]
+    fn leave_one_out_mm(&self) -> f64 {
+        1e3 * self.calibration.leave_one_out().median_error_m
+    }
+
+    /// Distance that nine in ten stay below, millimetres.
+    #[getter]
+    fn leave_one_out_p90_mm(&self) -> f64 {
+        1e3 * self.calibration.leave_one_out().p90_error_m
+    }
+
+    /// Distance of every poke, shape (pokes,), millimetres.
+    #[getter]
+    fn leave_one_out_errors_mm<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let examples = &self.calibration.leave_one_out().examples;
+        array1(py, examples.iter().map(|left| 1e3 * left.error_m).collect())
+    }
+
+    /// Share of pokes within one predicted deviation, in x and y.
+    #[getter]
+    fn coverage(&self) -> [f64; 2] {
+        self.calibration.leave_one_out().coverage
+    }
+
+    /// Where more pokes would help most, shape (count, 2), metres.
+    #[pyo3(signature = (count=5))]
+    fn suggest_pokes<'py>(&self, py: Python<'py>, count: usize) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let pokes = run(py, || Ok(self.calibration.suggest_pokes(count)?))?;
+        array2(py, pokes.iter().flat_map(|poke| poke.position_m).collect(), pokes.len(), 2)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dermis.Calibration: {} pokes, {:.2} mm left out>", self.pokes(), self.leave_one_out_mm())
+    }
+}

@@ -1,0 +1,7 @@
+//! `dermis.eit`: meshes, electrodes, protocols, forward models, priors and operators for people who bring their own.
+
+pub mod figures;
+pub mod forward;
+pub mod mesh;
+pub mod operator;
+pub mod protocol;

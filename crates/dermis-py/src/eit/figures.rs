@@ -1,0 +1,54 @@
+//! Figures of merit of images.
+
+use dermis::tomo::quality::{GreitFigures, Target};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::arrays::{Doubles, shape_text};
+use crate::errors::Fault;
+use crate::model::PyGrid;
+
+/// The GREIT figures of an image of one target (Adler et al., Physiol. Meas. 30, 2009).
+///
+/// Parameters
+/// ----------
+/// image : array_like
+///     Shape (rows, columns) of the grid, NaN outside.
+/// grid : Grid
+///     Its pixels.
+/// centre_m : sequence of float
+///     Where the target truly is.
+/// area_m2, change : float
+///     Its area and its change, in the image's unit.
+///
+/// Returns
+/// -------
+/// dict
+///     ``amplitude_response``, ``radial_position_error_m``, ``position_error_m``, ``resolution``, ``shape_deformation``,
+///     ``ringing``.
+#[pyfunction]
+pub fn greit_figures<'py>(
+    py: Python<'py>,
+    image: &Bound<'py, PyAny>,
+    grid: &Bound<'py, PyGrid>,
+    centre_m: [f64; 2],
+    area_m2: f64,
+    change: f64,
+) -> PyResult<Bound<'py, PyDict>> {
+    let image = Doubles::of("image", image)?;
+    let grid = grid.get().map.grid();
+    if image.shape() != [grid.rows, grid.columns] {
+        let expected = format!("shape ({}, {})", grid.rows, grid.columns);
+        return Err(Fault::input("image", expected, shape_text(image.shape())).into());
+    }
+    let target = Target { centre_m, area_m2, change };
+    let figures = GreitFigures::of(image.values()?, grid, &target).map_err(Fault::from)?;
+    let named = PyDict::new(py);
+    named.set_item("amplitude_response", figures.amplitude_response)?;
+    named.set_item("radial_position_error_m", figures.radial_position_error_m)?;
+    named.set_item("position_error_m", figures.position_error_m)?;
+    named.set_item("resolution", figures.resolution)?;
+    named.set_item("shape_deformation", figures.shape_deformation)?;
+    named.set_item("ringing", figures.ringing)?;
+    Ok(named)
+}

@@ -1,0 +1,230 @@
+//! Forward models: mesh, electrodes and protocol made ready to solve.
+
+use dermis::tomo::eit::ForwardModel;
+use dermis::tomo::mesh::ElectrodedMesh;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+use rayon::prelude::*;
+
+use super::mesh::{PyElectrode, PyMesh};
+use super::protocol::PyProtocol;
+use crate::arrays::{Doubles, array1, array2, shape_text};
+use crate::errors::Fault;
+use crate::work::{pool, run};
+
+/// Conductivities between two looks for Ctrl-C.
+const CHUNK: usize = 256;
+
+/// The electrodes of a mesh.
+pub fn electrodes_of(body: &ElectrodedMesh) -> Vec<PyElectrode> {
+    body.electrodes.iter().map(|electrode| PyElectrode { electrode: electrode.clone() }).collect()
+}
+
+/// Voltages of many conductivities, one a row: in parallel over the rows, on so many threads or all.
+pub fn voltages_of_rows<'py>(
+    py: Python<'py>,
+    sigmas: &Bound<'py, PyAny>,
+    elements: usize,
+    channels: usize,
+    threads: Option<usize>,
+    read: &(dyn Fn(&[f64]) -> Result<Vec<f64>, Fault> + Sync),
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let sigmas = Doubles::of("sigmas", sigmas)?;
+    let &[count, columns] = sigmas.shape() else {
+        let expected = format!("shape (n, {elements}), one conductivity an element");
+        return Err(Fault::input("sigmas", expected, shape_text(sigmas.shape())).into());
+    };
+    if columns != elements {
+        let expected = format!("shape (n, {elements}), one conductivity an element");
+        return Err(Fault::input("sigmas", expected, shape_text(sigmas.shape())).into());
+    }
+    if threads == Some(0) || threads.is_some_and(|threads| threads > 1024) {
+        return Err(Fault::input(
+            "threads",
+            "1 to 1024, or None for as many as there are processors",
+            "another number",
+        )
+        .into());
+    }
+    let own = threads.map(pool).transpose()?;
+    let values = sigmas.values()?;
+    let mut voltages = vec![0.0; count * channels];
+    for (chunk, (rows, out)) in values.chunks(CHUNK * elements).zip(voltages.chunks_mut(CHUNK * channels)).enumerate() {
+        let solve = || {
+            let rows = rows.par_chunks_exact(elements).zip(out.par_chunks_exact_mut(channels)).enumerate();
+            rows.try_for_each(|(row, (sigma, out))| {
+                out.copy_from_slice(&read(sigma).map_err(|fault| fault.at(&format!("row {}", chunk * CHUNK + row)))?);
+                Ok::<(), Fault>(())
+            })
+        };
+        match &own {
+            Some(own) => run(py, || own.install(solve))?,
+            None => run(py, solve)?,
+        }
+        py.check_signals()?;
+    }
+    array2(py, voltages, count, channels)
+}
+
+/// Mesh, electrodes and protocol made ready to solve, by the complete electrode model on linear elements.
+///
+/// Parameters
+/// ----------
+/// mesh : Mesh
+///     The mesh.
+/// electrodes : sequence of Electrode
+///     In order.
+/// protocol : Protocol
+///     For as many electrodes.
+#[pyclass(frozen, module = "dermis.eit", name = "ForwardModel")]
+pub struct PyForwardModel {
+    /// The model.
+    pub model: ForwardModel,
+}
+
+impl PyForwardModel {
+    fn elements(&self) -> usize {
+        self.model.body().mesh.element_count()
+    }
+
+    fn channels(&self) -> usize {
+        self.model.protocol().channel_count()
+    }
+
+    fn sigma<'py>(&self, sigma: &Bound<'py, PyAny>) -> PyResult<Doubles<'py>> {
+        Doubles::vector("sigma", sigma, self.elements(), "one conductivity an element")
+    }
+
+    fn stimulation(&self, stimulation: usize) -> Result<usize, Fault> {
+        let count = self.model.protocol().stimulations().len();
+        if stimulation < count {
+            return Ok(stimulation);
+        }
+        Err(Fault::input("stimulation", format!("0 to {}", count - 1), stimulation))
+    }
+}
+
+#[pymethods]
+impl PyForwardModel {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        mesh: &Bound<'_, PyMesh>,
+        electrodes: Vec<Bound<'_, PyElectrode>>,
+        protocol: &Bound<'_, PyProtocol>,
+    ) -> PyResult<Self> {
+        let electrodes = electrodes.iter().map(|electrode| electrode.get().electrode.clone()).collect();
+        let (mesh, protocol) = (&mesh.get().mesh, &protocol.get().protocol);
+        let model = run(py, || {
+            let body = ElectrodedMesh::new(mesh.clone(), electrodes)?;
+            Ok(ForwardModel::new(body, protocol.clone())?)
+        })?;
+        Ok(Self { model })
+    }
+
+    /// The mesh.
+    #[getter]
+    fn mesh(&self) -> PyMesh {
+        PyMesh { mesh: self.model.body().mesh.clone() }
+    }
+
+    /// The electrodes.
+    #[getter]
+    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, electrodes_of(self.model.body()))
+    }
+
+    /// The protocol.
+    #[getter]
+    fn protocol(&self) -> PyProtocol {
+        PyProtocol { protocol: self.model.protocol().clone() }
+    }
+
+    /// Voltages of all channels, shape (k,), at a conductivity, shape (m,).
+    fn voltages<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let sigma = self.sigma(sigma)?;
+        let sigma = sigma.values()?;
+        Ok(array1(py, run(py, || Ok(self.model.voltages(sigma)?))?))
+    }
+
+    /// Voltages, shape (n, k), of many conductivities, shape (n, m), on so many threads.
+    #[pyo3(signature = (sigmas, threads=None))]
+    fn voltages_many<'py>(
+        &self,
+        py: Python<'py>,
+        sigmas: &Bound<'py, PyAny>,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let read = |sigma: &[f64]| Ok(self.model.voltages(sigma)?);
+        voltages_of_rows(py, sigmas, self.elements(), self.channels(), threads, &read)
+    }
+
+    /// Sensitivities, shape (k, m), with EIDORS' sign and units.
+    fn jacobian<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let sigma = self.sigma(sigma)?;
+        let sigma = sigma.values()?;
+        let jacobian = run(py, || Ok(self.model.solve(sigma)?.jacobian()))?;
+        array2(py, jacobian.values, jacobian.rows, jacobian.columns)
+    }
+
+    /// ``jacobian(sigma).T @ cotangent`` without forming the Jacobian.
+    fn vjp<'py>(
+        &self,
+        py: Python<'py>,
+        sigma: &Bound<'py, PyAny>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let sigma = self.sigma(sigma)?;
+        let cotangent = Doubles::vector("cotangent", cotangent, self.channels(), "one weight a channel")?;
+        let (sigma, cotangent) = (sigma.values()?, cotangent.finite("cotangent")?);
+        let cotangent = cotangent.values()?;
+        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.vjp(cotangent)?))?))
+    }
+
+    /// Potentials of all nodes during a stimulation, shape (n,), volts, against the last electrode.
+    fn node_potentials<'py>(
+        &self,
+        py: Python<'py>,
+        sigma: &Bound<'py, PyAny>,
+        stimulation: usize,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let (sigma, stimulation) = (self.sigma(sigma)?, self.stimulation(stimulation)?);
+        let sigma = sigma.values()?;
+        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.node_potentials(stimulation)))?))
+    }
+
+    /// Potentials of the electrodes during a stimulation, shifted so that they add to zero.
+    fn electrode_potentials<'py>(
+        &self,
+        py: Python<'py>,
+        sigma: &Bound<'py, PyAny>,
+        stimulation: usize,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let (sigma, stimulation) = (self.sigma(sigma)?, self.stimulation(stimulation)?);
+        let sigma = sigma.values()?;
+        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.electrode_potentials(stimulation)))?))
+    }
+
+    /// Shape (electrodes, electrodes), ohm: potential of the row's electrode against the last for 1 A into the column's.
+    fn transfer_impedance<'py>(
+        &self,
+        py: Python<'py>,
+        sigma: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let sigma = self.sigma(sigma)?;
+        let sigma = sigma.values()?;
+        let (values, size) = run(py, || {
+            let solution = self.model.solve(sigma)?;
+            let impedance = solution.transfer_impedance();
+            let size = impedance.nrows();
+            let values = (0..size * size).map(|at| impedance[(at / size, at % size)]).collect::<Vec<f64>>();
+            Ok((values, size))
+        })?;
+        array2(py, values, size, size)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dermis.eit.ForwardModel: {} elements, {} channels>", self.elements(), self.channels())
+    }
+}

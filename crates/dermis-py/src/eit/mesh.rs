@@ -1,0 +1,226 @@
+//! Meshes, electrodes on them, and pixels over them.
+
+use std::sync::Arc;
+
+use dermis::tomo::mesh::{CellKind, Contact, Electrode, Mesh, PixelGrid, PixelMap};
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+
+use crate::arrays::{Doubles, array1, array2, indices, read_only, shape_text};
+use crate::errors::Fault;
+use crate::model::PyGrid;
+use crate::work::run;
+
+/// Nodes as an array, two columns where all lie in the plane z = 0.
+pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let nodes = mesh.nodes();
+    let flat = mesh.kind() == CellKind::Triangle && nodes.iter().all(|node| node[2] == 0.0);
+    let columns = if flat { 2 } else { 3 };
+    let values = nodes.iter().flat_map(|node| node[..columns].iter().copied()).collect();
+    read_only(array2(py, values, nodes.len(), columns)?)
+}
+
+/// Node indices of the elements as an array.
+pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<u32>>> {
+    let values = mesh.elements().flatten().copied().collect();
+    read_only(array2(py, values, mesh.element_count(), mesh.kind().nodes_per_element())?)
+}
+
+/// A mesh of triangles or tetrahedra: connected, without folds.
+///
+/// Parameters
+/// ----------
+/// nodes : array_like
+///     Shape (n, 2) or (n, 3), metres.
+/// elements : array_like
+///     Shape (m, 3) or (m, 4), indices of nodes from 0, in any orientation.
+///
+/// Raises
+/// ------
+/// InputError
+///     A mesh that is none, with the offender.
+#[pyclass(frozen, module = "dermis.eit", name = "Mesh")]
+pub struct PyMesh {
+    /// The mesh, checked.
+    pub mesh: Mesh,
+}
+
+#[pymethods]
+impl PyMesh {
+    #[new]
+    fn new(py: Python<'_>, nodes: &Bound<'_, PyAny>, elements: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let nodes = Doubles::of("nodes", nodes)?;
+        let &[count, columns @ (2 | 3)] = nodes.shape() else {
+            return Err(Fault::input("nodes", "shape (n, 2) or (n, 3)", shape_text(nodes.shape())).into());
+        };
+        let (list, shape) = indices("elements", elements, count, "nodes")?;
+        let &[_, corners @ (3 | 4)] = shape.as_slice() else {
+            return Err(Fault::input("elements", "shape (m, 3) or (m, 4)", shape_text(&shape)).into());
+        };
+        if corners == 4 && columns == 2 {
+            return Err(Fault::input("nodes", "shape (n, 3) with elements of four nodes", "shape (n, 2)").into());
+        }
+        let kind = if corners == 3 { CellKind::Triangle } else { CellKind::Tetrahedron };
+        let values = nodes.values()?;
+        let mesh = run(py, || {
+            let point = |row: &[f64]| [row[0], row[1], row.get(2).copied().unwrap_or(0.0)];
+            Ok(Mesh::new(kind, values.chunks_exact(columns).map(point).collect(), list)?)
+        })?;
+        Ok(Self { mesh })
+    }
+
+    /// Shape (n, 2) of flat meshes or (n, 3), metres. Read-only.
+    #[getter]
+    fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        nodes_of(py, &self.mesh)
+    }
+
+    /// Shape (m, 3) or (m, 4), from 0. Read-only.
+    #[getter]
+    fn elements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+        elements_of(py, &self.mesh)
+    }
+
+    /// Area or volume of every element, shape (m,).
+    #[getter]
+    fn measures<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        array1(py, self.mesh.measures().to_vec())
+    }
+
+    /// Middles of the elements, shape (m, 3), metres.
+    #[getter]
+    fn centroids<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let count = self.mesh.element_count();
+        array2(py, (0..count).flat_map(|element| self.mesh.centroid(element)).collect(), count, 3)
+    }
+
+    /// Faces of one element only, shape (p, 2) or (p, 3).
+    #[getter]
+    fn boundary_faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+        let faces = self.mesh.boundary_faces();
+        let columns = self.mesh.kind().nodes_per_face();
+        array2(py, faces.iter().flat_map(|(face, _)| face.iter().copied()).collect(), faces.len(), columns)
+    }
+
+    /// Pairs of elements that share a face, shape (p, 2).
+    #[getter]
+    fn neighbours<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
+        let pairs = self.mesh.neighbours();
+        array2(py, pairs.as_flattened().to_vec(), pairs.len(), 2)
+    }
+
+    /// Pixels over the mesh.
+    ///
+    /// Parameters
+    /// ----------
+    /// pixels : int
+    ///     Along the longer side.
+    #[pyo3(signature = (pixels=64))]
+    fn grid(&self, py: Python<'_>, pixels: usize) -> PyResult<PyGrid> {
+        let map = run(py, || Ok(PixelMap::new(PixelGrid::over_mesh(&self.mesh, pixels)?, &self.mesh)?))?;
+        Ok(PyGrid { map: Arc::new(map) })
+    }
+
+    fn __repr__(&self) -> String {
+        let what = if self.mesh.kind() == CellKind::Triangle { "triangles" } else { "tetrahedra" };
+        format!("<dermis.eit.Mesh: {} nodes, {} {what}>", self.mesh.nodes().len(), self.mesh.element_count())
+    }
+
+    fn __reduce__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> PyResult<(Bound<'py, PyAny>, (Py<PyArray2<f64>>, Py<PyArray2<u32>>))> {
+        let (py, mesh) = (slf.py(), slf.get());
+        Ok((slf.get_type().into_any(), (mesh.nodes(py)?.unbind(), mesh.elements(py)?.unbind())))
+    }
+}
+
+/// An electrode: the part of the mesh that it touches, and its contact impedance.
+#[pyclass(frozen, module = "dermis.eit", name = "Electrode")]
+pub struct PyElectrode {
+    /// As the mesh takes it.
+    pub electrode: Electrode,
+}
+
+/// Node indices are checked against the mesh that an electrode is put on.
+const ANY: usize = u32::MAX as usize;
+
+fn faces(what: &str, nodes: &Bound<'_, PyAny>, columns: usize) -> PyResult<Vec<Vec<u32>>> {
+    let (list, shape) = indices(what, nodes, ANY, "nodes")?;
+    if shape.len() != 2 || shape[1] != columns {
+        return Err(Fault::input(what, format!("shape (p, {columns})"), shape_text(&shape)).into());
+    }
+    Ok(list.chunks_exact(columns).map(<[u32]>::to_vec).collect())
+}
+
+#[pymethods]
+impl PyElectrode {
+    /// On edges of a flat mesh, shape (p, 2); contact impedance in ohm.m.
+    #[staticmethod]
+    fn edges(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
+        let contact = Contact::Faces(faces("edges", nodes, 2)?);
+        Ok(Self { electrode: Electrode { contact, contact_impedance } })
+    }
+
+    /// On faces of a solid, shape (p, 3); contact impedance in ohm.m^2.
+    #[staticmethod]
+    #[pyo3(name = "faces")]
+    fn of_faces(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
+        let contact = Contact::Faces(faces("faces", nodes, 3)?);
+        Ok(Self { electrode: Electrode { contact, contact_impedance } })
+    }
+
+    /// A pad under elements of a sheet, shape (p,); contact impedance in ohm.m^2.
+    #[staticmethod]
+    fn elements(elements: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
+        let (list, shape) = indices("elements", elements, ANY, "elements")?;
+        if shape.len() != 1 {
+            return Err(Fault::input("elements", "shape (p,)", shape_text(&shape)).into());
+        }
+        Ok(Self { electrode: Electrode { contact: Contact::Area(list), contact_impedance } })
+    }
+
+    /// A node, without contact impedance.
+    #[staticmethod]
+    fn point(node: u32) -> Self {
+        Self { electrode: Electrode { contact: Contact::Point(node), contact_impedance: 0.0 } }
+    }
+
+    /// ``edges``, ``faces``, ``elements`` or ``point``.
+    #[getter]
+    fn kind(&self) -> &'static str {
+        match &self.electrode.contact {
+            Contact::Faces(faces) if faces.first().is_some_and(|face| face.len() == 3) => "faces",
+            Contact::Faces(_) => "edges",
+            Contact::Area(_) => "elements",
+            Contact::Point(_) => "point",
+        }
+    }
+
+    /// Its edges, faces, elements or node.
+    #[getter]
+    fn parts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(match &self.electrode.contact {
+            Contact::Faces(faces) => {
+                let columns = faces.first().map_or(2, Vec::len);
+                array2(py, faces.concat(), faces.len(), columns)?.into_any()
+            }
+            Contact::Area(elements) => array1(py, elements.clone()).into_any(),
+            Contact::Point(node) => array1(py, vec![*node]).into_any(),
+        })
+    }
+
+    /// Specific contact impedance.
+    #[getter]
+    fn contact_impedance(&self) -> f64 {
+        self.electrode.contact_impedance
+    }
+
+    fn __repr__(&self) -> String {
+        let count = match &self.electrode.contact {
+            Contact::Faces(faces) => faces.len(),
+            Contact::Area(elements) => elements.len(),
+            Contact::Point(_) => 1,
+        };
+        format!("<dermis.eit.Electrode: {count} {}, z {}>", self.kind(), self.electrode.contact_impedance)
+    }
+}

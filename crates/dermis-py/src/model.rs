@@ -1,0 +1,475 @@
+//! [`PyModel`]: a skin's mesh and forward model, and images by its operator.
+
+use std::sync::{Arc, OnceLock};
+
+use dermis::live::imager::Imager;
+use dermis::live::prepare::Prepared;
+use dermis::live::reference::Reference;
+use dermis::skin::{Imaging, Modality};
+use dermis::tomo::eit::{ForwardModel, Protocol};
+use dermis::tomo::mesh::PixelMap;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::arrays::{Doubles, array1, array2, array3, read_only, type_name};
+use crate::eit::forward::{electrodes_of, voltages_of_rows};
+use crate::eit::mesh::{elements_of, nodes_of};
+use crate::eit::protocol::{channels_of, dense_patterns};
+use crate::errors::Fault;
+use crate::skin::PySkin;
+use crate::work::{run, run_interruptibly};
+
+/// A skin's forward model at rest.
+#[pyclass(frozen, module = "dermis", name = "Model")]
+pub struct PyModel {
+    /// What the pipeline is made of, too.
+    pub prepared: Arc<Prepared>,
+    forward: OnceLock<Arc<ForwardModel>>,
+    nodes: Py<PyArray2<f64>>,
+    elements: Py<PyArray2<u32>>,
+    sigma: Py<PyArray1<f64>>,
+    map: Arc<PixelMap>,
+}
+
+impl PyModel {
+    /// Of a prepared skin.
+    pub fn of(py: Python<'_>, prepared: Arc<Prepared>) -> PyResult<Self> {
+        let mesh = &prepared.body.mesh.mesh;
+        let sigma = vec![prepared.skin.sheet_conductance_s(); mesh.element_count()];
+        Ok(Self {
+            forward: OnceLock::new(),
+            map: Arc::new(prepared.map.clone()),
+            nodes: nodes_of(py, mesh)?.unbind(),
+            elements: elements_of(py, mesh)?.unbind(),
+            sigma: read_only(array1(py, sigma))?.unbind(),
+            prepared,
+        })
+    }
+
+    fn protocol(&self) -> &Protocol {
+        &self.prepared.protocol
+    }
+
+    fn element_count(&self) -> usize {
+        self.prepared.body.mesh.mesh.element_count()
+    }
+
+    /// The model of the conducting sheet, made when first asked for.
+    fn forward(&self) -> Result<&Arc<ForwardModel>, Fault> {
+        if self.prepared.skin.modality == Modality::Mit {
+            let expected = "a skin of electrodes; of coils there are model.voltages() at rest and model.pixel_jacobian";
+            return Err(Fault::input("conductivity", expected, format!("skin {}", self.prepared.skin.name)));
+        }
+        if let Some(forward) = self.forward.get() {
+            return Ok(forward);
+        }
+        let made = ForwardModel::new(self.prepared.body.mesh.clone(), self.protocol().clone())?;
+        // Where another thread was faster, both are the same.
+        Ok(self.forward.get_or_init(|| Arc::new(made)))
+    }
+
+    /// Voltages as the skin's instrument reads them, through its readout circuit where it has one.
+    fn read(&self, sigma: &[f64]) -> Result<Vec<f64>, Fault> {
+        let forward = self.forward()?;
+        match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
+            None => Ok(forward.voltages(sigma)?),
+            Some(circuit) => {
+                let conductance = self.prepared.skin.sheet_conductance_s();
+                Ok(circuit.readout().response(&forward.solve(sigma)?, conductance)?.voltages)
+            }
+        }
+    }
+
+    /// The model whose Jacobian is that of the readings at a conductivity: that of the effective patterns behind a circuit.
+    fn effective(&self, sigma: &[f64]) -> Result<Arc<ForwardModel>, Fault> {
+        let forward = self.forward()?;
+        match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
+            None => Ok(forward.clone()),
+            Some(circuit) => {
+                let conductance = self.prepared.skin.sheet_conductance_s();
+                let effective = circuit.readout().response(&forward.solve(sigma)?, conductance)?.effective;
+                Ok(Arc::new(ForwardModel::new(self.prepared.body.mesh.clone(), effective)?))
+            }
+        }
+    }
+
+    fn sigma_of<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Doubles<'py>> {
+        match sigma {
+            Some(sigma) => Doubles::vector("sigma", sigma, self.element_count(), "one conductivity an element"),
+            None => Doubles::of("sigma", self.sigma.bind(py).as_any()),
+        }
+    }
+
+    /// The prepared skin with another prior or hyperparameter.
+    fn with_choices(
+        &self,
+        prior: Option<&Bound<'_, PyAny>>,
+        hyperparameter: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Arc<Prepared>> {
+        if prior.is_none() && hyperparameter.is_none() {
+            return Ok(self.prepared.clone());
+        }
+        let mut imaging: Imaging = self.prepared.skin.imaging.clone();
+        if let Some(prior) = prior {
+            imaging.prior = written("prior", prior)?.parse().map_err(Fault::from)?;
+        }
+        if let Some(hyperparameter) = hyperparameter {
+            imaging.hyperparameter = written("hyperparameter", hyperparameter)?.parse().map_err(Fault::from)?;
+        }
+        Ok(Arc::new(self.prepared.with_imaging(imaging).map_err(Fault::from)?))
+    }
+}
+
+/// A word, a number or a dictionary, as it would stand in a skin file.
+fn written(what: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
+    if let Ok(text) = value.extract::<String>() {
+        return Ok(text);
+    }
+    if let Ok(number) = value.extract::<f64>() {
+        return Ok(format!("{number:e}"));
+    }
+    if let Ok(table) = value.cast::<PyDict>() {
+        let mut entries = Vec::new();
+        for (key, value) in table {
+            entries.push(format!("{} = {}", key.extract::<String>()?, written(what, &value)?));
+        }
+        return Ok(format!("{{ {} }}", entries.join(", ")));
+    }
+    let expected = "a word, a number, or a dictionary as in a skin file";
+    Err(Fault::input(what, expected, type_name(value)).into())
+}
+
+#[pymethods]
+impl PyModel {
+    /// The skin.
+    #[getter]
+    fn skin(&self) -> PySkin {
+        PySkin { skin: self.prepared.skin.clone() }
+    }
+
+    /// Node coordinates, shape (n, 2) of flat meshes or (n, 3), metres. Read-only.
+    #[getter]
+    fn nodes(&self, py: Python<'_>) -> Py<PyArray2<f64>> {
+        self.nodes.clone_ref(py)
+    }
+
+    /// Node indices of the elements, shape (m, 3) or (m, 4), from 0. Read-only.
+    #[getter]
+    fn elements(&self, py: Python<'_>) -> Py<PyArray2<u32>> {
+        self.elements.clone_ref(py)
+    }
+
+    /// Sheet conductance of every element in the skin file, shape (m,), siemens. Read-only.
+    #[getter]
+    fn sigma(&self, py: Python<'_>) -> Py<PyArray1<f64>> {
+        self.sigma.clone_ref(py)
+    }
+
+    /// The electrodes in order.
+    #[getter]
+    fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        PyTuple::new(py, electrodes_of(&self.prepared.body.mesh))
+    }
+
+    /// Electrodes of every channel, shape (k, 4), from 0: the drive's first and second (current goes in at the
+    /// second), the measured first and second (the reading is the first's potential less the second's); -1 where a pattern
+    /// has no such electrode, or several.
+    #[getter]
+    fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
+        channels_of(py, self.protocol())
+    }
+
+    /// A label of every channel, electrodes from 1: ``1-2 > 5-6``.
+    #[getter]
+    fn channel_labels(&self) -> Vec<String> {
+        (0..self.protocol().channel_count()).map(|channel| self.protocol().channel_label(channel)).collect()
+    }
+
+    /// Currents into the body, shape (s, electrodes), amperes.
+    #[getter]
+    fn stimulations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        dense_patterns(py, self.protocol().electrode_count(), self.protocol().stimulations().iter())
+    }
+
+    /// Weights of the potentials that every channel reads, shape (k, electrodes).
+    #[getter]
+    fn measurements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let protocol = self.protocol();
+        let patterns = (0..protocol.channel_count()).map(|channel| protocol.pattern_of(channel));
+        dense_patterns(py, protocol.electrode_count(), patterns)
+    }
+
+    /// The stimulation of every channel, shape (k,).
+    #[getter]
+    fn stimulation_of<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u32>> {
+        array1(py, self.protocol().measurements().iter().map(|measurement| measurement.stimulation).collect())
+    }
+
+    /// The pixels of images.
+    #[getter]
+    fn grid(&self) -> PyGrid {
+        PyGrid { map: self.map.clone() }
+    }
+
+    /// Voltages of all channels, as the skin's instrument reads them.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like, optional
+    ///     Shape (m,): sheet conductance of every element, siemens, positive; the file's own where left out.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (k,), volts.
+    #[pyo3(signature = (sigma=None))]
+    fn voltages<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        if sigma.is_none() {
+            return Ok(array1(py, self.prepared.voltages.clone()));
+        }
+        let sigma = self.sigma_of(py, sigma)?;
+        let values = sigma.values()?;
+        Ok(array1(py, run(py, || self.read(values))?))
+    }
+
+    /// Sensitivity of every channel to every element, with EIDORS' sign and units.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like, optional
+    ///     Shape (m,), siemens: where; the file's own where left out.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (k, m), dv/dsigma in volts per siemens. Readings behind a circuit are those of its patterns at sigma.
+    #[pyo3(signature = (sigma=None))]
+    fn jacobian<'py>(&self, py: Python<'py>, sigma: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let sigma = self.sigma_of(py, sigma)?;
+        let values = sigma.values()?;
+        let jacobian = run(py, || Ok(self.effective(values)?.solve(values)?.jacobian()))?;
+        array2(py, jacobian.values, jacobian.rows, jacobian.columns)
+    }
+
+    /// ``jacobian(sigma).T @ cotangent`` without forming the Jacobian.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,), siemens.
+    /// cotangent : array_like
+    ///     Shape (k,): weight of every channel.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (m,).
+    fn vjp<'py>(
+        &self,
+        py: Python<'py>,
+        sigma: &Bound<'py, PyAny>,
+        cotangent: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let sigma = self.sigma_of(py, Some(sigma))?;
+        let cotangent = Doubles::vector("cotangent", cotangent, self.prepared.channels(), "one weight a channel")?;
+        let (sigma, cotangent) = (sigma.values()?, cotangent.finite("cotangent")?);
+        let cotangent = cotangent.values()?;
+        Ok(array1(py, run(py, || Ok(self.effective(sigma)?.solve(sigma)?.vjp(cotangent)?))?))
+    }
+
+    /// Voltages of many conductivities, in parallel.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigmas : array_like
+    ///     Shape (n, m), siemens.
+    /// threads : int, optional
+    ///     How many; all processors where left out.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n, k), volts.
+    #[pyo3(signature = (sigmas, threads=None))]
+    fn voltages_many<'py>(
+        &self,
+        py: Python<'py>,
+        sigmas: &Bound<'py, PyAny>,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        voltages_of_rows(py, sigmas, self.element_count(), self.prepared.channels(), threads, &|sigma: &[f64]| {
+            self.read(sigma)
+        })
+    }
+
+    /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; of coils, to the elements' travel.
+    #[getter]
+    fn pixel_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let jacobian = &self.prepared.jacobian;
+        array2(py, jacobian.values.clone(), jacobian.rows, jacobian.columns)
+    }
+
+    /// Images of frames against a baseline.
+    ///
+    /// Parameters
+    /// ----------
+    /// baseline : array_like
+    ///     Shape (k,) or (n, k): the untouched skin; from 8 frames on their scatter is taken as the noise.
+    /// frames : array_like
+    ///     Shape (n, k) or (k,): readings in the skin's order, NaN where missing.
+    /// prior : str or dict, optional
+    ///     As in a skin file: ``identity``, ``laplace``, ``noser=0.5``, ``{"gaussian-mm": 4.0}``.
+    /// hyperparameter : float, str or dict, optional
+    ///     A number, or a rule as in a skin file: ``l-curve``, ``gcv``, ``relative=0.02``, ``noise-figure=0.5``.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n, rows, columns), or (rows, columns) of one frame, float32, row 0 at the top, NaN outside the skin.
+    #[pyo3(signature = (baseline, frames, *, prior=None, hyperparameter=None))]
+    fn image<'py>(
+        &self,
+        py: Python<'py>,
+        baseline: &Bound<'py, PyAny>,
+        frames: &Bound<'py, PyAny>,
+        prior: Option<&Bound<'py, PyAny>>,
+        hyperparameter: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let channels = self.prepared.channels();
+        let baseline = Doubles::rows("baseline", baseline, channels, "one reading a channel")?.0.to_rows()?;
+        let (frames, single) = Doubles::rows("frames", frames, channels, "one reading a channel")?;
+        let frames = frames.to_rows()?;
+        let prepared = self.with_choices(prior, hyperparameter)?;
+        let grid = prepared.map.grid();
+        let (count, rows, columns) = (frames.len(), grid.rows, grid.columns);
+        let images = run_interruptibly(py, move || {
+            let reference = Reference::of(&prepared, &baseline)?;
+            let differences: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
+            let mut imager = Imager::new(&prepared, &reference, &differences)?;
+            let pixels = prepared.map.grid().len();
+            let mut images = vec![f32::NAN; pixels * differences.len()];
+            for (index, (difference, image)) in differences.iter().zip(images.chunks_exact_mut(pixels)).enumerate() {
+                let imaged = imager.image(difference, image).map_err(Fault::from);
+                imaged.map_err(|fault| fault.at(&format!("frame {index}")))?;
+            }
+            Ok(images)
+        })?;
+        if single {
+            return Ok(array2(py, images, rows, columns)?.into_any());
+        }
+        Ok(array3(py, images, [count, rows, columns])?.into_any())
+    }
+
+    /// How a baseline fits the model; :func:`dermis.find_order` is the same for people.
+    fn order<'py>(&self, py: Python<'py>, baseline: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
+        let channels = self.prepared.channels();
+        let baseline = Doubles::vector("baseline", baseline, channels, "one reading a channel")?;
+        let values = baseline.values()?;
+        let report = run(py, || Ok(self.prepared.diagnose(values)))?;
+        let found = PyDict::new(py);
+        found.set_item("correlation", report.correlation)?;
+        if let Some(better) = report.better {
+            found.set_item("description", better.description)?;
+            found.set_item("better_correlation", better.correlation)?;
+            found.set_item("source", array1(py, better.map.source.iter().map(|&c| i64::from(c)).collect()))?;
+            found.set_item("sign", better.map.sign)?;
+        }
+        Ok(found)
+    }
+
+    fn __repr__(&self) -> String {
+        let mesh = &self.prepared.body.mesh.mesh;
+        format!(
+            "<dermis.Model of {:?}: {} nodes, {} elements, {} channels>",
+            self.prepared.skin.name,
+            mesh.nodes().len(),
+            mesh.element_count(),
+            self.prepared.channels()
+        )
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Py<PySkin>,))> {
+        let make = slf.py().import("dermis")?.getattr("_model_of")?;
+        Ok((make, (Py::new(slf.py(), slf.get().skin())?,)))
+    }
+}
+
+/// The pixels of images over a mesh.
+#[pyclass(frozen, module = "dermis", name = "Grid")]
+pub struct PyGrid {
+    /// Elements to pixels.
+    pub map: Arc<PixelMap>,
+}
+
+#[pymethods]
+impl PyGrid {
+    /// Rows.
+    #[getter]
+    fn rows(&self) -> usize {
+        self.map.grid().rows
+    }
+
+    /// Columns.
+    #[getter]
+    fn columns(&self) -> usize {
+        self.map.grid().columns
+    }
+
+    /// Rows and columns.
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        (self.rows(), self.columns())
+    }
+
+    /// Side of a pixel, metres.
+    #[getter]
+    fn pixel_m(&self) -> f64 {
+        self.map.grid().pixel_m
+    }
+
+    /// Left, right, bottom and top, millimetres, as matplotlib's ``imshow`` takes them.
+    #[getter]
+    fn extent_mm(&self) -> [f64; 4] {
+        let grid = self.map.grid();
+        let (left, top) = (1e3 * grid.left_m, 1e3 * grid.top_m);
+        let pixel = 1e3 * grid.pixel_m;
+        [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
+    }
+
+    /// Which pixels have a value, shape (rows, columns).
+    #[getter]
+    fn inside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        array2(py, self.map.inside_mask(), self.rows(), self.columns())
+    }
+
+    /// Middles of the pixels, shape (rows, columns, 2), metres.
+    #[getter]
+    fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let centres = self.map.grid().centres_m();
+        let shape = [self.rows(), self.columns(), 2];
+        Ok(array3(py, centres.as_flattened().to_vec(), shape)?.into_any())
+    }
+
+    /// Values of elements as an image, by area of overlap; NaN outside.
+    ///
+    /// Parameters
+    /// ----------
+    /// values : array_like
+    ///     Shape (m,).
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (rows, columns).
+    fn to_pixels<'py>(&self, py: Python<'py>, values: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let elements = self.map.element_count();
+        let values = Doubles::vector("values", values, elements, "one value an element")?;
+        let image = self.map.to_pixels(values.values()?).map_err(Fault::from)?;
+        array2(py, image, self.rows(), self.columns())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dermis.Grid: {} x {} pixels of {} mm>", self.rows(), self.columns(), 1e3 * self.pixel_m())
+    }
+}

@@ -1,0 +1,298 @@
+//! [`PyRecording`]: frames, touches, baselines and events of a recording as arrays.
+
+use std::path::PathBuf;
+
+use dermis::device::Frame;
+use dermis::live::channels::ChannelReader;
+use dermis::record::{Entry, Recording};
+use dermis::skin::Skin;
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::arrays::{array1, array2};
+use crate::errors::Fault;
+use crate::result::{TouchRow, row_of_entry, table_of};
+use crate::skin::PySkin;
+use crate::work::{run, run_interruptibly};
+
+/// A recording made by dermis, finished or not.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     The ``.mcap`` file.
+///
+/// Raises
+/// ------
+/// FileError
+///     No such file, or none of dermis.
+#[pyclass(frozen, module = "dermis", name = "Recording")]
+pub struct PyRecording {
+    path: PathBuf,
+    skin: Skin,
+    source: String,
+    written: Option<u64>,
+    labels: Vec<String>,
+}
+
+/// Frames of a recording in the skin's channels.
+#[derive(Default)]
+struct Frames {
+    values: Vec<f64>,
+    channels: usize,
+    times_s: Vec<f64>,
+    wall_ns: Vec<i64>,
+    sequences: Vec<u64>,
+}
+
+impl PyRecording {
+    fn read(&self) -> Result<Recording, Fault> {
+        Ok(Recording::open(&self.path)?)
+    }
+
+    /// Frames from `start` to before `stop`.
+    fn read_frames(&self, start: usize, stop: Option<usize>, raw: bool) -> Result<Frames, Fault> {
+        let mut recording = self.read()?;
+        let layout = recording.head().layout.clone();
+        let protocol = self.skin.protocol()?;
+        let name = self.path.display().to_string();
+        let mut reader = ChannelReader::new(&layout, &protocol, self.skin.backend.reads, &name)?;
+        let channels = if raw { layout.channels() } else { protocol.channel_count() };
+        let mut frames = Frames { channels, ..Frames::default() };
+        let (mut frame, mut row, mut number, mut origin_ns) = (Frame::default(), Vec::new(), 0, None);
+        while stop.is_none_or(|stop| number < stop) && recording.next_frame(&mut frame)? {
+            let clock_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
+            let origin_ns = *origin_ns.get_or_insert(clock_ns);
+            reader.read(&frame.values, &frame.imaginary, &mut row)?;
+            if number >= start {
+                frames.values.extend_from_slice(if raw { &frame.values } else { &row });
+                frames.times_s.push(1e-9 * clock_ns.saturating_sub(origin_ns) as f64);
+                frames.wall_ns.push(i64::try_from(frame.host_wall_ns).unwrap_or(i64::MAX));
+                frames.sequences.push(frame.sequence);
+            }
+            number += 1;
+        }
+        Ok(frames)
+    }
+}
+
+#[pymethods]
+impl PyRecording {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        run(py, || {
+            let recording = Recording::open(&path)?;
+            let head = recording.head();
+            let skin = Skin::parse_any_version(&head.skin_toml, &path.display().to_string())?;
+            let (source, labels) = (head.source.clone(), head.labels.clone());
+            let written = recording.frames_written();
+            Ok(Self { path, skin, source, written, labels })
+        })
+    }
+
+    /// The file.
+    #[getter]
+    fn path(&self) -> PathBuf {
+        self.path.clone()
+    }
+
+    /// The skin at the time of recording.
+    #[getter]
+    fn skin(&self) -> PySkin {
+        PySkin { skin: self.skin.clone() }
+    }
+
+    /// Where the frames came from.
+    #[getter]
+    fn source(&self) -> &str {
+        &self.source
+    }
+
+    /// Frames, as the recording's end says, or None.
+    #[getter]
+    fn frames_written(&self) -> Option<u64> {
+        self.written
+    }
+
+    /// A label of every channel.
+    #[getter]
+    fn channel_labels(&self) -> PyResult<Vec<String>> {
+        let protocol = self.skin.protocol().map_err(Fault::from)?;
+        if self.labels.len() == protocol.channel_count() {
+            return Ok(self.labels.clone());
+        }
+        Ok((0..protocol.channel_count()).map(|channel| protocol.channel_label(channel)).collect())
+    }
+
+    /// Readings.
+    ///
+    /// Parameters
+    /// ----------
+    /// start, stop : int, optional
+    ///     From which frame, and before which.
+    /// raw : bool
+    ///     In the instrument's own order in place of the skin's.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n, k), NaN where missing.
+    #[pyo3(signature = (start=0, stop=None, *, raw=false))]
+    fn frames<'py>(
+        &self,
+        py: Python<'py>,
+        start: usize,
+        stop: Option<usize>,
+        raw: bool,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let frames = run(py, || self.read_frames(start, stop, raw))?;
+        array2(py, frames.values, frames.times_s.len(), frames.channels)
+    }
+
+    /// Times of the frames in seconds from the first, by the wall clock in nanoseconds, and their numbers.
+    #[pyo3(signature = (start=0, stop=None))]
+    fn times<'py>(
+        &self,
+        py: Python<'py>,
+        start: usize,
+        stop: Option<usize>,
+    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<u64>>)> {
+        let frames = run(py, || self.read_frames(start, stop, true))?;
+        Ok((array1(py, frames.times_s), array1(py, frames.wall_ns), array1(py, frames.sequences)))
+    }
+
+    /// Touches that were recorded, as a structured array: ``sequence``, ``wall_ns`` and the fields of ``dermis.touch_dtype``.
+    fn touches<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let (rows, sequences, times_ns) = run(py, || {
+            let mut recording = self.read()?;
+            let (mut rows, mut sequences, mut times_ns) = (Vec::<TouchRow>::new(), Vec::new(), Vec::new());
+            while let Some(entry) = recording.next_entry()? {
+                if let Entry::Touches { wall_ns, entry } = entry {
+                    rows.extend(entry.touches.iter().map(row_of_entry));
+                    sequences.resize(rows.len(), entry.sequence);
+                    times_ns.resize(rows.len(), i64::try_from(wall_ns).unwrap_or(i64::MAX));
+                }
+            }
+            Ok((rows, sequences, times_ns))
+        })?;
+        let touches = table_of(py, &rows)?;
+        let arguments = (array1(py, sequences), array1(py, times_ns), touches);
+        py.import("dermis._tables")?.getattr("recorded_touches")?.call1(arguments)
+    }
+
+    /// Frames as a ``pandas.DataFrame``.
+    fn to_pandas<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis._tables")?.getattr("to_pandas")?.call1((slf,))
+    }
+
+    /// Frames as a ``pyarrow.Table``.
+    fn to_arrow<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis._tables")?.getattr("to_arrow")?.call1((slf,))
+    }
+
+    /// Frames as an ``xarray.DataArray``.
+    fn to_xarray<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))
+    }
+
+    /// Baselines that came into use.
+    fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let list = PyList::empty(py);
+        let found = run(py, || {
+            let mut recording = self.read()?;
+            let mut found = Vec::new();
+            while let Some(entry) = recording.next_entry()? {
+                if let Entry::Baseline { wall_ns, entry } = entry {
+                    found.push((wall_ns, entry.clone()));
+                }
+            }
+            Ok(found)
+        })?;
+        for (wall_ns, entry) in found {
+            let row = PyDict::new(py);
+            row.set_item("wall_ns", wall_ns)?;
+            row.set_item("reason", entry.record.reason)?;
+            row.set_item("values", array1(py, entry.values))?;
+            row.set_item("noise_std", array1(py, entry.noise_std))?;
+            list.append(row)?;
+        }
+        Ok(list)
+    }
+
+    /// What happened.
+    fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let list = PyList::empty(py);
+        let found = run(py, || {
+            let mut recording = self.read()?;
+            let mut found = Vec::new();
+            while let Some(entry) = recording.next_entry()? {
+                if let Entry::Event { wall_ns, entry } = entry
+                    && !entry.event.is_empty()
+                {
+                    found.push((wall_ns, entry.clone()));
+                }
+            }
+            Ok(found)
+        })?;
+        for (wall_ns, entry) in found {
+            let row = PyDict::new(py);
+            row.set_item("wall_ns", wall_ns)?;
+            row.set_item("event", entry.event)?;
+            row.set_item("detail", entry.detail)?;
+            row.set_item("values", array1(py, entry.values))?;
+            list.append(row)?;
+        }
+        Ok(list)
+    }
+
+    fn __repr__(&self) -> String {
+        let count = self.written.map_or("an unknown number of".into(), |count| count.to_string());
+        format!("<dermis.Recording {:?}: {count} frames of skin {:?}>", self.path.display().to_string(), self.skin.name)
+    }
+}
+
+/// Values, and times in seconds where there are some.
+type FramesAndTimes<'py> = (Bound<'py, PyArray2<f64>>, Option<Bound<'py, PyArray1<f64>>>);
+
+/// Frames of any file that ``dermis reconstruct`` reads: CSV, NumPy, Sciospec ``.eit``, KTC and the others.
+///
+/// Parameters
+/// ----------
+/// path : str or os.PathLike
+///     The file; ``#A..B`` after it chooses frames.
+/// skin : Skin or str, optional
+///     With a skin, single-ended potentials and full matrices become its channels; without, readings are as they stand.
+///
+/// Returns
+/// -------
+/// frames : numpy.ndarray
+///     Shape (n, k), NaN where missing.
+/// times_s : numpy.ndarray or None
+///     Shape (n,), where the file has times.
+#[pyfunction]
+#[pyo3(signature = (path, skin=None))]
+pub fn read_frames<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    skin: Option<&Bound<'py, PyAny>>,
+) -> PyResult<FramesAndTimes<'py>> {
+    let skin = skin.map(crate::skin::skin_of).transpose()?;
+    let (rows, channels, times_s) = run_interruptibly(py, move || {
+        let spec: dermis::device::FileSpec = path.to_string_lossy().parse()?;
+        let table = dermis::device::read(&spec, None)?;
+        let times_s = table.times_s().map(<[f64]>::to_vec);
+        let rows = match &skin {
+            Some(skin) => {
+                let protocol = skin.protocol()?;
+                let name = table.source().display().to_string();
+                ChannelReader::new(table.layout(), &protocol, skin.backend.reads, &name)?.read_table(&table)?
+            }
+            None => table.rows().map(<[f64]>::to_vec).collect(),
+        };
+        let channels = rows.first().map_or(0, Vec::len);
+        Ok((rows, channels, times_s))
+    })?;
+    let count = rows.len();
+    Ok((array2(py, rows.concat(), count, channels)?, times_s.map(|times| array1(py, times))))
+}

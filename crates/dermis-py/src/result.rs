@@ -1,0 +1,243 @@
+//! [`PyFrameResult`]: what the pipeline says of one frame, as arrays made when they are asked for.
+
+use dermis::live::output::Output;
+use dermis::record::TouchEntry;
+use dermis::touch::{Touch, TouchEvent, TouchPhase};
+use numpy::{PyArray1, PyArray2};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::{PyDict, PyList};
+
+use crate::arrays::{array1, array2};
+
+/// A touch in numbers: id, phase, then x_mm, y_mm, force_n, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, radius_mm.
+pub type TouchRow = (u64, &'static str, [f64; 8]);
+
+fn phase_name(phase: TouchPhase) -> &'static str {
+    match phase {
+        TouchPhase::Begin => "begin",
+        TouchPhase::Move => "move",
+        TouchPhase::End => "end",
+    }
+}
+
+fn row_of(touch: &Touch) -> TouchRow {
+    let [x, y] = touch.position_m;
+    let force_n = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
+    let sigma = |axis: usize| 1e3 * touch.covariance_m2[axis][axis].sqrt();
+    let radius = touch.radius_m.map_or(f64::NAN, |radius| 1e3 * radius);
+    let values = [1e3 * x, 1e3 * y, force_n, touch.amplitude, 1e6 * touch.area_m2, sigma(0), sigma(1), radius];
+    (touch.id, phase_name(touch.phase), values)
+}
+
+/// The row of a recorded touch.
+pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
+    let ([x, y], [sx, sy]) = (touch.position_m, touch.sigma_m);
+    let values = [
+        1e3 * x,
+        1e3 * y,
+        touch.force_n,
+        touch.amplitude,
+        1e6 * touch.area_m2,
+        1e3 * sx,
+        1e3 * sy,
+        1e3 * touch.radius_m,
+    ];
+    (touch.id, phase_name(touch.phase), values)
+}
+
+/// Rows as the structured array of `dermis._tables.touches`.
+pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, PyAny>> {
+    let ids = array1(py, rows.iter().map(|row| row.0).collect());
+    let phases = PyList::new(py, rows.iter().map(|row| row.1))?;
+    let values = array2(py, rows.iter().flat_map(|row| row.2).collect(), rows.len(), 8)?;
+    py.import("dermis._tables")?.getattr("touches")?.call1((ids, phases, values))
+}
+
+/// What came of one frame.
+#[pyclass(frozen, module = "dermis", name = "Result")]
+pub struct PyFrameResult {
+    sequence: u64,
+    time_s: f64,
+    ready: bool,
+    raw: Vec<f64>,
+    compensated: Vec<f64>,
+    image: Vec<f32>,
+    shape: [usize; 2],
+    extent_mm: [f64; 4],
+    quantity: &'static str,
+    touches: Vec<TouchRow>,
+    channels: Vec<(u32, &'static str)>,
+    electrodes: Vec<u32>,
+    damages: Vec<Damage>,
+    proposal: Option<&'static str>,
+    watched: bool,
+    shown: PyOnceLock<Py<PyArray2<f32>>>,
+    table: PyOnceLock<Py<PyAny>>,
+}
+
+struct Damage {
+    id: u64,
+    state: &'static str,
+    centre_mm: [f64; 2],
+    length_mm: f64,
+    width_mm: f64,
+    direction_deg: f64,
+    depth: f64,
+    share: f64,
+}
+
+impl PyFrameResult {
+    /// Copied out of the pipeline's memory.
+    pub fn of(output: &Output<'_>, time_s: f64, ready: bool, extent_mm: [f64; 4], quantity: &'static str) -> Self {
+        let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
+        let damage = |damage: &dermis::touch::damage::Damage| Damage {
+            id: damage.id,
+            state: damage.state.name(),
+            centre_mm: damage.shape.centre_m.map(|metres| 1e3 * metres),
+            length_mm: 1e3 * damage.shape.length_m,
+            width_mm: 1e3 * damage.shape.width_m,
+            direction_deg: damage.shape.direction_rad.to_degrees(),
+            depth: damage.depth,
+            share: damage.share,
+        };
+        Self {
+            sequence: output.sequence,
+            time_s,
+            ready,
+            raw: output.raw.to_vec(),
+            compensated: output.compensated.to_vec(),
+            image: output.image.to_vec(),
+            shape: [output.rows, output.columns],
+            extent_mm,
+            quantity,
+            touches: output.touches.iter().chain(ended).map(row_of).collect(),
+            channels: output.health.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect(),
+            electrodes: output.health.electrodes.iter().map(|fault| fault.electrode).collect(),
+            damages: output.damage.damages.iter().map(damage).collect(),
+            proposal: output.damage.proposal.map(|_| "a new baseline is proposed"),
+            watched: output.damage.watched,
+            shown: PyOnceLock::new(),
+            table: PyOnceLock::new(),
+        }
+    }
+}
+
+#[pymethods]
+impl PyFrameResult {
+    /// Number of the frame.
+    #[getter]
+    fn sequence(&self) -> u64 {
+        self.sequence
+    }
+
+    /// Its time, seconds.
+    #[getter]
+    fn time_s(&self) -> f64 {
+        self.time_s
+    }
+
+    /// True once the baseline stood.
+    #[getter]
+    fn ready(&self) -> bool {
+        self.ready
+    }
+
+    /// Readings, shape (k,), in the skin's order.
+    #[getter]
+    fn raw<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        array1(py, self.raw.clone())
+    }
+
+    /// Readings less the baseline, shape (k,).
+    #[getter]
+    fn compensated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        array1(py, self.compensated.clone())
+    }
+
+    /// The image, shape (rows, columns), float32, row 0 at the top, NaN outside the skin.
+    #[getter]
+    fn image(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f32>>> {
+        let make = || Ok::<_, PyErr>(array2(py, self.image.clone(), self.shape[0], self.shape[1])?.unbind());
+        Ok(self.shown.get_or_try_init(py, make)?.clone_ref(py))
+    }
+
+    /// Left, right, bottom and top of the image, millimetres.
+    #[getter]
+    fn extent_mm(&self) -> [f64; 4] {
+        self.extent_mm
+    }
+
+    /// What its values are.
+    #[getter]
+    fn image_quantity(&self) -> &'static str {
+        self.quantity
+    }
+
+    /// Touches as a structured array of ``dermis.touch_dtype``: ``id``, ``phase``, ``x_mm``, ``y_mm``, ``force_n``,
+    /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Those that have just gone
+    /// have the phase ``end``.
+    #[getter]
+    fn touches(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let make = || Ok::<_, PyErr>(table_of(py, &self.touches)?.unbind());
+        Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
+    }
+
+    /// ``sound``, the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from 0.
+    #[getter]
+    fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let health = PyDict::new(py);
+        health.set_item("sound", self.channels.is_empty() && self.electrodes.is_empty())?;
+        health.set_item("channels", self.channels.iter().copied().collect::<std::collections::BTreeMap<_, _>>())?;
+        health.set_item("electrodes", self.electrodes.clone())?;
+        Ok(health)
+    }
+
+    /// ``watched``, a list of ``damages``, and a ``proposal`` of a new baseline, or None.
+    #[getter]
+    fn damage<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let list = PyList::empty(py);
+        for damage in &self.damages {
+            let row = PyDict::new(py);
+            row.set_item("id", damage.id)?;
+            row.set_item("state", damage.state)?;
+            row.set_item("x_mm", damage.centre_mm[0])?;
+            row.set_item("y_mm", damage.centre_mm[1])?;
+            row.set_item("length_mm", damage.length_mm)?;
+            row.set_item("width_mm", damage.width_mm)?;
+            row.set_item("direction_deg", damage.direction_deg)?;
+            row.set_item("depth", damage.depth)?;
+            row.set_item("share", damage.share)?;
+            list.append(row)?;
+        }
+        let seen = PyDict::new(py);
+        seen.set_item("watched", self.watched)?;
+        seen.set_item("damages", list)?;
+        seen.set_item("proposal", self.proposal)?;
+        Ok(seen)
+    }
+
+    /// Draws image and touches.
+    ///
+    /// Parameters
+    /// ----------
+    /// axes : matplotlib.axes.Axes, optional
+    ///     Where; a new figure's where left out.
+    ///
+    /// Returns
+    /// -------
+    /// matplotlib.axes.Axes
+    #[pyo3(signature = (axes=None))]
+    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis.plot")?.getattr("result")?.call1((slf, axes))
+    }
+
+    fn _repr_html_<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis._tables")?.getattr("result_html")?.call1((slf,))
+    }
+
+    fn __repr__(&self) -> String {
+        let ready = if self.ready { "" } else { ", learning its baseline" };
+        format!("<dermis.Result {} at {:.3} s: {} touches{ready}>", self.sequence, self.time_s, self.touches.len())
+    }
+}

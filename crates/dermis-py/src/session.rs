@@ -1,0 +1,327 @@
+//! [`PySession`]: a source read by a thread of its own, and its pipeline.
+
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::time::Duration;
+
+use dermis::device::acquire::{Acquisition, Next};
+use dermis::lab::twin_source::TwinCommand;
+use dermis::live::pipeline::Pipeline;
+use dermis::skin::Skin;
+use dermis::twin::mechanics::Load;
+use dermis_cli::sources::{Opened, SourceOptions, TwinControl, open_of};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+
+use crate::errors::{Fault, Kind};
+use crate::pipeline::extent_mm;
+use crate::result::PyFrameResult;
+use crate::skin::{PySkin, skin_of};
+use crate::twin::load;
+use crate::work::{lock, run, run_interruptibly};
+
+/// Frames that may wait between source and pipeline, as in `dermis run`.
+const QUEUE: usize = 64;
+/// How long a frame is waited for before Ctrl-C is looked for.
+const PATIENCE: Duration = Duration::from_millis(50);
+
+struct Running {
+    acquisition: Acquisition,
+    pipeline: Pipeline,
+    twin: Option<TwinControl>,
+    frames: u64,
+    origin_ns: Option<u64>,
+}
+
+/// What a step of a session came to.
+enum Step {
+    Result(Box<PyFrameResult>),
+    Idle,
+    End,
+}
+
+/// Frames of a source through a pipeline.
+#[pyclass(frozen, module = "dermis", name = "Session")]
+pub struct PySession {
+    selector: String,
+    skin: Skin,
+    most: Option<u64>,
+    extent_mm: [f64; 4],
+    opened_in: u32,
+    running: Mutex<Option<Running>>,
+}
+
+/// Opens a source of frames, and a pipeline for it.
+///
+/// Parameters
+/// ----------
+/// source : str or os.PathLike
+///     ``twin:NAME``, ``tcp:HOST:PORT``, ``serial:PORT``, or a file: a recording (.mcap), or whatever ``dermis reconstruct`` reads.
+/// skin : Skin or str, optional
+///     Whose frames they are, where the source does not say; healing-square where left out.
+/// frames : int, optional
+///     Stop after so many.
+/// speed : float
+///     Pace of twins and files: 1 as recorded, 0 as fast as frames are asked for.
+/// calibration, forces : str or os.PathLike, optional
+///     Files made by ``dermis calibrate``.
+/// as_set : bool
+///     Leave an instrument on the wire as it is set.
+///
+/// Returns
+/// -------
+/// Session
+///     An iterator of results, and a context manager.
+///
+/// Raises
+/// ------
+/// Error
+///     A source or a skin that cannot be opened.
+#[pyfunction]
+#[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false))]
+pub fn open(
+    py: Python<'_>,
+    source: PathBuf,
+    skin: Option<&Bound<'_, PyAny>>,
+    frames: Option<u64>,
+    speed: f64,
+    calibration: Option<PathBuf>,
+    forces: Option<PathBuf>,
+    as_set: bool,
+) -> PyResult<PySession> {
+    if !(speed >= 0.0 && speed.is_finite()) {
+        return Err(Fault::input("speed", "0 (as fast as possible) or a positive number", speed).into());
+    }
+    let given = skin.map(skin_of).transpose()?;
+    let selector = source.to_string_lossy().into_owned();
+    let named = selector.clone();
+    let (opened, pipeline) = run_interruptibly(py, move || {
+        let find = |name: Option<&str>| -> anyhow::Result<Skin> {
+            match (name, &given) {
+                (Some(name), _) => Ok(Skin::open(name)?),
+                (None, Some(skin)) => Ok(skin.clone()),
+                (None, None) => Ok(Skin::open("healing-square")?),
+            }
+        };
+        let opened = open_of(&named, &find, &SourceOptions { speed, as_set, format: None })?;
+        let (pipeline, _) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
+        Ok((opened, pipeline))
+    })?;
+    let Opened { skin, source, twin, wait, .. } = opened;
+    let extent_mm = extent_mm(pipeline.prepared());
+    let acquisition = Acquisition::spawn(source, QUEUE, wait);
+    let running = Running { acquisition, pipeline, twin, frames: 0, origin_ns: None };
+    Ok(PySession {
+        selector,
+        skin,
+        most: frames,
+        extent_mm,
+        opened_in: std::process::id(),
+        running: Mutex::new(Some(running)),
+    })
+}
+
+impl PySession {
+    /// Refuses a session that is closed, or whose thread is in another process.
+    fn with<T>(&self, work: impl FnOnce(&mut Running) -> Result<T, Fault>) -> Result<T, Fault> {
+        let here = std::process::id();
+        if here != self.opened_in {
+            let words = format!(
+                "session of {}: expected to be used in the process that opened it ({}), got process {here}, forked from it",
+                self.selector, self.opened_in
+            );
+            return Err(Fault::new(Kind::Session, words));
+        }
+        match lock(&self.running).as_mut() {
+            Some(running) => work(running),
+            None => {
+                let words = format!("session of {}: expected an open session, got one that is closed", self.selector);
+                Err(Fault::new(Kind::Session, words))
+            }
+        }
+    }
+
+    fn step(&self) -> Result<Step, Fault> {
+        self.with(|running| {
+            if self.most.is_some_and(|most| running.frames >= most) {
+                return Ok(Step::End);
+            }
+            let frame = match running.acquisition.next(PATIENCE)? {
+                Next::Frame(frame) => frame,
+                Next::Idle => return Ok(Step::Idle),
+                Next::End => return Ok(Step::End),
+            };
+            running.frames += 1;
+            let clock_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
+            let origin_ns = *running.origin_ns.get_or_insert(clock_ns);
+            let time_s = 1e-9 * clock_ns.saturating_sub(origin_ns) as f64;
+            let ready = running.pipeline.reference().is_some();
+            let now_ns = dermis::device::HostStamp::now().monotonic_ns;
+            let output = running.pipeline.process(&frame, now_ns)?;
+            let quantity = self.skin.modality.image_quantity();
+            let result = PyFrameResult::of(&output, time_s, ready, self.extent_mm, quantity);
+            running.acquisition.recycle(frame);
+            Ok(Step::Result(Box::new(result)))
+        })
+    }
+
+    fn command(&self, command: TwinCommand) -> Result<(), Fault> {
+        self.with(|running| match &running.twin {
+            Some(twin) => {
+                let sent = twin.commands.send(command);
+                sent.map_err(|error| Fault::new(Kind::Source, format!("session of {}: {error}", self.selector)))
+            }
+            None => Err(Fault::input("press", "the session of a twin", format!("one of {}", self.selector))),
+        })
+    }
+}
+
+#[pymethods]
+impl PySession {
+    fn __iter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    fn __next__(&self, py: Python<'_>) -> PyResult<Option<PyFrameResult>> {
+        loop {
+            match run(py, || self.step())? {
+                Step::Result(result) => return Ok(Some(*result)),
+                Step::End => return Ok(None),
+                Step::Idle => py.check_signals()?,
+            }
+        }
+    }
+
+    fn __enter__(slf: PyRef<'_, Self>) -> PyRef<'_, Self> {
+        slf
+    }
+
+    #[pyo3(signature = (*_error))]
+    fn __exit__(&self, py: Python<'_>, _error: &Bound<'_, PyTuple>) -> PyResult<bool> {
+        self.close(py)?;
+        Ok(false)
+    }
+
+    /// Stops reading; a session that is closed stays so.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        run(py, || {
+            let running = lock(&self.running).take();
+            if std::process::id() != self.opened_in {
+                // The thread that would be waited for is in the parent.
+                std::mem::forget(running);
+            }
+            Ok(())
+        })
+    }
+
+    /// Runs to the end, and returns times (n,), readings (n, k) and images (n, rows, columns).
+    fn asnumpy<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis._tables")?.getattr("session_arrays")?.call1((slf,))
+    }
+
+    /// The live page of the same source, in a process of its own. A port that this session holds is not there twice.
+    fn show<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let selector = self.selector.as_str();
+        if selector.starts_with("serial:") && !self.closed() {
+            let words = "a closed session, as a serial port cannot be opened twice";
+            return Err(Fault::input("show", words, format!("an open one of {selector}")).into());
+        }
+        py.import("dermis._tables")?.getattr("show")?.call1((selector, self.skin.name.as_str()))
+    }
+
+    /// True once closed.
+    #[getter]
+    fn closed(&self) -> bool {
+        lock(&self.running).is_none()
+    }
+
+    /// What was opened.
+    #[getter]
+    fn source(&self) -> &str {
+        &self.selector
+    }
+
+    /// The skin.
+    #[getter]
+    fn skin(&self) -> PySkin {
+        PySkin { skin: self.skin.clone() }
+    }
+
+    /// Frames delivered, and dropped, lost, damaged and repeated on the way.
+    #[getter]
+    fn counters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (frames, counters) = run(py, || self.with(|running| Ok((running.frames, running.acquisition.counters()))))?;
+        let named = PyDict::new(py);
+        named.set_item("frames", frames)?;
+        named.set_item("dropped", counters.dropped)?;
+        named.set_item("lost", counters.lost)?;
+        named.set_item("damaged", counters.bad)?;
+        named.set_item("repeated", counters.repeated)?;
+        Ok(named)
+    }
+
+    /// As :meth:`Pipeline.tare`.
+    #[pyo3(signature = (*, force=false))]
+    fn tare(&self, py: Python<'_>, force: bool) -> PyResult<usize> {
+        run(py, || self.with(|running| Ok(running.pipeline.tare(force, "asked for")?)))
+    }
+
+    /// Uses another lambda from now on.
+    fn set_hyperparameter(&self, py: Python<'_>, hyperparameter: f64) -> PyResult<()> {
+        run(py, || self.with(|running| Ok(running.pipeline.set_hyperparameter(hyperparameter)?)))
+    }
+
+    /// Presses a session's twin: as :meth:`Twin.press`.
+    #[pyo3(signature = (x_mm, y_mm, radius_mm=None, force_n=None, *, pressure_kpa=None, pointer=1))]
+    fn press(
+        &self,
+        py: Python<'_>,
+        x_mm: f64,
+        y_mm: f64,
+        radius_mm: Option<f64>,
+        force_n: Option<f64>,
+        pressure_kpa: Option<f64>,
+        pointer: u64,
+    ) -> PyResult<()> {
+        run(py, || {
+            let range = self.with(|running| Ok(running.twin.as_ref().map(|twin| twin.press)))?;
+            let usual_radius_m = range.map_or(5e-3, |range| range.initial_radius_m);
+            let radius_m = radius_mm.map_or(usual_radius_m, |mm| 1e-3 * mm);
+            let usual_pa = range.map_or(5e4, |range| range.initial_pressure_pa);
+            let pressure_pa = match load(force_n, pressure_kpa.map(|kpa| 1e3 * kpa), usual_pa)? {
+                Load::ForceN(force_n) => force_n / (std::f64::consts::PI * radius_m * radius_m),
+                Load::PressurePa(pressure_pa) => pressure_pa,
+            };
+            // The twin's thread has no one to tell that a press makes no sense.
+            if !self.skin.outline().contains([1e-3 * x_mm, 1e-3 * y_mm]) {
+                return Err(Fault::input("press", "a place on the skin", format!("({x_mm}, {y_mm}) mm")));
+            }
+            if !(radius_m > 0.0 && radius_m.is_finite()) {
+                return Err(Fault::input("radius_mm", "a positive number", 1e3 * radius_m));
+            }
+            if !(pressure_pa >= 0.0 && pressure_pa.is_finite()) {
+                return Err(Fault::input("press", "a pressure or force of 0 or above", format!("{pressure_pa} Pa")));
+            }
+            self.command(TwinCommand::Press { pointer, position_m: [1e-3 * x_mm, 1e-3 * y_mm], radius_m, pressure_pa })
+        })
+    }
+
+    /// Stops pressing a session's twin.
+    #[pyo3(signature = (pointer=1))]
+    fn release(&self, py: Python<'_>, pointer: u64) -> PyResult<()> {
+        run(py, || self.command(TwinCommand::Release { pointer }))
+    }
+
+    fn __repr__(&self) -> String {
+        let state = if self.closed() { "closed" } else { "open" };
+        format!("<dermis.Session of {}: {state}>", self.selector)
+    }
+}
+
+impl Drop for PySession {
+    fn drop(&mut self) {
+        if std::process::id() != self.opened_in {
+            std::mem::forget(lock(&self.running).take());
+        }
+    }
+}

@@ -1,0 +1,241 @@
+//! [`PySkin`]: a skin file, checked.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use dermis::live::prepare::Prepared;
+use dermis::skin::{BUILTIN_NAMES, Modality, Skin};
+use dermis::tomo::mesh::Outline;
+use numpy::PyArray2;
+use pyo3::prelude::*;
+
+use crate::arrays::{array2, read_only};
+use crate::errors::{Fault, Kind};
+use crate::model::PyModel;
+use crate::work::{run, run_interruptibly};
+
+/// Corners of the polygon that a disc is drawn as.
+const DISC_CORNERS: usize = 128;
+
+/// A skin as its file says.
+///
+/// Parameters
+/// ----------
+/// source : Skin, str or os.PathLike
+///     A skin, the name of a built-in one, the path of a skin file, or its text.
+///
+/// Raises
+/// ------
+/// SkinError
+///     A skin that there is none of, or a file that makes no sense, with the key, the value and what was expected.
+#[pyclass(frozen, module = "dermis", name = "Skin")]
+pub struct PySkin {
+    /// The file.
+    pub skin: Skin,
+}
+
+/// A skin from what Python calls one: the object, a name, a path, or the text of a file.
+pub fn skin_of(value: &Bound<'_, PyAny>) -> PyResult<Skin> {
+    if let Ok(skin) = value.cast::<PySkin>() {
+        return Ok(skin.get().skin.clone());
+    }
+    let path: PathBuf = value.extract().map_err(|_| {
+        let expected = "a dermis.Skin, the name of a built-in skin, a path, or the text of a skin file";
+        Fault::input("skin", expected, crate::arrays::type_name(value))
+    })?;
+    let text = path.to_string_lossy().into_owned();
+    // No path has a line break, and no skin file has none.
+    let skin = if text.contains('\n') { Skin::parse(&text, "skin") } else { Skin::open(&text) };
+    Ok(skin.map_err(Fault::from)?)
+}
+
+#[pymethods]
+impl PySkin {
+    #[new]
+    fn new(source: &Bound<'_, PyAny>) -> PyResult<Self> {
+        Ok(Self { skin: skin_of(source)? })
+    }
+
+    /// The names of the built-in skins.
+    #[staticmethod]
+    fn names() -> Vec<&'static str> {
+        BUILTIN_NAMES.to_vec()
+    }
+
+    /// A skin from the text of its file, of this or an earlier version of the format.
+    ///
+    /// Parameters
+    /// ----------
+    /// text : str
+    ///     TOML, with all parts in it.
+    #[staticmethod]
+    fn from_toml(text: &str) -> PyResult<Self> {
+        Ok(Self { skin: Skin::parse_any_version(text, "skin").map_err(Fault::from)? })
+    }
+
+    /// The skin as TOML, all parts in it.
+    fn to_toml(&self) -> String {
+        self.skin.to_toml()
+    }
+
+    /// Short name.
+    #[getter]
+    fn name(&self) -> &str {
+        &self.skin.name
+    }
+
+    /// One line for people.
+    #[getter]
+    fn title(&self) -> &str {
+        &self.skin.title
+    }
+
+    /// What physics reads it: ``eit`` or ``mit``.
+    #[getter]
+    fn modality(&self) -> &'static str {
+        self.skin.modality.name()
+    }
+
+    /// What the values of its images are.
+    #[getter]
+    fn image_quantity(&self) -> &'static str {
+        self.skin.modality.image_quantity()
+    }
+
+    /// Frames a second of its instrument, or None.
+    #[getter]
+    fn frames_per_s(&self) -> Option<f64> {
+        self.skin.backend.frames_per_s
+    }
+
+    /// Readings in a frame.
+    #[getter]
+    fn channel_count(&self) -> PyResult<usize> {
+        Ok(self.skin.protocol().map_err(Fault::from)?.channel_count())
+    }
+
+    /// Electrodes, or coils.
+    #[getter]
+    fn electrode_count(&self) -> usize {
+        self.skin.electrode_shapes().len()
+    }
+
+    /// Sheet conductance at rest, siemens: conductivity times thickness.
+    #[getter]
+    fn sheet_conductance_s(&self) -> f64 {
+        self.skin.sheet_conductance_s()
+    }
+
+    /// Corners of the rim, shape (n, 2), metres, the first not repeated; a disc has 128. Read-only.
+    #[getter]
+    fn outline<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let points: Vec<[f64; 2]> = match self.skin.outline() {
+            Outline::Disc { radius_m } => (0..DISC_CORNERS)
+                .map(|k| {
+                    let (s, c) = (std::f64::consts::TAU * k as f64 / DISC_CORNERS as f64).sin_cos();
+                    [radius_m * c, radius_m * s]
+                })
+                .collect(),
+            Outline::Rectangle { width_m, height_m } => {
+                let (x, y) = (0.5 * width_m, 0.5 * height_m);
+                vec![[-x, -y], [x, -y], [x, y], [-x, y]]
+            }
+            outline => polygon(&outline),
+        };
+        read_only(array2(py, points.as_flattened().to_vec(), points.len(), 2)?)
+    }
+
+    /// Lower left and upper right corner, metres.
+    #[getter]
+    fn bounds_m(&self) -> ([f64; 2], [f64; 2]) {
+        self.skin.outline().bounds_m()
+    }
+
+    /// The skin's mesh and forward model at rest.
+    ///
+    /// Parameters
+    /// ----------
+    /// elements : int, optional
+    ///     About how many elements; the skin file's number where left out.
+    ///
+    /// Returns
+    /// -------
+    /// Model
+    ///
+    /// Raises
+    /// ------
+    /// SkinError
+    ///     Geometry that cannot be meshed.
+    #[pyo3(signature = (elements=None))]
+    fn model(&self, py: Python<'_>, elements: Option<usize>) -> PyResult<PyModel> {
+        let mut skin = self.skin.clone();
+        if let Some(elements) = elements {
+            skin.imaging.elements = elements;
+            skin = skin.checked().map_err(Fault::from)?;
+        }
+        let prepared = run_interruptibly(py, move || Ok(Prepared::new(skin)?))?;
+        PyModel::of(py, Arc::new(prepared))
+    }
+
+    /// Draws rim, electrodes and their numbers.
+    ///
+    /// Parameters
+    /// ----------
+    /// axes : matplotlib.axes.Axes, optional
+    ///     Where; a new figure's where left out.
+    ///
+    /// Returns
+    /// -------
+    /// matplotlib.axes.Axes
+    #[pyo3(signature = (axes=None))]
+    fn plot<'py>(slf: &Bound<'py, Self>, axes: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyAny>> {
+        slf.py().import("dermis.plot")?.getattr("skin")?.call1((slf, axes))
+    }
+
+    fn _repr_svg_(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        if self.skin.modality == Modality::Mit && self.skin.frontend.coils.is_none() {
+            return Ok(None);
+        }
+        run(py, || Ok(Some(dermis_cli::skin_svg(&self.skin)?)))
+    }
+
+    fn __repr__(&self) -> String {
+        let channels = self.skin.protocol().map_or(0, |protocol| protocol.channel_count());
+        let what = if self.skin.modality == Modality::Mit { "coils" } else { "electrodes" };
+        format!("<dermis.Skin {:?}: {} {what}, {channels} channels>", self.skin.name, self.electrode_count())
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<PySkin>().is_ok_and(|other| other.get().skin == self.skin)
+    }
+
+    fn __hash__(&self) -> u64 {
+        use std::hash::{DefaultHasher, Hash, Hasher};
+        let mut hasher = DefaultHasher::new();
+        self.skin.to_toml().hash(&mut hasher);
+        hasher.finish()
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        let make = slf.get_type().getattr("from_toml")?;
+        Ok((make, (slf.get().to_toml(),)))
+    }
+}
+
+fn polygon(outline: &Outline) -> Vec<[f64; 2]> {
+    match outline {
+        Outline::Polygon { outer, .. } => outer.clone(),
+        _ => Vec::new(),
+    }
+}
+
+/// Refuses a model of another skin.
+pub fn same_skin(what: &str, expected: &Skin, got: &Skin) -> Result<(), Fault> {
+    if expected.name == got.name {
+        return Ok(());
+    }
+    Err(Fault::new(
+        Kind::Input,
+        format!("{what}: expected one of skin {}, got one of skin {}", expected.name, got.name),
+    ))
+}

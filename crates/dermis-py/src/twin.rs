@@ -1,0 +1,202 @@
+//! [`PyTwin`]: a skin's digital twin, pressed and stepped by hand.
+
+use std::sync::Mutex;
+
+use dermis::skin::Skin;
+use dermis::twin::instrument::FrameFate;
+use dermis::twin::mechanics::{Indenter, Load, Shape};
+use dermis::twin::{AnyTwin, Frontend as _, TouchTruth, TwinKit};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use crate::errors::{Fault, Kind};
+use crate::frame::PyFrame;
+use crate::skin::{PySkin, skin_of};
+use crate::work::{lock, run, run_interruptibly};
+
+/// Frames a second where the skin file gives none, as the command has it.
+const FRAMES_PER_S: f64 = 50.0;
+/// Steps without a frame after which an instrument that loses all of them is given up.
+const MOST_LOST: usize = 10_000;
+
+struct Running {
+    twin: AnyTwin,
+    time_s: f64,
+    truth: Vec<TouchTruth>,
+    values: Vec<f64>,
+}
+
+/// The digital twin of a skin: mechanics, fields and instrument, on another mesh than the reconstruction's.
+///
+/// Parameters
+/// ----------
+/// skin : Skin or str
+///     The skin.
+/// seed : int, optional
+///     Of the instrument's noise; the skin file's where left out. The same seed gives the same bits.
+#[pyclass(frozen, module = "dermis", name = "Twin")]
+pub struct PyTwin {
+    skin: Skin,
+    period_s: f64,
+    press: dermis::twin::PressRange,
+    running: Mutex<Running>,
+}
+
+/// One pressure or force.
+pub fn load(force_n: Option<f64>, pressure_pa: Option<f64>, usual_pa: f64) -> Result<Load, Fault> {
+    match (force_n, pressure_pa) {
+        (Some(force_n), None) => Ok(Load::ForceN(force_n)),
+        (None, Some(pressure_pa)) => Ok(Load::PressurePa(pressure_pa)),
+        (None, None) => Ok(Load::PressurePa(usual_pa)),
+        (Some(_), Some(_)) => Err(Fault::new(Kind::Input, "press: expected force_n or pressure_kpa, got both")),
+    }
+}
+
+#[pymethods]
+impl PyTwin {
+    #[new]
+    #[pyo3(signature = (skin, seed=None))]
+    fn new(py: Python<'_>, skin: &Bound<'_, PyAny>, seed: Option<u64>) -> PyResult<Self> {
+        let mut skin = skin_of(skin)?;
+        // Numbers in a skin file are signed.
+        if seed.is_some_and(|seed| i64::try_from(seed).is_err()) {
+            return Err(Fault::input("seed", "0 to 2^63 - 1", seed.unwrap_or_default()).into());
+        }
+        skin.twin.seed = seed.or(skin.twin.seed);
+        let of = skin.clone();
+        let kit = run_interruptibly(py, move || Ok(TwinKit::of(&of)?))?;
+        let period_s = 1.0 / skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let running = Running { twin: kit.twin, time_s: 0.0, truth: Vec::new(), values: Vec::new() };
+        Ok(Self { skin, period_s, press: kit.press, running: Mutex::new(running) })
+    }
+
+    /// The skin.
+    #[getter]
+    fn skin(&self) -> PySkin {
+        PySkin { skin: self.skin.clone() }
+    }
+
+    /// Time between frames, seconds.
+    #[getter]
+    fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
+    /// Time of the next frame, seconds.
+    #[getter]
+    fn time_s(&self) -> f64 {
+        lock(&self.running).time_s
+    }
+
+    /// Presses with a round indenter from the next frame on, or goes on pressing elsewhere or otherwise.
+    ///
+    /// Parameters
+    /// ----------
+    /// x_mm, y_mm : float
+    ///     Where, from the skin's centre.
+    /// radius_mm, force_n : float, optional
+    ///     Radius and force; what the skin is made for where left out.
+    /// pressure_kpa : float, optional
+    ///     Mean pressure in place of a force.
+    /// pointer : int
+    ///     Who presses: several may at once.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     A place off the skin, numbers that make no sense.
+    #[pyo3(signature = (x_mm, y_mm, radius_mm=None, force_n=None, *, pressure_kpa=None, pointer=1))]
+    fn press(
+        &self,
+        py: Python<'_>,
+        x_mm: f64,
+        y_mm: f64,
+        radius_mm: Option<f64>,
+        force_n: Option<f64>,
+        pressure_kpa: Option<f64>,
+        pointer: u64,
+    ) -> PyResult<()> {
+        let radius_m = radius_mm.map_or(self.press.initial_radius_m, |mm| 1e-3 * mm);
+        let load = load(force_n, pressure_kpa.map(|kpa| 1e3 * kpa), self.press.initial_pressure_pa)?;
+        let indenter = Indenter { centre_m: [1e-3 * x_mm, 1e-3 * y_mm], shape: Shape::Disc { radius_m }, load };
+        run(py, || {
+            let mut running = lock(&self.running);
+            running.twin.frontend().check_indenter(&indenter)?;
+            Ok(running.twin.scene_mut().press_with(pointer, indenter)?)
+        })
+    }
+
+    /// Stops pressing.
+    ///
+    /// Parameters
+    /// ----------
+    /// pointer : int, optional
+    ///     Who; everybody where left out.
+    #[pyo3(signature = (pointer=None))]
+    fn release(&self, py: Python<'_>, pointer: Option<u64>) -> PyResult<()> {
+        run(py, || {
+            let mut running = lock(&self.running);
+            match pointer {
+                Some(pointer) => running.twin.scene_mut().release(pointer),
+                None => running.twin.scene_mut().release_all(),
+            }
+            Ok(())
+        })
+    }
+
+    /// The next frame.
+    ///
+    /// Parameters
+    /// ----------
+    /// dt_s : float, optional
+    ///     Time to the frame after it; the period where left out.
+    ///
+    /// Returns
+    /// -------
+    /// Frame
+    #[pyo3(signature = (dt_s=None))]
+    fn step(&self, py: Python<'_>, dt_s: Option<f64>) -> PyResult<PyFrame> {
+        let dt_s = dt_s.unwrap_or(self.period_s);
+        if !(dt_s > 0.0 && dt_s <= 86_400.0) {
+            return Err(Fault::input("dt_s", "seconds, above 0 and at most a day", dt_s).into());
+        }
+        run(py, || {
+            let mut running = lock(&self.running);
+            let Running { twin, time_s, truth, values } = &mut *running;
+            for _ in 0..MOST_LOST {
+                let at_s = *time_s;
+                *time_s += dt_s;
+                let seen = twin.step(at_s, values)?;
+                truth.clone_from(&seen.touches);
+                if seen.fate != FrameFate::Dropped {
+                    let sequence = seen.sequence;
+                    return Ok(PyFrame::timed(sequence, at_s, values, twin.instrument().imaginary_v()));
+                }
+            }
+            Err(Fault::new(
+                Kind::Source,
+                format!("the twin's instrument has lost {MOST_LOST} frames one after another"),
+            ))
+        })
+    }
+
+    /// What truly pressed in the last frame: a dictionary each, of ``x_mm``, ``y_mm``, ``radius_mm``, ``pressure_kpa``, ``force_n``.
+    #[getter]
+    fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
+        let touches = PyList::empty(py);
+        for touch in &lock(&self.running).truth {
+            let row = PyDict::new(py);
+            row.set_item("x_mm", 1e3 * touch.x_m)?;
+            row.set_item("y_mm", 1e3 * touch.y_m)?;
+            row.set_item("radius_mm", 1e3 * touch.radius_m)?;
+            row.set_item("pressure_kpa", 1e-3 * touch.pressure_pa)?;
+            row.set_item("force_n", touch.pressure_pa * std::f64::consts::PI * touch.radius_m * touch.radius_m)?;
+            touches.append(row)?;
+        }
+        Ok(touches)
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dermis.Twin of {:?} at {:.3} s>", self.skin.name, self.time_s())
+    }
+}

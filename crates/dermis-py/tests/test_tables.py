@@ -1,0 +1,141 @@
+"""Drawings, what notebooks show, tables of other packages, and the command that rides along."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import dermis
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "press.mcap"
+    command = [sys.executable, "-m", "dermis", "record", "healing-square", "--speed", "0", "--frames", "150", "--out", path]
+    subprocess.run(command, check=True, capture_output=True)
+    return dermis.Recording(path)
+
+
+def test_recorded_frames(recording):
+    frames = recording.frames()
+    assert frames.shape == (150, 208) and np.isfinite(frames).all()
+    np.testing.assert_array_equal(recording.frames(10, 20), frames[10:20])
+    times_s, wall_ns, sequences = recording.times()
+    assert times_s[0] == 0 and (np.diff(times_s) > 0).all() and (np.diff(sequences) == 1).all() and len(wall_ns) == 150
+    touches = recording.touches()
+    assert len(touches) and set(touches.phase) <= {"begin", "move", "end"} and (np.abs(touches.x_mm) < 60).all()
+    assert recording.baselines() and isinstance(recording.events(), list)
+    # What comes of the same frames in a pipeline.
+    replayed = [len(result.touches) for result in dermis.open(str(recording.path))]
+    assert len(replayed) == 150 and sum(replayed) == len(touches)
+
+
+def test_pandas(recording):
+    pytest.importorskip("pandas")
+    table = recording.to_pandas()
+    assert table.shape == (150, 209) and list(table.columns[1:]) == recording.channel_labels
+    np.testing.assert_array_equal(table.to_numpy()[:, 1:], recording.frames())
+
+
+def test_arrow(recording):
+    pytest.importorskip("pyarrow")
+    assert recording.to_arrow().num_rows == 150
+
+
+def test_xarray(recording):
+    pytest.importorskip("xarray")
+    table = recording.to_xarray()
+    assert table.dims == ("time_s", "channel") and table.shape == (150, 208)
+
+
+def test_drawings(skin, pressed):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    axes = skin.plot()
+    assert {text.get_text() for text in axes.texts} >= {str(number) for number in range(1, 17)}
+    pipe = dermis.Pipeline(skin)
+    rest, press = pressed
+    for frame in rest + press:
+        result = pipe.process(frame)
+    drawn = result.plot()
+    assert drawn.images and len(drawn.figure.axes) == 2
+    assert dermis.design(skin, places=8).plot().images
+
+
+def test_what_notebooks_show(skin, pressed):
+    from xml.etree import ElementTree
+
+    assert ElementTree.fromstring(skin._repr_svg_()).tag.endswith("svg")
+    result = dermis.Pipeline(skin).process(pressed[0][0])
+    assert "<table>" in result._repr_html_()
+
+
+def test_sessions_as_arrays():
+    times_s, readings, images = dermis.open("twin:healing-square", frames=40).asnumpy()
+    assert times_s.shape == (40,) and readings.shape == (40, 208) and images.shape == (40, 64, 64)
+    # The baseline takes 32 frames.
+    assert np.isnan(images[0]).all() and np.isfinite(images[-1]).any()
+
+
+def test_orders(skin, model):
+    voltages = model.voltages()
+    found = dermis.find_order(skin, voltages)
+    assert found.description == "" and found.correlation > 0.999
+    found = dermis.find_order(model, np.stack([-voltages] * 3))
+    assert found.sign == -1 and found.better_correlation > 0.999
+    np.testing.assert_array_equal(found.to_skin(-voltages), voltages)
+    with pytest.raises(dermis.InputError, match="frames"):
+        found.to_skin(np.ones(3))
+
+
+def test_the_command_rides_along():
+    run = lambda *arguments: subprocess.run([sys.executable, "-m", "dermis", *arguments], capture_output=True, text=True)
+    listed = run("skins", "list")
+    assert listed.returncode == 0 and "healing-square" in listed.stdout
+    refused = run("skins", "show", "no-such-skin")
+    assert refused.returncode == 2 and "no-such-skin" in refused.stderr
+    assert run("--no-such-option").returncode == 2
+    assert run("--help").returncode == 0
+
+
+def test_importing_needs_numpy_alone_and_no_time():
+    code = (
+        "import sys, time; import numpy; begun = time.perf_counter(); import dermis; "
+        "took = time.perf_counter() - begun; "
+        "heavy = {'torch', 'jax', 'ray', 'matplotlib', 'pandas', 'pyarrow', 'xarray', 'scipy', 'meshio', 'tqdm'}; "
+        "print(took, *sorted(heavy & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert len(said) == 1, said
+    print(f"import dermis after NumPy: {1e3 * float(said[0]):.0f} ms")
+
+
+def test_stubs_name_what_there_is():
+    """Every name of the compiled half stands in its stubs, with every member, and the other way round."""
+    import ast
+    from pathlib import Path
+
+    module = dermis._dermis
+    stubs = ast.parse(Path(module.__file__).with_name("_dermis.pyi").read_text())
+    classes = {node.name: node for node in stubs.body if isinstance(node, ast.ClassDef)}
+    functions = {node.name for node in stubs.body if isinstance(node, ast.FunctionDef)}
+    public = {name for name in dir(module) if not name.startswith("__")}
+    assert set(classes) | functions == public
+    for name, node in classes.items():
+        there = {member for member in vars(getattr(module, name)) if not member.startswith("__")}
+        stubbed = {member.name for member in node.body if isinstance(member, ast.FunctionDef) and not member.name.startswith("__")}
+        assert there == stubbed, name
+
+
+def test_everything_public_is_documented():
+    lacking = []
+    for name in dermis.__all__:
+        value = getattr(dermis, name)
+        if name in ("__version__", "touch_dtype"):
+            continue
+        if not value.__doc__:
+            lacking.append(name)
+        if isinstance(value, type) and value.__module__ == "dermis":
+            lacking += [f"{name}.{member}" for member, of in vars(value).items() if not member.startswith("_") and not of.__doc__]
+    assert not lacking, lacking

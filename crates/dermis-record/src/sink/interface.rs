@@ -1,0 +1,74 @@
+//! What every sink is: something that takes one [`Output`] a frame, and touches in the units that files and streams show.
+
+use dermis_live::output::Output;
+use dermis_touch::{LoadQuantity, Touch, TouchLoad};
+
+use crate::Error;
+
+/// What a sink has taken.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Frames accepted.
+    pub frames: u64,
+    /// Lines, rows or images written.
+    pub written: u64,
+}
+
+/// Something that results are given to, frame by frame.
+pub trait Sink: Send {
+    /// Takes one frame's results.
+    ///
+    /// # Errors
+    /// When they could not be written; the sink is then of no further use.
+    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error>;
+
+    /// Writes what is left and puts files under their final names. Further calls change nothing.
+    ///
+    /// # Errors
+    /// When that fails; no file stands under its final name then, unless one stood there before.
+    fn finish(&mut self) -> Result<Summary, Error>;
+}
+
+/// One millimetre in metres, and its square, for the edges.
+const MM_PER_M: f64 = 1e3;
+const MM2_PER_M2: f64 = 1e6;
+
+/// A touch as files and streams show it.
+pub(super) struct TouchRow {
+    pub(super) x_mm: f64,
+    pub(super) y_mm: f64,
+    pub(super) amplitude: f64,
+    pub(super) area_mm2: f64,
+    pub(super) sigma_x_mm: f64,
+    pub(super) sigma_y_mm: f64,
+}
+
+impl TouchRow {
+    pub(super) fn new(touch: &Touch) -> Self {
+        Self {
+            x_mm: touch.position_m[0] * MM_PER_M,
+            y_mm: touch.position_m[1] * MM_PER_M,
+            amplitude: touch.amplitude,
+            area_mm2: touch.area_m2 * MM2_PER_M2,
+            sigma_x_mm: touch.covariance_m2[0][0].sqrt() * MM_PER_M,
+            sigma_y_mm: touch.covariance_m2[1][1].sqrt() * MM_PER_M,
+        }
+    }
+}
+
+/// Names of a load and its standard deviation in tables and lines.
+pub(super) fn load_names(quantity: LoadQuantity) -> [&'static str; 2] {
+    match quantity {
+        LoadQuantity::DepthM => ["depth_mm", "sigma_depth_mm"],
+        LoadQuantity::ForceN => ["poke_force_n", "sigma_poke_force_n"],
+    }
+}
+
+/// A load and its standard deviation in the units of [`load_names`].
+pub(super) fn load_numbers(load: &TouchLoad) -> [f64; 2] {
+    let unit = match load.quantity {
+        LoadQuantity::DepthM => MM_PER_M,
+        LoadQuantity::ForceN => 1.0,
+    };
+    [unit * load.value, unit * load.sigma]
+}

@@ -1,0 +1,332 @@
+//! What a skin will cost before anything of it is built: bytes and operations worked out from the sizes in its file, what
+//! drives them, and the key to change. The counts are upper estimates of the largest things in memory, not of everything.
+
+use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::backend::{DrivePattern, MeasurePattern};
+use crate::error::Error;
+use crate::imaging::{Imaging, PriorChoice, Solve};
+use crate::skin::{Modality, Skin};
+
+/// Memory that may be used where neither the user nor the system says: 8 GB.
+const MEMORY_BYTES: f64 = 8e9;
+/// Longest preparation without the user's consent, seconds.
+const MOST_SECONDS: f64 = 1800.0;
+/// Operations a second that every machine of this century does: dense products on one core.
+const OPERATIONS_PER_S: f64 = 4e9;
+/// Bytes of a number in double precision.
+const NUMBER: f64 = 8.0;
+/// Bytes of a triangle and its share of the nodes: mesh, matrix, factor.
+const TRIANGLE: f64 = 600.0;
+/// Triangles that an electrode brings besides those of the sheet.
+const ELECTRODE_TRIANGLES: f64 = 250.0;
+/// Operations that placing a triangle costs for each electrode and vertex of the outline that its size depends on.
+const MESHING: f64 = 400.0;
+
+/// Bytes that may be used, as the user said; 0: not said.
+static MEMORY: AtomicU64 = AtomicU64::new(0);
+
+/// Lets preparations use so many bytes, and as long as they take.
+pub fn set_memory_limit(bytes: u64) {
+    MEMORY.store(bytes.max(1), Ordering::Relaxed);
+}
+
+/// Bytes that a preparation may use: what [`set_memory_limit`] was told, or three quarters of the machine's memory.
+pub fn memory_limit() -> u64 {
+    match MEMORY.load(Ordering::Relaxed) {
+        0 => (machine_bytes().map_or(MEMORY_BYTES, |bytes| 0.75 * bytes)) as u64,
+        said => said,
+    }
+}
+
+fn machine_bytes() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kilobytes * 1024.0)
+}
+
+/// What a preparation costs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Budget {
+    /// Bytes in memory at once.
+    pub bytes: f64,
+    /// Seconds of work on one core.
+    pub seconds: f64,
+    /// The largest part of it, for people.
+    pub driver: String,
+    /// The key to change, with its value and what may be done.
+    pub change: String,
+}
+
+impl fmt::Display for Budget {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { bytes, seconds, driver, .. } = self;
+        write!(out, "about {} of memory and {}, most of it for {driver}", size(*bytes), time(*seconds))
+    }
+}
+
+/// One thing that costs.
+struct Cost {
+    bytes: f64,
+    operations: f64,
+    driver: String,
+    change: String,
+}
+
+/// The sizes that everything follows from.
+struct Sizes {
+    pixels: f64,
+    channels: f64,
+    drives: f64,
+    electrodes: f64,
+    vertices: f64,
+}
+
+impl Sizes {
+    fn of(skin: &Skin) -> Self {
+        let (low, high) = skin.outline().bounds_m();
+        let (width, height) = (high[0] - low[0], high[1] - low[1]);
+        let share = (skin.outline().area_m2() / (width * height)).clamp(0.0, 1.0);
+        let grid = skin.imaging.grid as f64;
+        // Pixels are square, and as many as the grid has stand along the longer side.
+        let pixels = grid * grid * (width.min(height) / width.max(height)) * share;
+        let electrodes = skin.frontend.coils.as_ref().map_or(skin.frontend.electrodes.count(), |coils| coils.count());
+        let electrodes = electrodes as f64;
+        let drives = match &skin.backend.drive {
+            DrivePattern::Pairs(pairs) => pairs.len() as f64,
+            DrivePattern::EachCoil => 0.5 * electrodes,
+            _ => electrodes,
+        };
+        let readings = match &skin.backend.measure {
+            MeasurePattern::Pairs(pairs) => pairs.len() as f64,
+            _ => electrodes,
+        };
+        let vertices = match &skin.frontend.shape {
+            crate::Shape::Polygon { outer_mm, holes_mm } => {
+                outer_mm.len() + holes_mm.iter().map(Vec::len).sum::<usize>()
+            }
+            _ => 4,
+        };
+        Self { pixels, channels: drives * readings, drives, electrodes, vertices: vertices as f64 }
+    }
+}
+
+fn is_dense(prior: &PriorChoice) -> bool {
+    match prior {
+        PriorChoice::GaussianMm(_) | PriorChoice::Balanced { .. } => true,
+        PriorChoice::Identity | PriorChoice::Laplace | PriorChoice::Noser(_) => false,
+        PriorChoice::Mixture(parts) => parts.iter().any(|part| is_dense(&part.prior)),
+    }
+}
+
+impl Budget {
+    /// Of reconstructing a skin: its mesh, its forward model, its operator.
+    pub fn of_imaging(skin: &Skin) -> Self {
+        let Sizes { pixels, channels, drives, electrodes, vertices } = Sizes::of(skin);
+        let Imaging { grid, elements, prior, solve, .. } = &skin.imaging;
+        let triangles = *elements as f64 + ELECTRODE_TRIANGLES * electrodes;
+        let mut costs = vec![mesh_cost(triangles, electrodes, vertices, format!("imaging.elements = {elements}"))];
+        if skin.modality == Modality::Eit {
+            costs.push(fields_cost(triangles, electrodes.max(drives), electrodes));
+        }
+        costs.push(Cost {
+            bytes: 2.0 * NUMBER * channels * pixels,
+            operations: 2.0 * channels * pixels * 30.0,
+            driver: format!("a Jacobian and an operator of {channels:.0} channels x {pixels:.0} pixels"),
+            change: match channels > pixels {
+                true => format!("{electrodes:.0} electrodes or coils: take fewer, or another backend.drive or measure"),
+                false => format!("imaging.grid = {grid}: take a smaller one"),
+            },
+        });
+        if *solve == Solve::Pixels {
+            let rows = channels.min(pixels);
+            let (change, dense) = (format!("imaging.grid = {grid}"), is_dense(prior));
+            costs.push(Cost {
+                bytes: NUMBER * 2.0 * rows * rows,
+                operations: 2.0 * channels * pixels * rows,
+                driver: format!("the inverse problem of {rows:.0} unknowns"),
+                change: format!("{change}, or fewer channels"),
+            });
+            if dense {
+                costs.push(Cost {
+                    bytes: NUMBER * pixels * pixels,
+                    operations: pixels * pixels * (2.0 * channels.min(pixels) + 30.0),
+                    driver: format!("a dense prior of {pixels:.0} x {pixels:.0} pixels"),
+                    change: format!(
+                        "{change}: take a smaller one, or imaging.prior = \"laplace\", \"identity\" or noser"
+                    ),
+                });
+            }
+        }
+        Self::sum(costs)
+    }
+
+    /// Of a twin of so many triangles away from its electrodes.
+    pub fn of_twin(skin: &Skin, triangles: f64) -> Self {
+        let Sizes { electrodes, drives, vertices, .. } = Sizes::of(skin);
+        let near = if skin.modality == Modality::Mit { 0.0 } else { ELECTRODE_TRIANGLES * electrodes };
+        let triangles = triangles + near;
+        let mut costs = vec![mesh_cost(triangles, electrodes, vertices, "twin.element_mm, left out or set".to_owned())];
+        if skin.modality == Modality::Eit {
+            costs.push(fields_cost(triangles, electrodes.max(drives), electrodes));
+        }
+        Self::sum(costs)
+    }
+
+    fn sum(costs: Vec<Cost>) -> Self {
+        let bytes = costs.iter().map(|cost| cost.bytes).sum();
+        let operations: f64 = costs.iter().map(|cost| cost.operations).sum();
+        let weight = |cost: &Cost| (cost.bytes / MEMORY_BYTES).max(cost.operations / OPERATIONS_PER_S / MOST_SECONDS);
+        let worst = costs.into_iter().max_by(|a, b| weight(a).total_cmp(&weight(b)));
+        let (driver, change) = worst.map_or_else(Default::default, |cost| (cost.driver, cost.change));
+        Self { bytes, seconds: operations / OPERATIONS_PER_S, driver, change }
+    }
+
+    /// Refuses what would need more than may be used.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] with what drives it and what to change.
+    pub fn check(&self, skin: &Skin, what: &'static str) -> Result<(), Error> {
+        let limit = memory_limit() as f64;
+        let is_said = MEMORY.load(Ordering::Relaxed) != 0;
+        if self.bytes <= limit && (is_said || self.seconds <= MOST_SECONDS) {
+            return Ok(());
+        }
+        let time = if is_said { String::new() } else { format!(" and {}", time(MOST_SECONDS)) };
+        Err(Error::Budget {
+            skin: skin.name.clone(),
+            what,
+            needed: self.to_string(),
+            change: self.change.clone(),
+            limit: format!("{}{time}", size(limit)),
+            memory: format!("{:.0}GB", (1.1 * self.bytes.max(limit) / 1e9).ceil()),
+        })
+    }
+}
+
+fn mesh_cost(triangles: f64, electrodes: f64, vertices: f64, change: String) -> Cost {
+    let electrodes_drive = ELECTRODE_TRIANGLES * electrodes > 0.5 * triangles;
+    Cost {
+        bytes: TRIANGLE * triangles,
+        operations: MESHING * triangles * (electrodes + vertices),
+        driver: format!("a mesh of {triangles:.0} triangles about {electrodes:.0} electrodes, {vertices:.0} vertices"),
+        change: if electrodes_drive {
+            format!("{electrodes:.0} electrodes in frontend.electrodes: take fewer")
+        } else if vertices > 200.0 {
+            format!("{vertices:.0} vertices in frontend.shape: take fewer")
+        } else {
+            format!("{change}: take fewer or larger elements")
+        },
+    }
+}
+
+/// Fields of every electrode on every node, three times, and the factor.
+fn fields_cost(triangles: f64, fields: f64, electrodes: f64) -> Cost {
+    let nodes = 0.5 * triangles + electrodes;
+    Cost {
+        bytes: 3.0 * NUMBER * nodes * fields,
+        // Substitution in a factor of about 30 numbers a node and right-hand side, the factorisation itself.
+        operations: 120.0 * nodes * fields + 20.0 * nodes.powf(1.5),
+        driver: format!("the fields of {fields:.0} electrodes or drives on {nodes:.0} nodes"),
+        change: format!("{electrodes:.0} electrodes in frontend.electrodes, or imaging.elements: take fewer"),
+    }
+}
+
+/// Bytes for people.
+fn size(bytes: f64) -> String {
+    match bytes {
+        b if b >= 1e12 => format!("{:.1} TB", b / 1e12),
+        b if b >= 1e9 => format!("{:.1} GB", b / 1e9),
+        b => format!("{:.0} MB", (b / 1e6).max(1.0)),
+    }
+}
+
+/// Seconds for people.
+fn time(seconds: f64) -> String {
+    match seconds {
+        s if s >= 7200.0 => format!("{:.0} h", s / 3600.0),
+        s if s >= 120.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.0} s", s.max(1.0)),
+    }
+}
+
+/// Bytes from what a user writes: `8GB`, `512MB`, `2.5G`, or a plain number of bytes.
+///
+/// # Errors
+/// What was expected.
+///
+/// ```
+/// use dermis_skin::budget::parse_bytes;
+///
+/// assert_eq!(parse_bytes("2.5GB"), Ok(2_500_000_000));
+/// assert_eq!(parse_bytes("512M"), Ok(512_000_000));
+/// assert!(parse_bytes("-1GB").is_err() && parse_bytes("much").is_err());
+/// ```
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
+    let expected = || format!("'{text}': expected a size such as 8GB, 512MB or a number of bytes, 1 MB to 1000 TB");
+    let lower = text.trim().to_ascii_lowercase();
+    let number = lower.trim_end_matches("ib").trim_end_matches('b');
+    let (number, factor) = match number.char_indices().last() {
+        Some((at, 'k')) => (&number[..at], 1e3),
+        Some((at, 'm')) => (&number[..at], 1e6),
+        Some((at, 'g')) => (&number[..at], 1e9),
+        Some((at, 't')) => (&number[..at], 1e12),
+        _ => (number, 1.0),
+    };
+    let bytes = number.trim().parse::<f64>().map_err(|_| expected())? * factor;
+    if (1e6..=1e15).contains(&bytes) { Ok(bytes as u64) } else { Err(expected()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::BUILTIN_NAMES;
+
+    fn changed(name: &str, from: &str, to: &str) -> Skin {
+        let text = crate::builtin_text(name).unwrap();
+        assert!(text.contains(from), "{name} has no {from}");
+        Skin::parse(&text.replace(from, to), "changed").unwrap()
+    }
+
+    /// Whatever machine this runs on.
+    fn refusal(budget: &Budget) -> bool {
+        budget.bytes > 24e9 || budget.seconds > MOST_SECONDS
+    }
+
+    #[test]
+    fn built_in_skins_fit_and_say_what_they_cost() {
+        for name in BUILTIN_NAMES {
+            let skin = Skin::open(name).unwrap();
+            let budget = Budget::of_imaging(&skin);
+            assert!(budget.bytes < 2e9 && budget.seconds < 300.0, "{name}: {budget}");
+            assert!(Budget::of_twin(&skin, 10_000.0).bytes < 2e9, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_grid_of_512_is_refused_with_the_key_to_change() {
+        let mut skin = Skin::open("healing-square").unwrap();
+        skin.imaging.grid = 512;
+        let budget = Budget::of_imaging(&skin);
+        // 262,144 pixels squared, eight bytes each.
+        assert!(budget.bytes > 5e11, "{budget}");
+        assert!(refusal(&budget) && budget.change.contains("imaging.grid = 512"), "{budget:?}");
+        assert!(budget.driver.contains("dense prior"), "{budget:?}");
+        let error = budget.check(&skin, "the image").unwrap_err().to_string();
+        assert!(error.contains("--memory") && error.contains("imaging.grid = 512"), "{error}");
+        // Of a sparse prior, the same grid is a matter of the operator alone.
+        skin.imaging.prior = PriorChoice::Laplace;
+        assert!(Budget::of_imaging(&skin).bytes < 0.05 * budget.bytes);
+    }
+
+    #[test]
+    fn nine_hundred_pads_are_told_to_need_more_than_a_laptop() {
+        let skin = changed("piezo-disc", "per_side = 8", "per_side = 30");
+        let budget = Budget::of_imaging(&skin);
+        // Refused or not is a matter of the machine.
+        assert!(budget.bytes > 10e9 && budget.seconds > 60.0, "{budget:?}");
+        assert!(budget.change.contains("900 electrodes"), "{budget:?}");
+    }
+}

@@ -1,0 +1,33 @@
+//! The first touch: a skin's twin is read, and what it feels is printed.
+//! `cargo run --release -p dermis --example first_touch`
+
+use dermis::touch::TouchEvent;
+use dermis::{Error, Session, Skin};
+
+/// Prints the touches of a skin's twin.
+pub fn main() -> Result<(), Error> {
+    let skin = Skin::open("healing-square")?;
+    // For a real skin its own file above, and here "tcp:10.0.0.5:4000", "serial:/dev/ttyACM0", a recording or a CSV
+    // file.
+    let source = "twin";
+    let mut begun = 0;
+    // The first 32 frames make the baseline: do not touch a real skin meanwhile.
+    for frame in Session::open(source, skin)?.take(200) {
+        let frame = frame?;
+        for event in &frame.events {
+            let touch = event.touch();
+            let [x, y] = touch.position_m.map(|m| 1e3 * m);
+            match event {
+                TouchEvent::Begin(_) => {
+                    begun += 1;
+                    println!("{:.2} s: touch {} begins at ({x:.1}, {y:.1}) mm", frame.time_s, touch.id);
+                }
+                TouchEvent::End(_) => println!("{:.2} s: touch {} ends", frame.time_s, touch.id),
+                TouchEvent::Move(_) => {}
+            }
+        }
+    }
+    println!("{begun} touches");
+    assert!(begun > 0, "the twin demonstrates touches by itself");
+    Ok(())
+}

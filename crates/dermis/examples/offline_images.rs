@@ -1,0 +1,51 @@
+//! Images and touches of frames in files. The files are made by a twin here; yours are what your instrument wrote: CSV
+//! or NumPy, a frame a row.
+//! `cargo run --release -p dermis --example offline_images`
+
+use dermis::device::FileSpec;
+use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
+use dermis::live::imager::Imager;
+use dermis::live::prepare::Prepared;
+use dermis::live::reference::Reference;
+use dermis::twin::from_skin::press_range;
+use dermis::{Error, Skin};
+
+/// Makes images of files of frames.
+pub fn main() -> Result<(), Error> {
+    let folder = std::env::temp_dir().join(format!("dermis-offline-images-{}", std::process::id()));
+    let failed = |source| Error::Io { file: folder.clone(), source };
+    std::fs::create_dir_all(&folder).map_err(failed)?;
+    let skin = Skin::open("healing-square")?;
+    let presses = random_presses(&skin.outline(), &press_range(&skin), 3, 7);
+    let (baseline, frames) = (folder.join("rest.csv"), folder.join("press.csv"));
+    let request = SampleRequest {
+        skin: skin.clone(),
+        presses: presses.clone(),
+        baseline: baseline.clone(),
+        frames: frames.clone(),
+        truth: None,
+        seed: None,
+        repeats: 1,
+    };
+    sample(&request, |_, _| {})?;
+
+    // From here on as with measured files.
+    let read = |path: &std::path::Path| dermis::device::read(&FileSpec::all(path), None);
+    let (rest, pressed) = (read(&baseline)?, read(&frames)?);
+    let prepared = Prepared::new(skin)?; // Mesh, forward model, Jacobian.
+    let rest: Vec<Vec<f64>> = rest.rows().map(<[f64]>::to_vec).collect();
+    let reference = Reference::of(&prepared, &rest)?; // Gains, noise, a check of the channels' order.
+    let mut imager = Imager::new(&prepared, &reference, &[])?; // The operator.
+    let grid = prepared.map.grid();
+    let mut image = vec![f32::NAN; grid.len()];
+    for (frame, press) in pressed.rows().zip(&presses) {
+        imager.image(&reference.difference(frame, None), &mut image)?;
+        let sized = |pixel: &usize| if image[*pixel].is_finite() { image[*pixel].abs() } else { 0.0 };
+        let peak = (0..grid.len()).max_by(|a, b| sized(a).total_cmp(&sized(b))).unwrap_or(0);
+        let (at, true_at) = (grid.centre_m(peak), press[0].centre_m);
+        println!("pressed at {true_at:.3?} m, brightest at {at:.3?} m");
+        assert!((at[0] - true_at[0]).hypot(at[1] - true_at[1]) < 0.01, "a tenth of the side");
+    }
+    std::fs::remove_dir_all(&folder).map_err(failed)?;
+    Ok(())
+}

@@ -1,0 +1,126 @@
+//! From what a user writes for a source to frames of a skin: its twin, a file, a recording, an instrument.
+
+use crossbeam_channel::Receiver;
+use dermis_device::stream::{StreamOptions, StreamSource};
+use dermis_device::{
+    FileSpec, Format, FrameSelect, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
+};
+use dermis_lab::measured_list::setup_of;
+use dermis_lab::twin_source::{TwinCommands, TwinSource};
+use dermis_record::{Recording, Replay, is_recording, read_frames};
+use dermis_skin::Skin;
+use dermis_twin::PressRange;
+
+use crate::Error;
+
+/// Frames a second of files that do not say when their frames were, and of skin files that give none.
+const FRAMES_PER_S: f64 = 20.0;
+
+/// How a source is opened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SourceOptions {
+    /// Pace of files and of the twin: 1 as recorded, 2 twice as fast, 0 as fast as frames are taken.
+    pub speed: f64,
+    /// An instrument on the wire stays set as it is; without it, it is told the skin's protocol, current and frequency.
+    pub as_set: bool,
+    /// Format of a file of frames; recognised where `None`.
+    pub format: Option<Format>,
+}
+
+impl Default for SourceOptions {
+    /// As fast as frames are taken, instruments set to the skin.
+    fn default() -> Self {
+        Self { speed: 0.0, as_set: false, format: None }
+    }
+}
+
+/// A source and what goes with it.
+pub struct OpenedSource {
+    /// The frames.
+    pub source: Box<dyn Source>,
+    /// To press on it, if it is a twin.
+    pub twin: Option<TwinControl>,
+    /// True for files, which end, and may be held up; false for instruments.
+    pub is_file: bool,
+    /// Frames wait for whoever takes them: files, and a twin without pace.
+    pub waits: bool,
+}
+
+/// How a running twin is pressed.
+#[derive(Debug)]
+pub struct TwinControl {
+    /// Where commands go.
+    pub commands: TwinCommands,
+    /// What people may press with.
+    pub press: PressRange,
+    /// What the twin has to say.
+    pub notices: Receiver<String>,
+}
+
+/// Opens a source of frames for a skin: `twin` is the skin's own twin and `twin:NAME` another skin's, whose channels
+/// must be as many; a file is a recording or anything else that [`dermis_record::read_frames`] reads.
+///
+/// # Errors
+/// A speed that is negative or not finite, a file that cannot be read, an instrument that does not answer, a twin that
+/// cannot be made.
+pub fn open_source(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
+    if !(options.speed >= 0.0 && options.speed.is_finite()) {
+        let expected = "0 (as fast as possible) or a positive number".into();
+        return Err(Error::Frames { what: "speed".into(), expected, got: options.speed.to_string() });
+    }
+    match selector {
+        SourceSelector::Twin { name: Some(name) } if *name != skin.name => {
+            let other = Skin::open(name)?;
+            twin(&other, options)
+        }
+        SourceSelector::Twin { .. } => twin(skin, options),
+        SourceSelector::File(spec) => file(spec, skin, options),
+        live => {
+            let source = instrument(live, skin, options)?;
+            tracing::info!("{live}: {}", source.identity().unwrap_or_default());
+            Ok(OpenedSource { source: Box::new(source), twin: None, is_file: false, waits: false })
+        }
+    }
+}
+
+fn twin(skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
+    let (source, commands) = TwinSource::new(skin)?;
+    let control = TwinControl { commands, press: source.press_range(), notices: source.notices() };
+    // Asked for as fast as possible, a twin waits for whoever takes its frames.
+    let waits = options.speed == 0.0;
+    let source = if waits { source.unpaced() } else { source };
+    Ok(OpenedSource { source: Box::new(source), twin: Some(control), is_file: false, waits })
+}
+
+fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
+    let pacing = |rate: Option<f64>| match (options.speed, rate) {
+        (0.0, _) => Pacing::Immediate,
+        (_, None) => Pacing::Recorded,
+        (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
+    };
+    let is_whole = spec.select == FrameSelect::All && options.format.is_none();
+    let source: Box<dyn Source> = if is_whole && is_recording(&spec.path) {
+        Box::new(Replay::new(Recording::open(&spec.path)?, pacing(None), Repeat::Once)?)
+    } else {
+        let table = read_frames(spec, options.format)?;
+        let rate = match table.times_s() {
+            Some(_) if options.speed == 1.0 => None,
+            _ => Some(skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S)),
+        };
+        Box::new(Playback::new(table, pacing(rate), Repeat::Once)?)
+    };
+    Ok(OpenedSource { source, twin: None, is_file: true, waits: true })
+}
+
+/// Opens an instrument. One on the wire is set to what the skin says, as far as it can be, unless it shall stay as set.
+fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<StreamSource, Error> {
+    let on_the_wire = matches!(
+        selector,
+        SourceSelector::Tcp { instrument: Instrument::Wire, .. }
+            | SourceSelector::Serial { instrument: Instrument::Wire, .. }
+    );
+    if on_the_wire && !options.as_set {
+        return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
+    }
+    Ok(open_stream(selector, StreamOptions::default())?)
+}
