@@ -452,6 +452,11 @@ impl Pipeline {
     /// # Errors
     /// A lambda that is not positive and finite.
     pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
+        // Before the start it is only kept: what is wrong with it has to be said now.
+        if !(lambda > 0.0 && lambda.is_finite()) {
+            let expected = "a number above 0".into();
+            return Err(Error::Frames { what: "hyperparameter".into(), expected, got: lambda.to_string() });
+        }
         if let State::Running(running) = &mut self.state {
             let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
             imager.set_hyperparameter(lambda, &running.reference.noise)?;
