@@ -7,6 +7,7 @@ use dermis_device::DeviceError;
 use dermis_learn::LearnError;
 use dermis_tomo::eit::EitError;
 use dermis_tomo::inverse::InverseError;
+use dermis_twin::TwinError;
 
 use crate::terminal::plain;
 
@@ -166,6 +167,8 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
         Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),
         Error::Learn(error) => code_of_learn(error),
+        // A skin whose twin would cost too much, for one.
+        Error::Twin(TwinError::Skin(error)) => code_of_skin(error),
         Error::Forward(error) => code_of_forward(error),
         Error::Inverse(error) => code_of_inverse(error),
         _ => FAILED,
@@ -231,8 +234,9 @@ fn code_of_device(error: &DeviceError) -> u8 {
 
 /// A path that leads nowhere was mistyped; anything else is the machine's doing.
 fn code_of_io(error: &io::Error) -> u8 {
-    use io::ErrorKind::{InvalidInput, IsADirectory, NotADirectory, NotFound};
-    if matches!(error.kind(), NotFound | IsADirectory | NotADirectory | InvalidInput) { BAD_INPUT } else { FAILED }
+    use io::ErrorKind::{InvalidData, InvalidInput, IsADirectory, NotADirectory, NotFound};
+    let is_input = matches!(error.kind(), NotFound | IsADirectory | NotADirectory | InvalidInput | InvalidData);
+    if is_input { BAD_INPUT } else { FAILED }
 }
 
 #[cfg(test)]

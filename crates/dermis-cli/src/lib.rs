@@ -28,14 +28,15 @@ mod interrupt;
 pub mod page;
 mod terminal;
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
 
 use clap::Parser;
 use tracing_subscriber::EnvFilter;
 
 use commands::Command;
-pub use commands::sources;
+pub use commands::{LivePage, sources};
 
 /// Tomographic tactile skins: from a skin file to touches.
 #[derive(Parser)]
@@ -59,8 +60,15 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
-            // Where even the message cannot be written, the code is all that is left.
-            let _ = error.print();
+            // Where even the message cannot be written, the code is all that is left. A message with what was typed in it
+            // commands no terminal; colours are for those that hold nothing of the kind.
+            let text = error.render().to_string();
+            let said = terminal::plain(&text);
+            let _ = match (said == text, error.use_stderr()) {
+                (true, _) => error.print(),
+                (false, true) => io::stderr().write_all(said.as_bytes()),
+                (false, false) => io::stdout().write_all(said.as_bytes()),
+            };
             return u8::try_from(error.exit_code()).unwrap_or(exit::BAD_INPUT);
         }
     };
@@ -70,6 +78,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         dermis::skin::budget::set_memory_limit(bytes);
     }
     interrupt::reset();
+    dermis_device::remember(arguments.iter().skip(1).flat_map(|word| named_files(word)));
     // What is written in one go stays together; nothing in it commands a terminal.
     let mut out = io::BufWriter::new(terminal::Plain::new(io::stdout().lock()));
     let result = cli.command.run(&mut out).and_then(|outcome| {
@@ -107,6 +116,12 @@ fn hint_at_new_spellings(arguments: &[OsString]) {
             commands::hint(&format!("{old} is {new} now"));
         }
     }
+}
+
+/// The files that an argument may name: `press.csv` itself, or what stands behind `--out=`.
+fn named_files(word: &OsStr) -> impl Iterator<Item = PathBuf> {
+    let behind = word.to_str().and_then(|text| text.split_once('=')).map(|(_, file)| PathBuf::from(file));
+    [Some(PathBuf::from(word)), behind].into_iter().flatten()
 }
 
 /// Log lines go to stderr, so that stdout holds results alone.

@@ -398,6 +398,23 @@ async fn presses_of_two_pages_are_told_apart_and_end_with_their_page() {
 }
 
 #[tokio::test]
+async fn of_hyperparameters_the_last_one_counts_even_where_the_queue_is_full() {
+    let served = serve_with(PageOptions::default(), true, 1);
+    let mut socket = open(served.server.local_addr()).await;
+    ask(&mut socket, 1, press(1, 0.0)).await;
+    for id in 2..42_u32 {
+        ask(&mut socket, id.into(), json!({"hyperparameter": f64::from(id)})).await;
+    }
+    // All but the last are answered: a later one has taken their place.
+    for id in 2..41_u32 {
+        let answer = next_json(&mut socket, "answer").await;
+        assert_eq!((&answer["id"], &answer["ok"]), (&json!(id), &json!(true)), "{answer}");
+    }
+    let Command::Press(_) = request(&served.requests).await.command else { panic!("expected the press") };
+    assert_eq!(request(&served.requests).await.command, Command::Hyperparameter(41.0));
+}
+
+#[tokio::test]
 async fn a_full_queue_refuses_presses_but_never_loses_a_release() {
     let served = serve_with(PageOptions::default(), true, 1);
     let mut socket = open(served.server.local_addr()).await;

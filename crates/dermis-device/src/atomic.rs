@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::DeviceError;
-use crate::place::Place;
+use crate::place::{Place, followed};
 
 /// Writes a file through `fill` so that `path` never holds a part of it.
 ///
@@ -29,12 +29,12 @@ use crate::place::Place;
 /// ```
 pub fn write_atomic<T>(path: &Path, fill: impl FnOnce(&mut dyn Write) -> io::Result<T>) -> Result<T, DeviceError> {
     let failed = |action| move |error| DeviceError::io(path, action, error);
-    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let target = followed(path);
     if fs::metadata(&target).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         let mut out = OpenOptions::new().write(true).open(&target).map_err(failed("open"))?;
         return fill(&mut out).map_err(failed("write"));
     }
-    let place = Place::at(&target);
+    let place = Place::named(path);
     let (mut temporary, file) = Temporary::create_beside(&target).map_err(failed("create a file beside"))?;
     let mut out = BufWriter::new(file);
     let value = fill(&mut out).map_err(failed("write"))?;

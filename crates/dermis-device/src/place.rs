@@ -1,9 +1,11 @@
 //! The last step of writing a file: it takes its name, and what appeared or changed under that name meanwhile is not replaced.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
 /// Where a file will stand, and what stood there when its writing began.
@@ -32,7 +34,39 @@ impl Identity {
     }
 }
 
+/// What stood under names when the command began that will write there.
+static BEFORE: Mutex<BTreeMap<PathBuf, Option<Identity>>> = Mutex::new(BTreeMap::new());
+
+/// Notes what stands under these names now: a file that appears or changes there from now on is not replaced by what is
+/// written there first, however long the work before it takes. Names noted earlier are forgotten. Names that are no paths do
+/// no harm.
+pub fn remember(names: impl IntoIterator<Item = PathBuf>) {
+    let found = |name: PathBuf| {
+        let target = followed(&name);
+        std::path::absolute(name).ok().map(|name| (name, Identity::of(&target)))
+    };
+    *BEFORE.lock().unwrap_or_else(PoisonError::into_inner) = names.into_iter().filter_map(found).collect();
+}
+
+/// Where a link leads, or the path itself.
+pub(crate) fn followed(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|_| path.to_owned())
+}
+
 impl Place {
+    /// A place for what was asked for under a name: links are followed, and what counts as standing there is what did when
+    /// [`remember`] was told of the name, or what does now.
+    pub fn named(name: &Path) -> Self {
+        let noted = std::path::absolute(name)
+            .ok()
+            .and_then(|name| BEFORE.lock().unwrap_or_else(PoisonError::into_inner).remove(&name));
+        let place = Self::at(followed(name));
+        match noted {
+            Some(before) => Self { before, ..place },
+            None => place,
+        }
+    }
+
     /// A place for a new file, or for one that replaces what stands there now.
     pub fn at(target: impl Into<PathBuf>) -> Self {
         let target = target.into();
@@ -114,6 +148,23 @@ pub fn partial_name(path: &Path) -> Option<PathBuf> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_appears_after_the_command_began_is_kept_even_if_its_writing_begins_later() {
+        let folder = tempfile::tempdir().unwrap();
+        let (new, old) = (folder.path().join("new.csv"), folder.path().join("old.csv"));
+        fs::write(&old, "before").unwrap();
+        remember([new.clone(), old.clone(), PathBuf::from("--out")]);
+        fs::write(&new, "another's").unwrap();
+        let error = crate::write_atomic(&new, |out| out.write_all(b"ours")).unwrap_err().to_string();
+        assert!(error.contains("not replaced"), "{error}");
+        assert_eq!(fs::read_to_string(&new).unwrap(), "another's");
+        // What stood there from the beginning is replaced, and so is what was written since.
+        for _ in 0..2 {
+            crate::write_atomic(&old, |out| out.write_all(b"ours")).unwrap();
+            assert_eq!(fs::read_to_string(&old).unwrap(), "ours");
+        }
+    }
 
     #[test]
     fn a_file_that_appeared_meanwhile_is_kept_and_so_is_the_finished_one() {

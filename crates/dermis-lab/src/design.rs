@@ -1,193 +1,21 @@
 //! What a skin will be able to do, before it is built: maps of sensitivity, smallest detectable amplitude, and the
-//! Cramer-Rao bound on a touch's position and amplitude at the instrument's noise, from its forward model alone; the width
-//! of the image of a point; the smallest force, by the mechanics of a twin; and the search for a better skin.
+//! Cramer-Rao bound on a touch's position and amplitude at the instrument's noise, from its forward model alone; the
+//! width of the image of a point; the smallest force, by the mechanics of a twin; and the search for a better skin.
 //!
 //! A touch of amplitude a at (x, y) changes the channels by `a s(x, y)` with `s` the signature of the skin file's touch
-//! ([`Prepared::signatures`]). With noise of covariance C the Fisher information about `(x, y, a)` is `G' C^-1 G`, `G =
-//! [a ds/dx, a ds/dy, s]`, and no unbiased estimator has a smaller covariance than its inverse (Kay, Fundamentals of
-//! Statistical Signal Processing, 1993, eq. 3.31). The smallest amplitude is 3.3 deviations of the matched filter's,
-//! `3.3 / sqrt(s' C^-1 s)`.
+//! ([`Prepared::signatures`](dermis_live::prepare::Prepared::signatures)). With noise of covariance C the Fisher
+//! information about `(x, y, a)` is `G' C^-1 G`, `G = [a ds/dx, a ds/dy, s]`, and no unbiased estimator has a smaller
+//! covariance than its inverse (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31). The smallest
+//! amplitude is 3.3 deviations of the matched filter's, `3.3 / sqrt(s' C^-1 s)`.
 
 mod compare;
 mod force;
+mod maps;
 mod search;
 mod spread;
 
 pub use compare::{SharedInstrument, verdict};
 pub use force::{ForceMap, smallest_force};
+pub use maps::{DETECTED_SIGMA, Maps, Noise, Summary};
 pub use search::{Candidate, Freedom, Search, improve};
 pub use spread::spread_width;
-
-use dermis_tomo::mesh::{PixelGrid, PixelMap};
-use rayon::prelude::*;
-
-use crate::Error;
-use dermis_live::prepare::Prepared;
-use dermis_live::reference::Reference;
-
-/// Standard deviations that count as detected (the limit of detection of paper P).
-pub const DETECTED_SIGMA: f64 = 3.3;
-/// Share of the area, from the weakest places on, that "worst" leaves out: the rim itself, which no finger touches.
-const OUTERMOST_SHARE: f64 = 0.1;
-/// Step of the differences in position, relative to the size of a touch: errors of its square.
-const STEP_SHARE: f64 = 0.05;
-
-/// Maps over a skin: one value a place, in the order of [`Maps::places_m`].
-#[derive(Clone, Debug)]
-pub struct Maps {
-    /// Where.
-    pub places_m: Vec<[f64; 2]>,
-    /// Pixel of the map's grid that each place is in.
-    pub pixels: Vec<usize>,
-    /// The grid of the maps.
-    pub grid: PixelGrid,
-    /// `|s| / noise`: signal-to-noise ratio of all channels together for a relative change of 1.
-    pub sensitivity: Vec<f64>,
-    /// Smallest relative change that is detected.
-    pub smallest: Vec<f64>,
-    /// Bound on the deviation of a position, the larger axis, metres, at [`Maps::amplitude`].
-    pub position_m: Vec<f64>,
-    /// Bound on the deviation of the amplitude, relative to it.
-    pub amplitude_share: Vec<f64>,
-    /// Amplitude that the bounds are for: a relative change of conductivity.
-    pub amplitude: f64,
-}
-
-/// One map in three numbers.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Summary {
-    /// The place that is worst but for the outermost tenth of the area.
-    pub worst: f64,
-    /// Half of the skin is better.
-    pub median: f64,
-    /// The best place.
-    pub best: f64,
-}
-
-/// Noise of the channels to design with.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Noise {
-    /// The skin file's assumption: the same for every channel, a share of the largest voltage.
-    Assumed,
-    /// The same number of volts for every channel: an instrument that does not care what it reads.
-    Volts(f64),
-    /// In proportion to each channel's own voltage, `20 log10(|V| / deviation)` decibels, but at least the assumed one's
-    /// hundredth.
-    Decibels(f64),
-}
-
-impl Noise {
-    fn deviations(self, prepared: &Prepared, reference: &Reference) -> Vec<f64> {
-        match self {
-            Self::Assumed => reference.noise.clone(),
-            Self::Volts(volts) => vec![volts; reference.noise.len()],
-            Self::Decibels(db) => {
-                let share = 10_f64.powf(-db / 20.0);
-                let least = reference.noise.iter().map(|noise| 0.01 * noise);
-                prepared.voltages.iter().zip(least).map(|(v, least)| (share * v.abs()).max(least)).collect()
-            }
-        }
-    }
-}
-
-impl Maps {
-    /// Maps of a prepared skin for touches of an amplitude, on a grid of at most `along` places a side.
-    ///
-    /// # Errors
-    /// An amplitude or noise that is not positive and finite; a grid that does not work out.
-    pub fn new(prepared: &Prepared, noise: Noise, amplitude: f64, along: usize) -> Result<Self, Error> {
-        let positive = |what: &str, value: f64| {
-            if value > 0.0 && value.is_finite() {
-                return Ok(());
-            }
-            Err(Error::Frames { what: what.into(), expected: "a positive number".into(), got: value.to_string() })
-        };
-        positive("amplitude", amplitude)?;
-        match noise {
-            Noise::Assumed => {}
-            Noise::Volts(volts) => positive("noise (V)", volts)?,
-            Noise::Decibels(db) => positive("signal-to-noise ratio (dB)", db)?,
-        }
-        let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
-        let deviations = noise.deviations(prepared, &reference);
-        let (grid, map) = places(prepared, along)?;
-        let places_m = map.inside_centres_m();
-        let step = STEP_SHARE * prepared.skin.touch.relative_size * prepared.half_width_m();
-        let figures: Vec<[f64; 4]> =
-            places_m.par_iter().map(|&place| bounds_at(prepared, &deviations, place, step, amplitude)).collect();
-        let column = |k: usize| figures.iter().map(|f| f[k]).collect::<Vec<f64>>();
-        Ok(Self {
-            pixels: map.inside_pixels().iter().map(|&pixel| pixel as usize).collect(),
-            grid,
-            places_m,
-            sensitivity: column(0),
-            smallest: column(1),
-            position_m: column(2),
-            amplitude_share: column(3),
-            amplitude,
-        })
-    }
-
-    /// A map as a row-major image, NaN outside the skin.
-    pub fn image(&self, values: &[f64]) -> Vec<f32> {
-        scattered(&self.grid, &self.pixels, values)
-    }
-}
-
-/// The grid of a map with at most `along` places a side, and where the skin is on it.
-fn places(prepared: &Prepared, along: usize) -> Result<(PixelGrid, PixelMap), Error> {
-    let (low, high) = prepared.body.outline.bounds_m();
-    let mesh_error = |source| Error::Mesh { skin: prepared.skin.name.clone(), source };
-    let grid = PixelGrid::covering(low, high, along).map_err(mesh_error)?;
-    let map = PixelMap::new(grid, &prepared.body.mesh.mesh).map_err(mesh_error)?;
-    Ok((grid, map))
-}
-
-/// Values of some pixels as a row-major image, NaN elsewhere.
-fn scattered(grid: &PixelGrid, pixels: &[usize], values: &[f64]) -> Vec<f32> {
-    let mut image = vec![f32::NAN; grid.len()];
-    for (&pixel, &value) in pixels.iter().zip(values) {
-        image[pixel] = value as f32;
-    }
-    image
-}
-
-impl Summary {
-    /// Of a map of which small values are good.
-    pub fn of(values: &[f64]) -> Self {
-        let mut sorted = values.to_vec();
-        sorted.sort_by(f64::total_cmp);
-        let at =
-            |share: f64| sorted.get((share * (sorted.len().max(1) - 1) as f64) as usize).copied().unwrap_or(f64::NAN);
-        Self { worst: at(1.0 - OUTERMOST_SHARE), median: at(0.5), best: at(0.0) }
-    }
-}
-
-/// Sensitivity, smallest amplitude, position bound (larger axis, metres), amplitude bound (relative) at one place.
-fn bounds_at(prepared: &Prepared, deviations: &[f64], [x, y]: [f64; 2], step: f64, amplitude: f64) -> [f64; 4] {
-    let places = [[x, y], [x + step, y], [x - step, y], [x, y + step], [x, y - step]];
-    let rows = prepared.signatures(&places);
-    let channels = deviations.len();
-    let row = |k: usize| &rows[k * channels..(k + 1) * channels];
-    // Columns of C^-1/2 G.
-    let mut columns = [vec![0.0; channels], vec![0.0; channels], vec![0.0; channels]];
-    for channel in (0..channels).filter(|&channel| deviations[channel] > 0.0) {
-        let weight = 1.0 / deviations[channel];
-        columns[0][channel] = weight * amplitude * (row(1)[channel] - row(2)[channel]) / (2.0 * step);
-        columns[1][channel] = weight * amplitude * (row(3)[channel] - row(4)[channel]) / (2.0 * step);
-        columns[2][channel] = weight * row(0)[channel];
-    }
-    let dot = |a: usize, b: usize| columns[a].iter().zip(&columns[b]).map(|(p, q)| p * q).sum::<f64>();
-    let energy = dot(2, 2);
-    // What the unknown amplitude takes from the information about the position, and the other way round (Schur).
-    let left = |a: usize, b: usize| dot(a, b) - dot(a, 2) * dot(b, 2) / energy;
-    let [xx, xy, yy] = [left(0, 0), left(0, 1), left(1, 1)];
-    let half = 0.5 * (xx + yy);
-    let least_information = half - (0.25 * (xx - yy).powi(2) + xy * xy).sqrt();
-    let [pxx, pxy, pyy] = [dot(0, 0), dot(0, 1), dot(1, 1)];
-    let determinant = pxx * pyy - pxy * pxy;
-    let [cx, cy] = [dot(0, 2), dot(1, 2)];
-    let taken = (pyy * cx * cx - 2.0 * pxy * cx * cy + pxx * cy * cy) / determinant;
-    let root = |information: f64| if information > 0.0 { information.sqrt().recip() } else { f64::INFINITY };
-    [energy.sqrt(), DETECTED_SIGMA * root(energy), root(least_information), root(energy - taken) / amplitude]
-}

@@ -140,7 +140,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let hyperparameter = imager.hyperparameter();
     let is_refined = Refinement::is_wanted(&prepared, calibration.is_some());
     let refinement_of_touches =
-        if is_refined { Refinement::new(&prepared, &reference.noise)? } else { Refinement::none() };
+        if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
     reconstructor.touches.set_forces(forces.clone());
     let grid = prepared.map.grid();

@@ -33,6 +33,10 @@ const MOST_FRAMES: usize = 10_000_000;
 const MOST_READINGS: usize = 2_000_000_000;
 /// Random presses keep to this share of the outline, about its middle.
 const INSIDE_SHARE: f64 = 0.85;
+/// After so many places in a row that are none, half the distance from the rim is enough,
+const MOST_MISSED: usize = 10_000;
+/// down to this share of the shorter side.
+const LEAST_MARGIN: f64 = 1e-6;
 
 /// What is to be made, and where to.
 #[derive(Clone, Debug)]
@@ -135,33 +139,58 @@ pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>
     Ok(presses)
 }
 
-/// So many single presses at random places within 85 % of the outline, of the skin's usual radius and pressure.
-pub fn random_presses(outline: &Outline, usual: &PressRange, count: usize, seed: u64) -> Vec<Vec<Indenter>> {
+/// So many single presses at random places within 85 % of the outline, of the skin's usual radius and pressure. Where an outline
+/// is so thin that hardly any place is that far from its rim, places nearer to the rim count as well.
+///
+/// # Errors
+/// An outline with hardly any inside.
+pub fn random_presses(
+    outline: &Outline,
+    usual: &PressRange,
+    count: usize,
+    seed: u64,
+) -> Result<Vec<Vec<Indenter>>, Error> {
     let mut random = StdRng::seed_from_u64(seed);
     let (low, high) = outline.bounds_m();
     let middle = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis]));
     let load = Load::PressurePa(usual.initial_pressure_pa);
     let shape = Shape::Disc { radius_m: usual.initial_radius_m };
+    let shorter_m = (high[0] - low[0]).min(high[1] - low[1]);
+    let mut margin = 0.5 * (1.0 - INSIDE_SHARE) * shorter_m;
     let mut presses = Vec::with_capacity(count);
+    let mut missed = 0;
     while presses.len() < count {
         let place = [0, 1].map(|axis| random.random_range(low[axis]..=high[axis]));
-        // Shrunk about the middle for convex outlines; away from every rim of others.
-        let inside =
-            |share: f64| outline.contains([0, 1].map(|axis| middle[axis] + (place[axis] - middle[axis]) / share));
-        let margin = 0.075 * (high[0] - low[0]).min(high[1] - low[1]);
-        let clear = (0..16).all(|k| {
-            let angle = f64::from(k) * std::f64::consts::TAU / 16.0;
-            outline.contains([place[0] + margin * angle.cos(), place[1] + margin * angle.sin()])
-        });
         let is_in = match outline {
-            Outline::Polygon { .. } => outline.contains(place) && clear,
-            _ => inside(INSIDE_SHARE),
+            // Away from every rim.
+            Outline::Polygon { .. } => {
+                let clear = |k: u32| {
+                    let angle = f64::from(k) * std::f64::consts::TAU / 16.0;
+                    outline.contains([place[0] + margin * angle.cos(), place[1] + margin * angle.sin()])
+                };
+                outline.contains(place) && (0..16).all(clear)
+            }
+            // Shrunk about the middle.
+            _ => outline.contains([0, 1].map(|axis| middle[axis] + (place[axis] - middle[axis]) / INSIDE_SHARE)),
         };
         if is_in {
             presses.push(vec![Indenter { centre_m: place, shape, load }]);
+            missed = 0;
+            continue;
+        }
+        missed += 1;
+        if missed == MOST_MISSED {
+            (margin, missed) = (0.5 * margin, 0);
+            if margin < LEAST_MARGIN * shorter_m {
+                return Err(Error::Frames {
+                    what: "places to press".into(),
+                    expected: format!("{count} inside the outline"),
+                    got: presses.len().to_string(),
+                });
+            }
         }
     }
-    presses
+    Ok(presses)
 }
 
 /// Presses the twin and writes the files, each whole or not at all. `progress` gets presses done and presses in all.
@@ -414,7 +443,7 @@ mod tests {
         let at = |name: &str| folder.path().join(name);
         let mut skin = Skin::open("ionic-disc").unwrap();
         skin.twin.element_mm = Some(8.0);
-        let presses = random_presses(&skin.outline(), &usual(), 5, 3);
+        let presses = random_presses(&skin.outline(), &usual(), 5, 3).unwrap();
         let request = SampleRequest {
             skin: skin.clone(),
             presses,
@@ -438,5 +467,17 @@ mod tests {
         let off = SampleRequest { presses: vec![vec![Indenter::disc([1.0, 0.0], 0.01, 1e3)]], ..request };
         let error = sample(&off, |_, _| {}).unwrap_err().to_string();
         assert!(error.contains("press 1"), "{error}");
+    }
+
+    #[test]
+    fn thin_outlines_are_pressed_nearer_to_their_rim() {
+        // A strip across the square: 0.5 % of it, and nowhere further than 0.25 mm from a rim.
+        let outer = vec![[-0.05, -0.05], [-0.0493, -0.05], [0.05, 0.05], [0.0493, 0.05]];
+        let strip = Outline::Polygon { outer, holes: Vec::new() };
+        let presses = random_presses(&strip, &usual(), 5, 1).unwrap();
+        assert!(presses.len() == 5 && presses.iter().all(|press| strip.contains(press[0].centre_m)));
+        let none = Outline::Polygon { outer: vec![[0.0, 0.0], [0.1, 0.1], [0.1, 0.1 + 1e-12]], holes: Vec::new() };
+        let refused = random_presses(&none, &usual(), 5, 1).unwrap_err().to_string();
+        assert!(refused.contains("places to press: expected 5 inside the outline, got"), "{refused}");
     }
 }

@@ -235,9 +235,14 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Reads a file that must not be larger than `most` bytes.
+/// Reads a regular file that must not be larger than `most` bytes.
 pub(crate) fn read_bounded(file: &Path, most: u64) -> Result<Vec<u8>, LearnError> {
-    let length = fs::metadata(file).map_err(LearnError::io(file))?.len();
+    let found = fs::metadata(file).map_err(LearnError::io(file))?;
+    // A device or a pipe may have no end.
+    if !(found.is_file() || found.is_dir()) {
+        return Err(LearnError::content(file, "kind", "expected a regular file"));
+    }
+    let length = found.len();
     if length > most {
         return Err(LearnError::content(file, "size", format!("expected at most {most} bytes, found {length}")));
     }

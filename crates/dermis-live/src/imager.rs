@@ -125,16 +125,21 @@ impl Imager {
         self.operator.hyperparameter
     }
 
-    /// Rebuilds the operator at another lambda.
+    /// Rebuilds the operator at another lambda. After an error the imager is what it was.
     ///
     /// # Errors
-    /// A lambda that is not positive and finite.
+    /// A lambda that is not positive and finite, or so small that the system cannot be solved.
     pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
-        self.operator = self.problem.operator(lambda)?;
-        self.live = LiveOperator::new(&self.operator, self.polarity);
+        let operator = self.problem.operator(lambda)?;
+        let left_out = match &self.left_out {
+            Some(missing) => Some(MissingChannels::new(&operator, missing.channels())?),
+            None => None,
+        };
+        self.live = LiveOperator::new(&operator, self.polarity);
+        self.operator = operator;
+        self.left_out = left_out;
         self.missing = None;
-        let left_out = self.left_out.take().map(|missing| missing.channels().to_vec()).unwrap_or_default();
-        self.leave_out(&left_out, noise)
+        self.set_noise(noise)
     }
 
     /// Replaces the channel noise that the image noise is worked out from.

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use dermis_device::{Frame, FrameTable, Layout};
 use dermis_learn::Model;
 use dermis_skin::CircuitChoice;
+use dermis_tomo::inverse::check_hyperparameter;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
 use dermis_touch::{
@@ -369,7 +370,7 @@ impl Pipeline {
                 running.reference = reference;
             }
             State::Starting(starting) => {
-                let mut running = starting.run(&self.prepared, &self.choices, reference)?;
+                let mut running = starting.run(&self.prepared, &mut self.choices, reference)?;
                 if !left_out.is_empty() && left_out.len() < running.reference.noise.len() {
                     running.reconstructor.leave_out(&self.prepared, left_out, &running.reference.noise)?;
                 }
@@ -453,10 +454,7 @@ impl Pipeline {
     /// A lambda that is not positive and finite.
     pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
         // Before the start it is only kept: what is wrong with it has to be said now.
-        if !(lambda > 0.0 && lambda.is_finite()) {
-            let expected = "a number above 0".into();
-            return Err(Error::Frames { what: "hyperparameter".into(), expected, got: lambda.to_string() });
-        }
+        check_hyperparameter(lambda)?;
         if let State::Running(running) = &mut self.state {
             let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
             imager.set_hyperparameter(lambda, &running.reference.noise)?;

@@ -27,7 +27,7 @@ pub fn prepared_of(value: &Bound<'_, PyAny>) -> PyResult<Arc<Prepared>> {
         return Ok(model.get().prepared.clone());
     }
     let skin = skin_of(value)?;
-    run_interruptibly(value.py(), move || Ok(Arc::new(Prepared::new(skin)?)))
+    run_interruptibly(value.py(), "model", move || Ok(Arc::new(Prepared::new(skin)?)))
 }
 
 /// Fits a calibration to pokes at known places.
@@ -81,7 +81,8 @@ pub fn calibrate(
         None => None,
     };
     let pokes = Pokes { positions_m, loads };
-    let calibration = run_interruptibly(py, move || Ok(Calibration::fit(&prepared, &baselines, &frames, &pokes)?))?;
+    let calibration =
+        run_interruptibly(py, "calibrate", move || Ok(Calibration::fit(&prepared, &baselines, &frames, &pokes)?))?;
     Ok(PyCalibration { calibration })
 }
 

@@ -56,7 +56,7 @@ pub fn design(
         (Some(_), Some(_)) => return Err(Fault::input("noise", "snr_db or noise_v", "both").into()),
     };
     let prepared = prepared_of(skin)?;
-    run_interruptibly(py, move || {
+    run_interruptibly(py, "design", move || {
         let maps = Maps::new(&prepared, noise, amplitude, places)?;
         let spread_m = spread_width(&prepared, &maps)?;
         Ok(PyMaps { skin: prepared.skin.clone(), maps, spread_m })
@@ -148,17 +148,18 @@ impl PyMaps {
 
 /// What a workshop's errors cost.
 #[pyfunction]
-#[pyo3(signature = (skin, *, samples=200, presses=12, pokes=vec![20, 50, 200], seed=1))]
+#[pyo3(signature = (skin, *, samples=200, presses=12, pokes=None, seed=1))]
 pub fn tolerance_rows(
     py: Python<'_>,
     skin: &Bound<'_, PyAny>,
     samples: usize,
     presses: usize,
-    pokes: Vec<usize>,
+    pokes: Option<Vec<usize>>,
     seed: u64,
 ) -> PyResult<Vec<(String, usize, [f64; 2], [f64; 2], f64)>> {
     let skin = skin_of(skin)?;
-    run_interruptibly(py, move || {
+    run_interruptibly(py, "tolerances", move || {
+        let pokes = pokes.unwrap_or_else(|| vec![20, 50, 200]);
         let extent = Extent { samples, presses, pokes, seed };
         let report = run_tolerances(&skin, &Tolerances::default(), &extent, &|_, _| {})?;
         let rows =

@@ -13,6 +13,11 @@ use crate::errors::Fault;
 use crate::skin::skin_of;
 use crate::work::{run, run_interruptibly};
 
+/// A shard is made in memory.
+const MOST_SHARD_SAMPLES: usize = 10_000;
+/// Each is a file of one folder.
+const MOST_SHARDS: usize = 1_000_000;
+
 fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, seed: u64) -> PyResult<TrainSetRequest> {
     if samples == 0 || shard_samples == 0 {
         return Err(Fault::input(
@@ -21,6 +26,10 @@ fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, see
             format!("{samples}, {shard_samples}"),
         )
         .into());
+    }
+    if shard_samples > MOST_SHARD_SAMPLES || samples.div_ceil(shard_samples) > MOST_SHARDS {
+        let expected = format!("shards of at most {MOST_SHARD_SAMPLES} samples, and at most {MOST_SHARDS} of them");
+        return Err(Fault::input("samples", expected, format!("{samples} in shards of {shard_samples}")).into());
     }
     let mut request = TrainSetRequest::new(skin_of(skin)?, samples);
     (request.shard_samples, request.seed) = (shard_samples, seed);
@@ -39,7 +48,7 @@ pub fn create_train_set(
     seed: u64,
 ) -> PyResult<Vec<usize>> {
     let request = request_of(skin, samples, shard_samples, seed)?;
-    run_interruptibly(py, move || {
+    run_interruptibly(py, "training set", move || {
         let prepared = Prepared::new(request.skin.clone())?;
         let set = TrainingSet::create(&folder, request.checked_manifest(prepared.map.grid())?)?;
         Ok(set.missing())
@@ -60,7 +69,7 @@ pub fn write_shard(
     seed: u64,
 ) -> PyResult<usize> {
     let request = request_of(skin, samples, shard_samples, seed)?;
-    run_interruptibly(py, move || {
+    run_interruptibly(py, "shard", move || {
         let prepared = Prepared::new(request.skin.clone())?;
         let set = TrainingSet::create(&folder, request.checked_manifest(prepared.map.grid())?)?;
         if shard >= set.manifest().shards() {

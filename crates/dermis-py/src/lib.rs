@@ -1,5 +1,5 @@
-//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. What needs no speed is Python,
-//! in `python/dermis`; every name here is documented there, in `_dermis.pyi` and `__init__.py`.
+//! The compiled half of the Python package `dermis`: its classes and functions, on NumPy arrays. What needs no speed is
+//! Python, in `python/dermis`; every name here is documented there, in `_dermis.pyi` and `__init__.py`.
 
 mod arrays;
 mod calibration;
@@ -7,6 +7,7 @@ mod design;
 mod eit;
 mod errors;
 mod frame;
+mod grid;
 mod learn;
 mod mit;
 mod model;
@@ -15,6 +16,7 @@ mod recording;
 mod result;
 mod session;
 mod skin;
+mod skin_argument;
 mod twin;
 mod work;
 
@@ -25,7 +27,8 @@ use pyo3::prelude::*;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Runs the `dermis` command with these arguments, the program's name first, and returns its exit code.
+/// Runs the `dermis` command with these arguments, the program's name first, and returns its exit code. Commands that record
+/// or serve take over the signals of the process for good: they are for a process of their own.
 #[pyfunction]
 fn run_command(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
     work::run(py, || Ok(dermis_cli::run_command(arguments)))
@@ -44,7 +47,7 @@ fn _dermis(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<skin::PySkin>()?;
     module.add_class::<model::PyModel>()?;
-    module.add_class::<model::PyGrid>()?;
+    module.add_class::<grid::PyGrid>()?;
     module.add_class::<frame::PyFrame>()?;
     module.add_class::<twin::PyTwin>()?;
     module.add_class::<pipeline::PyPipeline>()?;
@@ -70,6 +73,7 @@ fn _dermis(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(learn::create_train_set, module)?)?;
     module.add_function(wrap_pyfunction!(learn::write_shard, module)?)?;
     module.add_function(wrap_pyfunction!(eit::figures::greit_figures, module)?)?;
+    module.add_function(wrap_pyfunction!(pipeline::_seconds_of_frames, module)?)?;
     module.add_function(wrap_pyfunction!(run_command, module)?)?;
     module.add_function(wrap_pyfunction!(_panic, module)?)?;
     Ok(())

@@ -83,12 +83,12 @@ impl PyCoils {
         array2(py, outlines.iter().flat_map(|outline| outline.centre_m).collect(), outlines.len(), 3)
     }
 
-    /// Mutual inductance of every pair, henries.
+    /// Mutual inductance of every pair, shape (p,), henries.
     fn mutuals_h<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(array1(py, run(py, || Ok(self.coils.mutuals_h()))?))
     }
 
-    /// Self inductance of every coil, henries.
+    /// Self inductance of every coil, shape (n,), henries.
     fn self_inductances_h<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let own = || Ok(self.coils.coils().iter().map(|coil| coil.self_inductance_h()).collect());
         Ok(array1(py, run(py, own)?))
@@ -101,7 +101,12 @@ impl PyCoils {
     /// body : Body
     ///     What; all wire has to lie outside the sphere around it.
     /// centre_m : sequence of float
-    ///     Where its middle is.
+    ///     Where its middle is: x, y and z, metres.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (p,): one change a pair, complex, henries.
     fn changes_h<'py>(
         &self,
         py: Python<'py>,
@@ -141,6 +146,21 @@ pub struct PyBody {
 #[pymethods]
 impl PyBody {
     /// A sphere of one material, in closed form.
+    ///
+    /// Parameters
+    /// ----------
+    /// radius_m : float
+    ///     Radius, metres.
+    /// conductivity_s_per_m : float
+    ///     Conductivity, S/m.
+    /// frequency_hz : float
+    ///     Frequency of the currents in the coils, hertz.
+    /// relative_permeability : float
+    ///     1 of what is not magnetic.
+    ///
+    /// Returns
+    /// -------
+    /// Body
     #[staticmethod]
     #[pyo3(signature = (radius_m, conductivity_s_per_m, frequency_hz, *, relative_permeability=1.0))]
     fn sphere(
@@ -159,7 +179,7 @@ impl PyBody {
         self.body.radius_m
     }
 
-    /// Its answer to the harmonics of a field, complex.
+    /// Its answer to the harmonics of a field, shape (h, h), complex.
     #[getter]
     fn tau<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<Complex64>>> {
         let size = dermis::mit::HARMONICS;

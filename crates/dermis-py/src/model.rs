@@ -17,7 +17,8 @@ use crate::eit::forward::{electrodes_of, voltages_of_rows};
 use crate::eit::mesh::{elements_of, nodes_of};
 use crate::eit::protocol::{channels_of, dense_patterns};
 use crate::errors::Fault;
-use crate::skin::PySkin;
+use crate::grid::PyGrid;
+use crate::skin_argument::PySkin;
 use crate::work::{run, run_interruptibly};
 
 /// A skin's forward model at rest.
@@ -81,7 +82,8 @@ impl PyModel {
         }
     }
 
-    /// The model whose Jacobian is that of the readings at a conductivity: that of the effective patterns behind a circuit.
+    /// The model whose Jacobian is that of the readings at a conductivity: that of the effective patterns behind a
+    /// circuit.
     fn effective(&self, sigma: &[f64]) -> Result<Arc<ForwardModel>, Fault> {
         let forward = self.forward()?;
         match self.prepared.skin.backend.circuit.as_ref().and_then(|circuit| circuit.known()) {
@@ -173,8 +175,8 @@ impl PyModel {
     }
 
     /// Electrodes of every channel, shape (k, 4), from 0: the drive's first and second (current goes in at the
-    /// second), the measured first and second (the reading is the first's potential less the second's); -1 where a pattern
-    /// has no such electrode, or several.
+    /// second), the measured first and second (the reading is the first's potential less the second's); -1 where a
+    /// pattern has no such electrode, or several.
     #[getter]
     fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         channels_of(py, self.protocol())
@@ -303,7 +305,8 @@ impl PyModel {
         })
     }
 
-    /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; of coils, to the elements' travel.
+    /// Sensitivity to relative changes of the inside pixels, shape (k, pixels), volts; of coils, to the elements'
+    /// travel.
     #[getter]
     fn pixel_jacobian<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let jacobian = &self.prepared.jacobian;
@@ -343,7 +346,7 @@ impl PyModel {
         let prepared = self.with_choices(prior, hyperparameter)?;
         let grid = prepared.map.grid();
         let (count, rows, columns) = (frames.len(), grid.rows, grid.columns);
-        let images = run_interruptibly(py, move || {
+        let images = run_interruptibly(py, "images", move || {
             let reference = Reference::of(&prepared, &baseline)?;
             let differences: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
             let mut imager = Imager::new(&prepared, &reference, &differences)?;
@@ -361,7 +364,7 @@ impl PyModel {
         Ok(array3(py, images, [count, rows, columns])?.into_any())
     }
 
-    /// How a baseline fits the model; :func:`dermis.find_order` is the same for people.
+    /// How a baseline, shape (k,), fits the model; :func:`dermis.find_order` is the same for people.
     fn order<'py>(&self, py: Python<'py>, baseline: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
         let channels = self.prepared.channels();
         let baseline = Doubles::vector("baseline", baseline, channels, "one reading a channel")?;
@@ -392,84 +395,5 @@ impl PyModel {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Py<PySkin>,))> {
         let make = slf.py().import("dermis")?.getattr("_model_of")?;
         Ok((make, (Py::new(slf.py(), slf.get().skin())?,)))
-    }
-}
-
-/// The pixels of images over a mesh.
-#[pyclass(frozen, module = "dermis", name = "Grid")]
-pub struct PyGrid {
-    /// Elements to pixels.
-    pub map: Arc<PixelMap>,
-}
-
-#[pymethods]
-impl PyGrid {
-    /// Rows.
-    #[getter]
-    fn rows(&self) -> usize {
-        self.map.grid().rows
-    }
-
-    /// Columns.
-    #[getter]
-    fn columns(&self) -> usize {
-        self.map.grid().columns
-    }
-
-    /// Rows and columns.
-    #[getter]
-    fn shape(&self) -> (usize, usize) {
-        (self.rows(), self.columns())
-    }
-
-    /// Side of a pixel, metres.
-    #[getter]
-    fn pixel_m(&self) -> f64 {
-        self.map.grid().pixel_m
-    }
-
-    /// Left, right, bottom and top, millimetres, as matplotlib's ``imshow`` takes them.
-    #[getter]
-    fn extent_mm(&self) -> [f64; 4] {
-        let grid = self.map.grid();
-        let (left, top) = (1e3 * grid.left_m, 1e3 * grid.top_m);
-        let pixel = 1e3 * grid.pixel_m;
-        [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
-    }
-
-    /// Which pixels have a value, shape (rows, columns).
-    #[getter]
-    fn inside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
-        array2(py, self.map.inside_mask(), self.rows(), self.columns())
-    }
-
-    /// Middles of the pixels, shape (rows, columns, 2), metres.
-    #[getter]
-    fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let centres = self.map.grid().centres_m();
-        let shape = [self.rows(), self.columns(), 2];
-        Ok(array3(py, centres.as_flattened().to_vec(), shape)?.into_any())
-    }
-
-    /// Values of elements as an image, by area of overlap; NaN outside.
-    ///
-    /// Parameters
-    /// ----------
-    /// values : array_like
-    ///     Shape (m,).
-    ///
-    /// Returns
-    /// -------
-    /// numpy.ndarray
-    ///     Shape (rows, columns).
-    fn to_pixels<'py>(&self, py: Python<'py>, values: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let elements = self.map.element_count();
-        let values = Doubles::vector("values", values, elements, "one value an element")?;
-        let image = self.map.to_pixels(values.values()?).map_err(Fault::from)?;
-        array2(py, image, self.rows(), self.columns())
-    }
-
-    fn __repr__(&self) -> String {
-        format!("<dermis.Grid: {} x {} pixels of {} mm>", self.rows(), self.columns(), 1e3 * self.pixel_m())
     }
 }

@@ -42,7 +42,7 @@ struct Running {
 /// forces : str, optional
 ///     A force calibration made by ``dermis calibrate --forces``.
 /// hyperparameter : float, optional
-///     lambda, in place of the skin file's rule.
+///     The number lambda, in place of the skin file's rule.
 #[pyclass(frozen, module = "dermis", name = "Pipeline")]
 pub struct PyPipeline {
     skin: Skin,
@@ -100,7 +100,7 @@ impl PyPipeline {
             Skin { imaging, ..skin.clone() }.checked().map_err(Fault::from)?;
         }
         let of = skin.clone();
-        let pipeline = run_interruptibly(py, move || {
+        let pipeline = run_interruptibly(py, "pipeline", move || {
             let mut prepared = match of_model {
                 Some(prepared) => prepared.with_imaging(prepared.skin.imaging.clone())?,
                 None => Prepared::new(of)?,
@@ -247,4 +247,32 @@ impl PyPipeline {
         let output = pipeline.process(frame, frame.host_monotonic_ns)?;
         Ok(PyFrameResult::of(&output, time_s, ready, self.extent_mm, self.skin.modality.image_quantity()))
     }
+}
+
+/// Seconds that a pipeline takes for so many of some frames, shape (n, k), over and over, where nothing is made of the results:
+/// what :meth:`Pipeline.process` takes beyond it is Python's.
+#[pyfunction]
+pub fn _seconds_of_frames(
+    py: Python<'_>,
+    pipeline: &Bound<'_, PyPipeline>,
+    frames: &Bound<'_, PyAny>,
+    count: usize,
+) -> PyResult<f64> {
+    let pipeline = pipeline.get();
+    let of = format!("one reading a channel of skin {}", pipeline.skin.name);
+    let frames = Doubles::rows("frames", frames, pipeline.channels, &of)?.0;
+    let values = frames.values()?;
+    run(py, || {
+        let mut running = lock(&pipeline.running);
+        let Running { pipeline: frames_to_touches, frame, next_sequence, .. } = &mut *running;
+        let begun = std::time::Instant::now();
+        for row in values.chunks_exact(pipeline.channels).cycle().take(count) {
+            let now = HostStamp::now();
+            frame.refill(*next_sequence, now, row, &[]);
+            frame.device_time_ns = None;
+            *next_sequence += 1;
+            std::hint::black_box(frames_to_touches.process(frame, now.monotonic_ns)?.touches.len());
+        }
+        Ok(begun.elapsed().as_secs_f64())
+    })
 }

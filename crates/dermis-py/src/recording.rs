@@ -150,7 +150,21 @@ impl PyRecording {
         array2(py, frames.values, frames.times_s.len(), frames.channels)
     }
 
-    /// Times of the frames in seconds from the first, by the wall clock in nanoseconds, and their numbers.
+    /// Times of the frames, and their numbers.
+    ///
+    /// Parameters
+    /// ----------
+    /// start, stop : int, optional
+    ///     From which frame, and before which.
+    ///
+    /// Returns
+    /// -------
+    /// times_s : numpy.ndarray
+    ///     Shape (n,): seconds from the first frame.
+    /// wall_ns : numpy.ndarray
+    ///     Shape (n,): by the host's wall clock, nanoseconds since 1970.
+    /// sequences : numpy.ndarray
+    ///     Shape (n,): the instrument's numbers; gaps are lost frames.
     #[pyo3(signature = (start=0, stop=None))]
     fn times<'py>(
         &self,
@@ -196,7 +210,7 @@ impl PyRecording {
         slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))
     }
 
-    /// Baselines that came into use.
+    /// Baselines that came into use: a dictionary each, of ``wall_ns``, ``reason``, ``values`` and ``noise_std``, shape (k,) both.
     fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let list = PyList::empty(py);
         let found = run(py, || {
@@ -220,7 +234,7 @@ impl PyRecording {
         Ok(list)
     }
 
-    /// What happened.
+    /// What happened: a dictionary each, of ``wall_ns``, ``event``, ``detail`` and ``values``.
     fn events<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let list = PyList::empty(py);
         let found = run(py, || {
@@ -269,7 +283,7 @@ type FramesAndTimes<'py> = (Bound<'py, PyArray2<f64>>, Option<Bound<'py, PyArray
 /// frames : numpy.ndarray
 ///     Shape (n, k), NaN where missing.
 /// times_s : numpy.ndarray or None
-///     Shape (n,), where the file has times.
+///     Shape (n,), seconds, where the file has times.
 #[pyfunction]
 #[pyo3(signature = (path, skin=None))]
 pub fn read_frames<'py>(
@@ -278,7 +292,7 @@ pub fn read_frames<'py>(
     skin: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<FramesAndTimes<'py>> {
     let skin = skin.map(crate::skin::skin_of).transpose()?;
-    let (rows, channels, times_s) = run_interruptibly(py, move || {
+    let (rows, channels, times_s) = run_interruptibly(py, "read", move || {
         let spec: dermis::device::FileSpec = path.to_string_lossy().parse()?;
         let table = dermis::device::read(&spec, None)?;
         let times_s = table.times_s().map(<[f64]>::to_vec);

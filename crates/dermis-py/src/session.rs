@@ -7,8 +7,10 @@ use std::time::Duration;
 use dermis::device::acquire::{Acquisition, Next};
 use dermis::lab::twin_source::TwinCommand;
 use dermis::live::pipeline::Pipeline;
+use dermis::record::RecordingHead;
 use dermis::skin::Skin;
 use dermis::twin::mechanics::Load;
+use dermis_cli::LivePage;
 use dermis_cli::sources::{Opened, SourceOptions, TwinControl, open_of};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
@@ -22,6 +24,8 @@ use crate::work::{lock, run, run_interruptibly};
 
 /// Frames that may wait between source and pipeline, as in `dermis run`.
 const QUEUE: usize = 64;
+/// The same of a twin that waits for whoever takes its frames, as few as there can be: a press shows a few frames later.
+const TWIN_QUEUE: usize = 2;
 /// How long a frame is waited for before Ctrl-C is looked for.
 const PATIENCE: Duration = Duration::from_millis(50);
 
@@ -31,6 +35,19 @@ struct Running {
     twin: Option<TwinControl>,
     frames: u64,
     origin_ns: Option<u64>,
+    /// What a recording from the page begins with.
+    head: RecordingHead,
+    page: Option<LivePage>,
+}
+
+impl Running {
+    /// The source has nothing more: the page says so.
+    fn end(&mut self) -> Result<Step, Fault> {
+        if let Some(page) = &mut self.page {
+            page.end()?;
+        }
+        Ok(Step::End)
+    }
 }
 
 /// What a step of a session came to.
@@ -95,22 +112,23 @@ pub fn open(
     let given = skin.map(skin_of).transpose()?;
     let selector = source.to_string_lossy().into_owned();
     let named = selector.clone();
-    let (opened, pipeline) = run_interruptibly(py, move || {
+    let (opened, pipeline, head) = run_interruptibly(py, "open", move || {
         let find = |name: Option<&str>| -> anyhow::Result<Skin> {
             match (name, &given) {
                 (Some(name), _) => Ok(Skin::open(name)?),
                 (None, Some(skin)) => Ok(skin.clone()),
-                (None, None) => Ok(Skin::open("healing-square")?),
+                (None, None) => Ok(Skin::open(dermis::skin::DEFAULT_NAME)?),
             }
         };
         let opened = open_of(&named, &find, &SourceOptions { speed, as_set, format: None })?;
-        let (pipeline, _) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
-        Ok((opened, pipeline))
+        let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
+        Ok((opened, pipeline, head))
     })?;
     let Opened { skin, source, twin, wait, .. } = opened;
     let extent_mm = extent_mm(pipeline.prepared());
-    let acquisition = Acquisition::spawn(source, QUEUE, wait);
-    let running = Running { acquisition, pipeline, twin, frames: 0, origin_ns: None };
+    let queue = if twin.is_some() && wait { TWIN_QUEUE } else { QUEUE };
+    let acquisition = Acquisition::spawn(source, queue, wait);
+    let running = Running { acquisition, pipeline, twin, frames: 0, origin_ns: None, head, page: None };
     Ok(PySession {
         selector,
         skin,
@@ -144,22 +162,37 @@ impl PySession {
     fn step(&self) -> Result<Step, Fault> {
         self.with(|running| {
             if self.most.is_some_and(|most| running.frames >= most) {
-                return Ok(Step::End);
+                return running.end();
+            }
+            if let Some(page) = &mut running.page {
+                page.answer(&mut running.pipeline);
             }
             let frame = match running.acquisition.next(PATIENCE)? {
                 Next::Frame(frame) => frame,
-                Next::Idle => return Ok(Step::Idle),
-                Next::End => return Ok(Step::End),
+                Next::Idle => {
+                    running.page.as_mut().map_or(Ok(()), |page| page.wait(&running.acquisition))?;
+                    return Ok(Step::Idle);
+                }
+                Next::End => return running.end(),
             };
             running.frames += 1;
+            if let Some(page) = &mut running.page {
+                page.record(&frame);
+            }
             let clock_ns = frame.device_time_ns.unwrap_or(frame.host_monotonic_ns);
             let origin_ns = *running.origin_ns.get_or_insert(clock_ns);
             let time_s = 1e-9 * clock_ns.saturating_sub(origin_ns) as f64;
             let ready = running.pipeline.reference().is_some();
+            let baselines = running.pipeline.baseline_records().len();
             let now_ns = dermis::device::HostStamp::now().monotonic_ns;
             let output = running.pipeline.process(&frame, now_ns)?;
             let quantity = self.skin.modality.image_quantity();
             let result = PyFrameResult::of(&output, time_s, ready, self.extent_mm, quantity);
+            if let Some(page) = &mut running.page {
+                page.show(&output);
+                let is_renewed = running.pipeline.baseline_records().len() > baselines;
+                page.after(&running.acquisition, &running.pipeline, is_renewed.then_some(frame.host_wall_ns))?;
+            }
             running.acquisition.recycle(frame);
             Ok(Step::Result(Box::new(result)))
         })
@@ -202,13 +235,16 @@ impl PySession {
         Ok(false)
     }
 
-    /// Stops reading; a session that is closed stays so.
+    /// Stops reading, ends a recording that was begun on the page, and closes the page; a session that is closed stays so.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         run(py, || {
-            let running = lock(&self.running).take();
             if std::process::id() != self.opened_in {
-                // The thread that would be waited for is in the parent.
-                std::mem::forget(running);
+                return Ok(());
+            }
+            let running = lock(&self.running).take();
+            if let Some(Running { page: Some(page), acquisition, .. }) = running {
+                drop(acquisition);
+                page.close();
             }
             Ok(())
         })
@@ -219,20 +255,47 @@ impl PySession {
         slf.py().import("dermis._tables")?.getattr("session_arrays")?.call1((slf,))
     }
 
-    /// The live page of the same source, in a process of its own. A port that this session holds is not there twice.
-    fn show<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let selector = self.selector.as_str();
-        if selector.starts_with("serial:") && !self.closed() {
-            let words = "a closed session, as a serial port cannot be opened twice";
-            return Err(Fault::input("show", words, format!("an open one of {selector}")).into());
-        }
-        py.import("dermis._tables")?.getattr("show")?.call1((selector, self.skin.name.as_str()))
+    /// Opens the live page of this session's own frames in a browser.
+    ///
+    /// The page is served by this process and shows every frame that is taken from the session, so that it moves while a
+    /// loop runs over the session. What is asked there (tare, lambda, presses on a twin, recordings) is done before the next
+    /// frame. It goes with the session.
+    ///
+    /// Parameters
+    /// ----------
+    /// port : int
+    ///     Of this machine's own address; a free one where left out.
+    /// browser : bool
+    ///     Whether a browser is asked to show it.
+    ///
+    /// Returns
+    /// -------
+    /// str
+    ///     The page's address, the same at every call.
+    #[pyo3(signature = (*, port=0, browser=true))]
+    fn show(&self, py: Python<'_>, port: u16, browser: bool) -> PyResult<String> {
+        run(py, || {
+            self.with(|running| {
+                let page = match &running.page {
+                    Some(page) => page,
+                    None => {
+                        let (twin, head) = (running.twin.clone(), running.head.clone());
+                        running.page.insert(LivePage::serve(port, twin, head, &running.pipeline)?)
+                    }
+                };
+                if browser {
+                    page.open_browser();
+                }
+                Ok(page.url())
+            })
+        })
     }
 
-    /// True once closed.
+    /// True once closed, and in a process forked from the one that opened it.
     #[getter]
     fn closed(&self) -> bool {
-        lock(&self.running).is_none()
+        // Who held the lock at the fork holds it for ever there.
+        std::process::id() != self.opened_in || lock(&self.running).is_none()
     }
 
     /// What was opened.
@@ -271,7 +334,23 @@ impl PySession {
         run(py, || self.with(|running| Ok(running.pipeline.set_hyperparameter(hyperparameter)?)))
     }
 
-    /// Presses a session's twin: as :meth:`Twin.press`.
+    /// Presses a session's twin, from one of its next frames on.
+    ///
+    /// Parameters
+    /// ----------
+    /// x_mm, y_mm : float
+    ///     Where, from the skin's centre.
+    /// radius_mm, force_n : float, optional
+    ///     Radius and force; what the skin is made for where left out.
+    /// pressure_kpa : float, optional
+    ///     Mean pressure in place of a force.
+    /// pointer : int
+    ///     Who presses: several may at once.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     A place off the skin, numbers that make no sense, a session of something that is no twin.
     #[pyo3(signature = (x_mm, y_mm, radius_mm=None, force_n=None, *, pressure_kpa=None, pointer=1))]
     fn press(
         &self,
@@ -321,7 +400,9 @@ impl PySession {
 impl Drop for PySession {
     fn drop(&mut self) {
         if std::process::id() != self.opened_in {
-            std::mem::forget(lock(&self.running).take());
+            // The threads that would be waited for are in the parent, and so may be who holds the lock.
+            let running = std::mem::replace(&mut self.running, Mutex::new(None));
+            std::mem::forget(running);
         }
     }
 }

@@ -1,6 +1,5 @@
 //! [`PySkin`]: a skin file, checked.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use dermis::live::prepare::Prepared;
@@ -12,42 +11,11 @@ use pyo3::prelude::*;
 use crate::arrays::{array2, read_only};
 use crate::errors::{Fault, Kind};
 use crate::model::PyModel;
+pub use crate::skin_argument::{PySkin, skin_of};
 use crate::work::{run, run_interruptibly};
 
 /// Corners of the polygon that a disc is drawn as.
 const DISC_CORNERS: usize = 128;
-
-/// A skin as its file says.
-///
-/// Parameters
-/// ----------
-/// source : Skin, str or os.PathLike
-///     A skin, the name of a built-in one, the path of a skin file, or its text.
-///
-/// Raises
-/// ------
-/// SkinError
-///     A skin that there is none of, or a file that makes no sense, with the key, the value and what was expected.
-#[pyclass(frozen, module = "dermis", name = "Skin")]
-pub struct PySkin {
-    /// The file.
-    pub skin: Skin,
-}
-
-/// A skin from what Python calls one: the object, a name, a path, or the text of a file.
-pub fn skin_of(value: &Bound<'_, PyAny>) -> PyResult<Skin> {
-    if let Ok(skin) = value.cast::<PySkin>() {
-        return Ok(skin.get().skin.clone());
-    }
-    let path: PathBuf = value.extract().map_err(|_| {
-        let expected = "a dermis.Skin, the name of a built-in skin, a path, or the text of a skin file";
-        Fault::input("skin", expected, crate::arrays::type_name(value))
-    })?;
-    let text = path.to_string_lossy().into_owned();
-    // No path has a line break, and no skin file has none.
-    let skin = if text.contains('\n') { Skin::parse(&text, "skin") } else { Skin::open(&text) };
-    Ok(skin.map_err(Fault::from)?)
-}
 
 #[pymethods]
 impl PySkin {
@@ -173,7 +141,7 @@ impl PySkin {
             skin.imaging.elements = elements;
             skin = skin.checked().map_err(Fault::from)?;
         }
-        let prepared = run_interruptibly(py, move || Ok(Prepared::new(skin)?))?;
+        let prepared = run_interruptibly(py, "model", move || Ok(Prepared::new(skin)?))?;
         PyModel::of(py, Arc::new(prepared))
     }
 

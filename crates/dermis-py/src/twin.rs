@@ -64,7 +64,7 @@ impl PyTwin {
         }
         skin.twin.seed = seed.or(skin.twin.seed);
         let of = skin.clone();
-        let kit = run_interruptibly(py, move || Ok(TwinKit::of(&of)?))?;
+        let kit = run_interruptibly(py, "twin", move || Ok(TwinKit::of(&of)?))?;
         let period_s = 1.0 / skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
         let running = Running { twin: kit.twin, time_s: 0.0, truth: Vec::new(), values: Vec::new() };
         Ok(Self { skin, period_s, press: kit.press, running: Mutex::new(running) })

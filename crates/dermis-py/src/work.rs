@@ -2,8 +2,9 @@
 //! threads that are there. A process that was forked has none of its parent's threads, so that it gets some of its own.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -12,6 +13,8 @@ use crate::errors::{Fault, Kind};
 
 /// How often Ctrl-C is looked for.
 const SIGNALS: Duration = Duration::from_millis(50);
+/// How long work may take before anything of it is shown.
+const QUIET: Duration = Duration::from_secs(1);
 
 /// The process that loaded this library.
 static LOADED_IN: OnceLock<u32> = OnceLock::new();
@@ -78,10 +81,92 @@ pub fn run_briefly<T>(work: impl FnOnce() -> Result<T, Fault>) -> PyResult<T> {
     Ok(guarded(work)?)
 }
 
+/// How far long work is: counted by its threads, shown by the one that waits for it.
+#[derive(Default)]
+pub struct Progress {
+    done: AtomicUsize,
+    stopped: AtomicBool,
+}
+
+impl Progress {
+    /// One more of the total is done. Refuses once nobody waits for the rest.
+    pub fn step(&self) -> Result<(), Fault> {
+        self.done.fetch_add(1, Ordering::Relaxed);
+        if self.stopped.load(Ordering::Relaxed) {
+            return Err(Fault::new(Kind::Other, "interrupted"));
+        }
+        Ok(())
+    }
+}
+
+/// A bar of tqdm, once work has taken a moment, where there is one.
+struct Bar {
+    label: &'static str,
+    total: Option<usize>,
+    begun: Instant,
+    shown: Option<Py<PyAny>>,
+}
+
+impl Bar {
+    fn new(label: &'static str, total: Option<usize>) -> Self {
+        Self { label, total, begun: Instant::now(), shown: None }
+    }
+
+    fn show(&mut self, py: Python<'_>, done: usize) -> PyResult<()> {
+        if self.begun.elapsed() < QUIET {
+            return Ok(());
+        }
+        let bar = match &self.shown {
+            Some(bar) => bar,
+            None => {
+                let make = py.import("dermis._progress")?.getattr("bar")?;
+                self.shown.insert(make.call1((self.label, self.total))?.unbind())
+            }
+        };
+        bar.call1(py, (done,))?;
+        Ok(())
+    }
+
+    fn close(&mut self, py: Python<'_>) -> PyResult<()> {
+        self.shown.take().map_or(Ok(()), |bar| bar.call1(py, (py.None(),)).map(|_| ()))
+    }
+}
+
+/// Waits for a thread's result, and looks for Ctrl-C and shows how far it is meanwhile. Called without the interpreter's lock.
+fn wait<T>(receiver: &mpsc::Receiver<Result<T, Fault>>, progress: &Progress, mut bar: Bar) -> PyResult<T> {
+    let done = loop {
+        match receiver.recv_timeout(SIGNALS) {
+            Ok(done) => break Ok(done?),
+            Err(mpsc::RecvTimeoutError::Timeout) => {}
+            Err(mpsc::RecvTimeoutError::Disconnected) => {
+                break Err(Fault::new(Kind::Internal, "a thread of dermis ended without a result").into());
+            }
+        }
+        let is_going_on = Python::attach(|py| {
+            py.check_signals()?;
+            bar.show(py, progress.done.load(Ordering::Relaxed))
+        });
+        if let Err(error) = is_going_on {
+            break Err(error);
+        }
+    };
+    progress.stopped.store(true, Ordering::Relaxed);
+    if bar.shown.is_some() {
+        let closed = Python::attach(|py| bar.close(py));
+        return done.and_then(|done| closed.map(|()| done));
+    }
+    done
+}
+
+fn no_thread(error: std::io::Error) -> Fault {
+    Fault::new(Kind::Other, format!("thread: {error}"))
+}
+
 /// Long work, on a thread of its own, while this one looks for Ctrl-C. What was interrupted runs on to its end behind, and
-/// its result is discarded.
+/// its result is discarded. `label` names it where its time is shown.
 pub fn run_interruptibly<T: Send + 'static>(
     py: Python<'_>,
+    label: &'static str,
     work: impl FnOnce() -> Result<T, Fault> + Send + 'static,
 ) -> PyResult<T> {
     let (sender, receiver) = mpsc::channel();
@@ -93,15 +178,38 @@ pub fn run_interruptibly<T: Send + 'static>(
             None => work(),
         }));
     });
-    thread.map_err(|error| Fault::new(Kind::Other, format!("thread: {error}")))?;
+    thread.map_err(no_thread)?;
     let receiver = Mutex::new(receiver);
-    loop {
-        match py.detach(|| lock(&receiver).recv_timeout(SIGNALS)) {
-            Ok(done) => return Ok(done?),
-            Err(mpsc::RecvTimeoutError::Timeout) => py.check_signals()?,
-            Err(mpsc::RecvTimeoutError::Disconnected) => {
-                return Err(Fault::new(Kind::Internal, "a thread of dermis ended without a result").into());
-            }
-        }
-    }
+    py.detach(|| wait(&lock(&receiver), &Progress::default(), Bar::new(label, None)))
+}
+
+/// Long work of so many equal steps, on so many threads or as many as there are processors. It counts its steps, and ends at
+/// the next one when it is interrupted.
+pub fn run_steps<T: Send>(
+    py: Python<'_>,
+    label: &'static str,
+    steps: usize,
+    threads: Option<usize>,
+    work: impl FnOnce(&Progress) -> Result<T, Fault> + Send,
+) -> PyResult<T> {
+    let threads = match threads {
+        // Threads that are there have their memory already.
+        Some(threads) if threads != rayon::current_num_threads() => Some(Arc::new(pool(threads)?)),
+        _ => own_threads()?,
+    };
+    let progress = &Progress::default();
+    py.detach(|| {
+        std::thread::scope(|scope| {
+            let (sender, receiver) = mpsc::channel();
+            let thread = std::thread::Builder::new().name("dermis-work".into()).spawn_scoped(scope, move || {
+                // Nobody listens after an interruption.
+                let _ = sender.send(guarded(|| match threads {
+                    Some(threads) => threads.install(|| work(progress)),
+                    None => work(progress),
+                }));
+            });
+            thread.map_err(no_thread)?;
+            wait(&receiver, progress, Bar::new(label, Some(steps)))
+        })
+    })
 }

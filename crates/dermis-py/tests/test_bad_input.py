@@ -227,13 +227,80 @@ def test_one_pipeline_from_several_threads(skin):
     assert not failed and pipe.frames == 80
 
 
-def test_interrupting_long_work(skin):
-    model = skin.model()
-    sigmas = np.tile(model.sigma, (20000, 1))
-    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
-    timer.start()
-    with pytest.raises(KeyboardInterrupt):
-        model.voltages_many(sigmas)
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_session_in_a_forked_process_while_a_thread_uses_it():
+    """Whoever held the session's lock at the fork is not there to give it back: nothing may wait for it."""
+    with dermis.open("twin:healing-square") as session:
+        busy = threading.Thread(target=lambda: [next(session) for _ in range(400)])
+        busy.start()
+        next(session)
+        children = []
+        for _ in range(5):
+            child = os.fork()
+            if child == 0:
+                wrong = 0
+                for call in (lambda: next(session), session.tare, session.asnumpy, lambda: session.counters, lambda: session.show(browser=False)):
+                    try:
+                        call()
+                        wrong += 1
+                    except dermis.SessionError as error:
+                        wrong += "forked" not in str(error)
+                wrong += not session.closed
+                session.close()
+                os._exit(wrong)
+            children.append(child)
+        for child in children:
+            assert exit_of(child) == 0
+        busy.join()
+        next(session)
+
+
+def exit_of(child, seconds=120):
+    """The exit code of a child; a hanging one is ended."""
+    deadline = time.monotonic() + seconds
+    while True:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        if time.monotonic() > deadline:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            pytest.fail("the child hangs")
+        time.sleep(0.02)
+
+
+def test_one_session_from_several_threads():
+    """Every frame goes to one thread, and none is lost."""
+    seen = []
+    with dermis.open("twin:healing-square", frames=120) as session:
+
+        def work():
+            for result in session:
+                seen.append(result.sequence)
+
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        [thread.start() for thread in threads]
+        [thread.join() for thread in threads]
+    assert sorted(seen) == sorted(set(seen)) and len(seen) == 120
+
+
+def test_a_session_closed_by_another_thread():
+    session = dermis.open("twin:healing-square")
+    said = []
+
+    def work():
+        try:
+            for _ in session:
+                pass
+        except dermis.SessionError as error:
+            said.append(str(error))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    next(session)
+    session.close()
+    thread.join(timeout=60)
+    assert not thread.is_alive() and "closed" in said[0]
 
 
 def test_recordings_that_are_none(tmp_path):

@@ -1,5 +1,8 @@
 """The ten lines by which people know the package, word for word, and what they promise of shapes and types."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,9 +11,8 @@ import dermis
 
 def test_the_script(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert dermis._dermis.run_command(
-        ["dermis", "record", "healing-square", "--speed", "0", "--frames", "150", "--out", "press.mcap"]
-    ) == 0
+    record = ["record", "healing-square", "--speed", "0", "--frames", "150", "--out", "press.mcap"]
+    subprocess.run([sys.executable, "-m", "dermis", *record], check=True)
     skin = dermis.Skin("healing-square")              # a name, a path, or TOML text; skin.to_toml(), skin.name, skin.outline
     model = skin.model()                              # model.nodes (n,2|3), .elements (m,3|4), .electrodes, .channels (k,4), .grid
     v = model.voltages()                              # (k,) volts at model.sigma (m,), the file's own; voltages(sigma) at another

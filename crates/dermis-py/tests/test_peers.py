@@ -60,7 +60,7 @@ def test_jacobian(peers, capsys):
     ("method", "prior"),
     [("dgn", eit.Prior.identity()), ("lm", eit.Prior.noser(1.0)), ("kotre", eit.Prior.noser(0.5))],
 )
-def test_gauss_newton_step(peers, method, prior):
+def test_gauss_newton_step(peers, method, prior, capsys):
     """pyEIT's JAC is the one-step solution with its lambda the square of ours: `lm` and `kotre` weigh by J'J's diagonal."""
     from pyeit.eit import jac
 
@@ -75,3 +75,40 @@ def test_gauss_newton_step(peers, method, prior):
     step = eit.Operator(ours.jacobian(sigma), prior, np.sqrt(0.01))(v1 - v0)
     # But for the sign of its Jacobian.
     assert min(np.linalg.norm(s * step - image) for s in (1.0, -1.0)) < 1e-6 * np.linalg.norm(image)
+    setup = {"p": 0.5, "lamb": 0.01, "method": method, "jac_normalized": False}
+    ratio = seconds(lambda: solver.setup(**setup)) / seconds(lambda: eit.Operator(ours.jacobian(sigma), prior, np.sqrt(0.01)))
+    with capsys.disabled():
+        print(f"\nJAC {method}, {len(mesh.element)} elements: pyEIT takes {ratio:.0f} times as long")
+
+
+def test_greit(peers, capsys):
+    """pyEIT's GREIT, `W' J' (JJ' + l diag(JJ')^p)^-1` on differences in proportion to the reference: our one-step
+    solution with the identity as prior and channels that are as noisy as their rows are long, on its own grid."""
+    from pyeit.eit.greit import GREIT
+
+    mesh, pattern, _, ours = peers
+    solver = GREIT(mesh, pattern)
+    lamb, p = 0.01, 0.5
+    solver.setup(p=p, lamb=lamb, perm=1, jac_normalized=True)
+    sigma = np.ones(len(mesh.element))
+    changed = sigma.copy()
+    changed[10:20] = 2.0
+    v0, v1 = ours.voltages(sigma), ours.voltages(changed)
+    expected = np.real(solver.solve(v1, v0, normalize=True))
+    weights = solver._compute_grid_weights(solver.xg, solver.yg)
+
+    def image():
+        jacobian = ours.jacobian(sigma) / np.abs(v0)[:, None]
+        noise = (jacobian**2).sum(axis=1) ** (0.5 * p)
+        return weights.T @ eit.Operator(jacobian, eit.Prior.identity(), np.sqrt(lamb), noise=noise)((v1 - v0) / np.abs(v0))
+
+    # But for the sign of its Jacobian.
+    assert min(np.linalg.norm(s * image() - expected) for s in (1.0, -1.0)) < 1e-6 * np.linalg.norm(expected)
+
+    def theirs():
+        solver.setup(p=p, lamb=lamb, perm=1, jac_normalized=True)
+        return solver.solve(v1, v0, normalize=True)
+
+    ratio = seconds(theirs) / seconds(image)
+    with capsys.disabled():
+        print(f"\nGREIT, {len(mesh.element)} elements: pyEIT takes {ratio:.0f} times as long")

@@ -1,11 +1,10 @@
 //! Frames of any file: recordings as well as the tables that [`dermis_device::read`] knows.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
 use dermis_device::instruments::MOST_BYTES;
-use dermis_device::{DeviceError, FileSpec, Format, Frame, FrameTable};
+use dermis_device::{DeviceError, FileSpec, Format, Frame, FrameTable, open_regular};
 
 use crate::{Error, Recording};
 
@@ -15,7 +14,7 @@ const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// True of a file that is a recording, by its first bytes, or, where it cannot be read, by its name.
 pub fn is_recording(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
-    match File::open(path).and_then(|mut file| file.read_exact(&mut first)) {
+    match open_regular(path).and_then(|mut file| file.read_exact(&mut first)) {
         Ok(()) => first == MAGIC,
         Err(_) => path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
     }

@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use dermis_device::Frame;
+use dermis_device::{Frame, open_regular};
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
@@ -155,7 +155,7 @@ impl Recording {
     /// [`Error::Io`]; [`Error::Content`] if the file is no MCAP, or none of dermis, or cut off so early that it lacks
     /// its skin.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let file = File::open(path).map_err(Error::io(path))?;
+        let file = open_regular(path).map_err(Error::io(path))?;
         Recording::from_reader(BufReader::new(file), path)
     }
 }

@@ -2,10 +2,10 @@
 //! of topics that dermis does not know, and index and summary are made anew.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
+use dermis_device::open_regular;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record, op};
 use mcap::sans_io::linear_reader::LinearReadEvent;
@@ -44,7 +44,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovered, Error> {
         frames += u64::from(matches!(entry, super::Entry::Frame(_)));
     }
     let damage = recording.damage();
-    let mut input = BufReader::new(File::open(from).map_err(Error::io(from))?);
+    let mut input = BufReader::new(open_regular(from).map_err(Error::io(from))?);
     let outline = Outline::read(&mut input).map_err(Error::io(from))?.unwrap_or_default();
     let failed = |error| mcap_error(to, error);
     let writer = new_writer(whole_file(to)?).map_err(failed)?;

@@ -1,5 +1,8 @@
 //! The skins that come with dermis: the files of `skins/`, embedded.
 
+/// The skin that is taken where none is named.
+pub const DEFAULT_NAME: &str = "healing-square";
+
 /// Names of the built-in skins.
 pub const BUILTIN_NAMES: [&str; 14] = [
     "healing-square",

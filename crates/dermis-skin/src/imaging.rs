@@ -214,11 +214,9 @@ impl Imaging {
         }
         match self.weights {
             WeightChoice::FloorAndShare { floor, share } => {
-                checker.within("imaging.weights.floor-and-share.floor", floor, 0.0, 1e3)?;
+                // Without a floor, a channel that reads nothing would weigh infinitely much.
+                checker.within("imaging.weights.floor-and-share.floor", floor, 1e-12, 1e3)?;
                 checker.within("imaging.weights.floor-and-share.share", share, 0.0, 1e3)?;
-                if floor + share == 0.0 {
-                    return Err(checker.refused("imaging.weights.floor-and-share", "0 and 0", "one of them above 0"));
-                }
             }
             WeightChoice::Measured { floor } | WeightChoice::Reciprocity { floor } => {
                 checker.within("imaging.weights.floor", floor, 1e-12, 1e3)?;

@@ -43,7 +43,7 @@ pub use backend::{
     Backend, Circuit, CircuitChoice, DrivePattern, DrivenChannels, LearnCircuit, MeasurePattern, ReadingOrder, Reads,
     ReferenceChoice, Wiring,
 };
-pub use builtin::{BUILTIN_NAMES, builtin_text};
+pub use builtin::{BUILTIN_NAMES, DEFAULT_NAME, builtin_text};
 pub use damage::DamageSettings;
 pub use dermis_mit::{Element, ElementShape};
 pub use electronics::{Electronics, ElectronicsNumbers, MultiplexerNumbers, Preset};

@@ -80,7 +80,7 @@ impl<T: DeserializeOwned> Part<T> {
 }
 
 /// Longest skin file, bytes.
-const MOST_BYTES: u64 = 4 << 20;
+const MOST_BYTES: u64 = 1 << 20;
 
 /// Reads a skin file or a part of one: a regular file of bounded size, as UTF-8.
 pub(crate) fn read_skin_text(path: &Path) -> std::io::Result<String> {

@@ -8,14 +8,16 @@
 mod channel_order;
 mod circuit;
 pub mod contacts;
+mod error;
 mod forward;
 mod jacobian;
 mod protocol;
 mod system;
 
 pub use channel_order::{ChannelMap, OrderFit, OrderReport, diagnose_order};
-pub use circuit::{CircuitError, CircuitResponse, CurrentReturn, Lines, ReadoutCircuit};
-pub use forward::{EitError, ForwardModel, Solution};
+pub use circuit::{CircuitResponse, CurrentReturn, Lines, ReadoutCircuit};
+pub use error::{CircuitError, EitError};
+pub use forward::{ForwardModel, Solution};
 pub use jacobian::Jacobian;
 pub use protocol::{
     Drive, Driven, Measure, Measurement, Order, Pattern, Protocol, ProtocolError, ProtocolSpec, Reference,

@@ -1,14 +1,16 @@
-//! Damped nonlinear least squares: one loop for every fit of parameters. It minimises a cost `F(x)`, half of or a whole sum
-//! of squares with priors, by steps that solve `(N + damping diag N) step = g` with `N = J'WJ` and `g = J'Wr` (Levenberg,
-//! Quart. Appl. Math. 2, 1944, 164; Marquardt, J. SIAM 11, 1963, 431), or by whole steps that are shortened while the cost
-//! rises. A problem says what its points, costs and equations are; it may solve these in its own way, as within bounds. The
-//! loop decides which steps are taken, and when to end.
+//! Damped nonlinear least squares: one loop for every fit of parameters. It minimises a cost `F(x)`, half of or a whole
+//! sum of squares with priors, by steps that solve `(N + damping diag N) step = g` with `N = J'WJ` and `g = J'Wr`
+//! (Levenberg, Quart. Appl. Math. 2, 1944, 164; Marquardt, J. SIAM 11, 1963, 431), or by whole steps that are shortened
+//! while the cost rises. A problem says what its points, costs and equations are; it may solve these in its own way, as
+//! within bounds. The loop decides which steps are taken, and when to end.
 
 mod params;
+mod progress;
 #[cfg(test)]
 mod tests;
 
 pub use params::{Acceptance, Control, Damping, Error, Params, Tolerances};
+pub use progress::Progress;
 
 /// The equations of a step at one point.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,8 +38,8 @@ impl NormalEquations {
         self.right.len()
     }
 
-    /// Solves with the diagonal raised by the damping's share of itself, and by 1e-12 of its largest entry. `factor` has room
-    /// for the matrix. False where that is not positive definite; `step` is then of no use.
+    /// Solves with the diagonal raised by the damping's share of itself, and by 1e-12 of its largest entry. `factor`
+    /// has room for the matrix. False where that is not positive definite; `step` is then of no use.
     pub fn solve_damped(&self, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
         let n = self.unknowns();
         let floor = 1e-12 * (0..n).map(|k| self.normal[k * n + k]).fold(0.0, f64::max);
@@ -90,19 +92,6 @@ pub struct Trial {
     pub moved: f64,
 }
 
-/// What a step has done.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Progress {
-    /// Cost before it.
-    pub before: f64,
-    /// Cost after it.
-    pub after: f64,
-    /// By how much the cost should have fallen: half of step times right-hand side.
-    pub predicted: f64,
-    /// As [`Trial::moved`].
-    pub moved: f64,
-}
-
 /// What is fitted. It stands at one point, and remembers another one while that is tried.
 pub trait Problem {
     /// What can go wrong.
@@ -117,20 +106,21 @@ pub trait Problem {
     /// The problem's own.
     fn cost(&mut self) -> Result<f64, Self::Error>;
 
-    /// Writes the equations at that point, which have the right size and any values. False where there are none: the fit
-    /// ends there.
+    /// Writes the equations at that point, which have the right size and any values. False where there are none: the
+    /// fit ends there.
     ///
     /// # Errors
     /// The problem's own.
     fn linearise(&mut self, equations: &mut NormalEquations) -> Result<bool, Self::Error>;
 
-    /// Solves the equations into `step`, with room for a factor of the matrix; without damping (0) where steps are shortened
-    /// instead. False where that cannot be done.
+    /// Solves the equations into `step`, with room for a factor of the matrix; without damping (0) where steps are
+    /// shortened instead. False where that cannot be done.
     fn solve(&mut self, equations: &NormalEquations, damping: f64, factor: &mut [f64], step: &mut [f64]) -> bool {
         equations.solve_damped(damping, factor, step)
     }
 
-    /// Tries the point that a step leads to, shortened where the problem bounds its steps. `None` where it cannot go there.
+    /// Tries the point that a step leads to, shortened where the problem bounds its steps. `None` where it cannot go
+    /// there.
     ///
     /// # Errors
     /// The problem's own.

@@ -2,7 +2,8 @@
 
 use crate::contact::{Contact, ContactSign};
 use crate::kalman::{Kalman, Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
-use crate::track::{Touch, TrackerParams};
+use crate::touch::Touch;
+use crate::tracker_params::TrackerParams;
 
 /// A contact followed over time.
 #[derive(Debug, Clone, Copy)]
@@ -14,6 +15,8 @@ pub(crate) struct Blob {
     pub sign: ContactSign,
     /// Frames since the last contact, 0 = measured in this frame.
     pub missed: u32,
+    /// The frames that it was measured in: bit k for the one k frames ago, 0 for this one.
+    pub seen: u64,
     /// Frames since the first contact, the first included.
     pub age: u32,
     pub first_time_ns: u64,
@@ -78,6 +81,7 @@ impl Blob {
             stage: Stage::Tentative { strong_frames: 0 },
             sign: contact.sign,
             missed: 0,
+            seen: 1,
             age: 0,
             first_time_ns: time_ns,
             contact: *contact,
@@ -89,6 +93,7 @@ impl Blob {
         self.filter.predict(dt, params.acceleration_density_m2_per_s3);
         self.predicted = (self.filter.position, self.filter.velocity);
         self.missed = self.missed.saturating_add(1);
+        self.seen <<= 1;
         self.age = self.age.saturating_add(1);
     }
 
@@ -96,6 +101,7 @@ impl Blob {
         self.filter.update(params.position.of(contact), measured_variance(contact, params));
         self.contact = *contact;
         self.missed = 0;
+        self.seen |= 1;
     }
 
     /// Squared gate distance of a contact, or nothing when it is out of the question.

@@ -58,8 +58,10 @@ pub mod measure;
 mod moments;
 mod noise;
 pub mod rhythm;
+mod touch;
 mod touch_load;
 mod track;
+mod tracker_params;
 mod watershed;
 
 pub use baseline::{
@@ -72,5 +74,7 @@ pub use error::TouchError;
 pub use finder::ContactFinder;
 pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
+pub use touch::{Observation, Touch, TouchEvent, TouchPhase};
 pub use touch_load::{LoadQuantity, TouchLoad};
-pub use track::{Observation, PositionSource, Touch, TouchEvent, TouchPhase, Tracker, TrackerParams};
+pub use track::Tracker;
+pub use tracker_params::{PositionSource, TrackerParams};

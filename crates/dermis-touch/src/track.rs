@@ -1,197 +1,17 @@
 //! From the contacts of successive images to touches with identities that stay.
 //!
 //! Every touch is followed by a Kalman filter with nearly constant velocity; contacts are given to touches by the
-//! assignment of least total Mahalanobis distance, within a gate. Touches whose contacts melt into one are kept as merged
-//! and take their identities up again when the contact parts. Identities count up from 1 and are never used twice.
+//! assignment of least total Mahalanobis distance, within a gate. Touches whose contacts melt into one are kept as
+//! merged and take their identities up again when the contact parts. Identities count up from 1 and are never used
+//! twice.
 
 use crate::assignment::{Assignment, FORBIDDEN};
 use crate::blob::{Blob, Merge, Rider, Stage, merge_blobs, seconds_between, settle_riders};
-use crate::contact::{Contact, ContactSign, ContactStrength};
-use crate::error::{TouchError, require};
-use crate::force::ForceReading;
+use crate::contact::{Contact, ContactStrength};
+use crate::error::TouchError;
 use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
-use crate::touch_load::TouchLoad;
-use serde::{Deserialize, Serialize};
-
-/// Which position of a contact is followed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum PositionSource {
-    /// [`Contact::centroid_m`].
-    #[default]
-    Centroid,
-    /// [`Contact::peak_m`].
-    Peak,
-}
-
-impl PositionSource {
-    /// The position of `contact` that this names, metres.
-    #[must_use]
-    pub fn of(self, contact: &Contact) -> [f64; 2] {
-        match self {
-            Self::Centroid => contact.centroid_m,
-            Self::Peak => contact.peak_m,
-        }
-    }
-}
-
-/// Rules of a [`Tracker`]. Frames are those given to [`Tracker::update`]; speeds and times are in seconds of its times.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrackerParams {
-    /// A touch begins with its so-many-th strong contact in a row. At least 1.
-    pub min_age_frames: u32,
-    /// A touch ends when it was not seen for more than so many frames. 0 ends it with the first frame without it.
-    pub max_missed_frames: u32,
-    /// Touches stay merged for at most so many frames; then only the one that began first goes on.
-    pub max_merged_frames: u32,
-    /// Gate on the Mahalanobis distance of a contact from a touch's prediction. Above 0.
-    pub gate_sigma: f64,
-    /// Gate on their distance in metres. Above 0.
-    pub gate_max_m: f64,
-    /// A vanished touch is merged when a seen contact lies within so many of that contact's radii. At least 0; 0 never merges.
-    pub merge_radii: f64,
-    /// Standard deviation added to every measured position, metres: the error that noise does not explain. Above 0.
-    pub position_floor_m: f64,
-    /// Spectral density of a touch's acceleration, m^2/s^3: (change of speed)^2 over the time that it takes. At least 0.
-    pub acceleration_density_m2_per_s3: f64,
-    /// Standard deviation of a new touch's speed, m/s. At least 0.
-    pub initial_speed_m_per_s: f64,
-    /// For so long after merging, touches are expected to have gone on at their velocity; later, to come out where they
-    /// went in. Seconds, at least 0.
-    pub velocity_memory_s: f64,
-    /// Time constant of a first-order filter on the amplitude, seconds; none leaves it unfiltered. Above 0.
-    pub amplitude_time_constant_s: Option<f64>,
-    /// Which position is followed.
-    pub position: PositionSource,
-}
-
-impl Default for TrackerParams {
-    /// For a skin of the size of a hand at 10 to 1,000 frames a second.
-    fn default() -> Self {
-        Self {
-            min_age_frames: 2,
-            max_missed_frames: 3,
-            max_merged_frames: 50,
-            gate_sigma: 4.0,
-            gate_max_m: 0.04,
-            merge_radii: 1.5,
-            position_floor_m: 0.002,
-            acceleration_density_m2_per_s3: 0.1,
-            initial_speed_m_per_s: 0.3,
-            velocity_memory_s: 1.5,
-            amplitude_time_constant_s: None,
-            position: PositionSource::Centroid,
-        }
-    }
-}
-
-impl TrackerParams {
-    /// Checks every field against its range.
-    ///
-    /// # Errors
-    /// [`TouchError::Parameter`] naming the field.
-    pub fn validate(&self) -> Result<(), TouchError> {
-        let above = |name, x: f64| require(x.is_finite() && x > 0.0, name, x, "finite and above 0");
-        let at_least = |name, x: f64| require(x.is_finite() && x >= 0.0, name, x, "finite and at least 0");
-        require(self.min_age_frames > 0, "min_age_frames", f64::from(self.min_age_frames), "at least 1")?;
-        above("gate_sigma", self.gate_sigma)?;
-        above("gate_max_m", self.gate_max_m)?;
-        at_least("merge_radii", self.merge_radii)?;
-        above("position_floor_m", self.position_floor_m)?;
-        at_least("acceleration_density_m2_per_s3", self.acceleration_density_m2_per_s3)?;
-        at_least("initial_speed_m_per_s", self.initial_speed_m_per_s)?;
-        at_least("velocity_memory_s", self.velocity_memory_s)?;
-        self.amplitude_time_constant_s.map_or(Ok(()), |tau| above("amplitude_time_constant_s", tau))
-    }
-}
-
-/// Where a touch is in its life.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TouchPhase {
-    /// Its first frame.
-    Begin,
-    /// Any frame between.
-    Move,
-    /// Its last frame, in which it is no longer on the skin.
-    End,
-}
-
-/// What a touch's values in this frame rest on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Observation {
-    /// A contact of its own.
-    Measured,
-    /// A contact shared with other touches: position, amplitude and area are the contact's, not the touch's share of it.
-    Merged,
-    /// Nothing: position, amplitude and area are those last seen.
-    Missed,
-}
-
-/// One touch in one frame. Positions are in the skin's frame, metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Touch {
-    /// Identity, from 1 up, in the order of beginning.
-    pub id: u64,
-    /// Begin, move or end.
-    pub phase: TouchPhase,
-    /// What the values rest on.
-    pub observation: Observation,
-    /// Above or below the background.
-    pub sign: ContactSign,
-    /// Position as measured in the contact.
-    pub position_m: [f64; 2],
-    /// Covariance of `position_m`, m^2: from the image's noise (the contact's) and, on the diagonal, from what the model has
-    /// wrong, where that is known. Zero without either.
-    pub covariance_m2: [[f64; 2]; 2],
-    /// Position after the Kalman filter; predicted where nothing was seen.
-    pub filtered_position_m: [f64; 2],
-    /// Velocity after the Kalman filter, m/s. Zero in the frame of the first contact.
-    pub velocity_m_per_s: [f64; 2],
-    /// The contact's amplitude (not negative), filtered if so configured; image units.
-    pub amplitude: f64,
-    /// The contact's area, m^2.
-    pub area_m2: f64,
-    /// The contact's force, where a calibration has read one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub force: Option<ForceReading>,
-    /// The contact's fitted radius, metres, where a forward model placed it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub radius_m: Option<f64>,
-    /// The contact's depth or force, where a calibration by pokes has read one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub load: Option<TouchLoad>,
-    /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
-    pub age_frames: u32,
-    /// Time of its first contact, nanoseconds.
-    pub begin_time_ns: u64,
-    /// Time of this frame, nanoseconds.
-    pub time_ns: u64,
-}
-
-/// What happened to a touch in a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TouchEvent {
-    /// It is there for the first time.
-    Begin(Touch),
-    /// It is still there, whether it moved or not.
-    Move(Touch),
-    /// It has gone; its position is the last one seen.
-    End(Touch),
-}
-
-impl TouchEvent {
-    /// The touch that the event is about.
-    #[must_use]
-    pub fn touch(&self) -> &Touch {
-        match self {
-            Self::Begin(touch) | Self::Move(touch) | Self::End(touch) => touch,
-        }
-    }
-}
+use crate::touch::{Observation, Touch, TouchEvent, TouchPhase};
+use crate::tracker_params::TrackerParams;
 
 /// Follows contacts over frames.
 #[derive(Debug, Clone)]
@@ -262,8 +82,8 @@ impl Tracker {
     /// period. Memory is allocated only when more contacts come than ever before.
     ///
     /// # Errors
-    /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose followed position, covariance or area
-    /// is not finite. The tracker is then unchanged and `events` empty.
+    /// [`TouchError::TimeReversed`]; [`TouchError::NonFinite`] for a contact whose followed position, covariance or
+    /// area is not finite. The tracker is then unchanged and `events` empty.
     pub fn update(
         &mut self,
         time_ns: u64,
@@ -484,7 +304,8 @@ impl Tracker {
         (0..self.blobs.len()).filter(|&i| given(&self.blobs[i])).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// A touch that lost its contact where another has one is taken to have merged with that one.
+    /// A touch that lost its contact where another has one is taken to have merged with that one, if both were seen in one
+    /// frame of the last 64: contacts that come in turns are of presses one after the other.
     fn merge_vanished(&mut self, time_ns: u64) {
         for index in 0..self.blobs.len() {
             let from = self.blobs[index];
@@ -499,6 +320,7 @@ impl Tracker {
                     other != index
                         && blob.stage == Stage::Confirmed
                         && blob.missed == 0
+                        && blob.seen & from.seen != 0
                         && blob.sign == from.sign
                         && distance(other) <= params.merge_radii * blob.contact.radius_m()
                         && self.has_riders(blob.key)

@@ -188,6 +188,22 @@ fn a_merge_that_never_parts_ends_the_younger_touch() {
 }
 
 #[test]
+fn presses_one_after_the_other_never_merge() {
+    // A frame each, in turns at two places too far apart for one touch to have moved, and too near for both to be whole.
+    let mut tracker =
+        Tracker::new(TrackerParams { min_age_frames: 1, gate_max_m: 0.004, ..Default::default() }).unwrap();
+    for frame in 0..40 {
+        step(&mut tracker, frame, &[(if frame % 2 == 0 { 0.0 } else { 6.0 }, 0.0)]);
+        let seen = |touch: &&Touch| touch.observation != Observation::Missed;
+        assert_eq!(tracker.touches().iter().filter(seen).count(), 1, "frame {frame}: {:?}", tracker.touches());
+    }
+    // Seen together once, they may melt into one.
+    step(&mut tracker, 40, &[(0.0, 0.0), (6.0, 0.0)]);
+    step(&mut tracker, 41, &[(0.0, 0.0)]);
+    assert_eq!(tracker.touches().iter().filter(|touch| touch.observation == Observation::Merged).count(), 2);
+}
+
+#[test]
 fn flicker_at_the_threshold_holds_one_identity() {
     let geometry = square();
     let mut finder = ContactFinder::new(geometry, ContactParams::default()).unwrap();

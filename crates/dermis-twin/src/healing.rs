@@ -64,10 +64,14 @@ impl HealingLaw {
         check_positive("healing pad_rim_m", self.pad_rim_m)
     }
 
-    /// Rate of the dose at a point under or beside a pad, 1/s.
-    fn rate_at(&self, heating: &Heating, point: [f64; 2]) -> f64 {
+    /// How much of a pad's warmth a point has: 1 under it, 0 beside it, between at its rim.
+    fn nearness(&self, heating: &Heating, point: [f64; 2]) -> f64 {
         let distance = (point[0] - heating.centre_m[0]).hypot(point[1] - heating.centre_m[1]);
-        let x = (0.5 + (heating.radius_m - distance) / self.pad_rim_m).clamp(0.0, 1.0);
+        (0.5 + (heating.radius_m - distance) / self.pad_rim_m).clamp(0.0, 1.0)
+    }
+
+    /// Rate of the dose at a point that has so much of a pad's warmth, 1/s.
+    fn rate_of(&self, heating: &Heating, x: f64) -> f64 {
         let kelvin = |celsius: f64| celsius + ZERO_C_IN_K;
         let temperature = kelvin(self.room_c + (heating.temperature_c - self.room_c) * x * x * (3.0 - 2.0 * x));
         (-self.activation_k * (1.0 / temperature - 1.0 / kelvin(self.temperature_c))).exp() / self.duration_s
@@ -158,6 +162,49 @@ struct Pad {
     age_s: f64,
 }
 
+/// The rates of the dose that one pad brings, 1/s. Most points are beside it or under it, where they are the same.
+struct Rates<'a> {
+    law: &'a HealingLaw,
+    heating: &'a Heating,
+    beside: f64,
+    under: f64,
+}
+
+impl<'a> Rates<'a> {
+    fn of(heating: &'a Heating, law: &'a HealingLaw) -> Self {
+        Self { law, heating, beside: law.rate_of(heating, 0.0), under: law.rate_of(heating, 1.0) }
+    }
+
+    fn at(&self, point: [f64; 2]) -> f64 {
+        match self.law.nearness(self.heating, point) {
+            0.0 => self.beside,
+            1.0 => self.under,
+            x => self.law.rate_of(self.heating, x),
+        }
+    }
+}
+
+/// What one pad does to the conductivity now.
+struct Warmth<'a> {
+    rates: Rates<'a>,
+    /// For how long it has heated, seconds.
+    heated_s: f64,
+    /// Rise of a full dose that passes, as far as it has not.
+    passing: f64,
+}
+
+impl<'a> Warmth<'a> {
+    fn of(Pad { heating, age_s }: &'a Pad, law: &'a HealingLaw) -> Self {
+        let since = age_s - heating.duration_s;
+        let left = if since > 0.0 { (-since / law.relaxation_s).exp() } else { 1.0 };
+        Self {
+            rates: Rates::of(heating, law),
+            heated_s: age_s.min(heating.duration_s),
+            passing: (law.peak_rise - law.lasting_rise) * left,
+        }
+    }
+}
+
 /// The state of one sheet.
 #[derive(Clone, Debug)]
 pub struct Wear {
@@ -226,13 +273,15 @@ impl Wear {
         for pad in &mut self.pads {
             let heated = (pad.heating.duration_s - pad.age_s).clamp(0.0, passed);
             pad.age_s += passed;
+            let rates = Rates::of(&pad.heating, &law);
             changed |= heated > 0.0 || pad.age_s < pad.heating.duration_s + 20.0 * law.relaxation_s;
-            for wound in &mut self.cuts {
-                let Laceration { cut, doses } = wound;
+            // Nothing heals under a pad that has been taken away.
+            let wounds = if heated > 0.0 { self.cuts.as_mut_slice() } else { &mut [] };
+            for Laceration { cut, doses } in wounds {
                 let count = doses.len();
-                for (index, dose) in doses.iter_mut().enumerate() {
+                for (index, dose) in doses.iter_mut().enumerate().filter(|(_, dose)| **dose < 1.0) {
                     let middle = cut.at((index as f64 + 0.5) / count as f64);
-                    *dose = (*dose + heated * law.rate_at(&pad.heating, middle)).min(1.0);
+                    *dose = (*dose + heated * rates.at(middle)).min(1.0);
                 }
             }
         }
@@ -241,17 +290,23 @@ impl Wear {
 
     /// Conductivity at a point as a share of the new sheet's, cuts left aside.
     pub fn share_at(&self, point: [f64; 2]) -> f64 {
-        let Some(law) = self.law else { return self.warmth };
-        let (mut passing, mut lasting) = (0.0, 0.0_f64);
-        for Pad { heating, age_s } in &self.pads {
-            let dose = (law.rate_at(heating, point) * age_s.min(heating.duration_s)).min(1.0);
-            let since = age_s - heating.duration_s;
-            let left = if since > 0.0 { (-since / law.relaxation_s).exp() } else { 1.0 };
-            passing += dose * (law.peak_rise - law.lasting_rise) * left;
-            // What is healed through cannot gain the same again.
-            lasting = lasting.max(dose * law.lasting_rise);
+        self.share()(point)
+    }
+
+    /// The same for many points: what is the same everywhere is worked out once.
+    pub fn share(&self) -> impl Fn([f64; 2]) -> f64 + '_ {
+        let warmths: Vec<Warmth> =
+            self.law.iter().flat_map(|law| self.pads.iter().map(|pad| Warmth::of(pad, law))).collect();
+        move |point| {
+            let (mut passing, mut lasting) = (0.0, 0.0_f64);
+            for warmth in &warmths {
+                let dose = (warmth.rates.at(point) * warmth.heated_s).min(1.0);
+                passing += dose * warmth.passing;
+                // What is healed through cannot gain the same again.
+                lasting = lasting.max(dose * warmth.rates.law.lasting_rise);
+            }
+            self.warmth * (1.0 + passing + lasting)
         }
-        self.warmth * (1.0 + passing + lasting)
     }
 
     /// The cuts as they conduct now, each in equal pieces from end to end.

@@ -237,19 +237,19 @@ struct Plan {
 impl Plan {
     /// Gives a slit sheet the conductances that wear and cuts leave it.
     fn conduct(&self, sheets: &mut TwoSheets, wear: &Wear, cuts: &[Vec<Cut>], slits: &Slits) {
-        let (sheet_s, map) = (self.sheet_s, &self.conductance);
+        let (sheet_s, map, share) = (self.sheet_s, &self.conductance, wear.share());
         let inset_m = 0.5 * self.spec.element_size_m;
         let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
         let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
-        sheets.set_sensing_by(|point| sheet_s * wear.share_at(point) * map.at(point), &blocking);
+        sheets.set_sensing_by(|point| sheet_s * share(point) * map.at(point), &blocking);
         sheets.set_joints(|edge, middle| {
             let cut = slits.cut_of_edge[edge];
             let ([from, to], pieces) = (slits.ends_m[cut], &cuts[cut]);
             let along = [to[0] - from[0], to[1] - from[1]];
-            let share = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
+            let place = ((middle[0] - from[0]) * along[0] + (middle[1] - from[1]) * along[1])
                 / (along[0] * along[0] + along[1] * along[1]);
-            let piece = &pieces[((share * pieces.len() as f64) as usize).min(pieces.len() - 1)];
-            sheet_s * wear.share_at(middle) * map.at(middle) * piece.joining_per_m()
+            let piece = &pieces[((place * pieces.len() as f64) as usize).min(pieces.len() - 1)];
+            sheet_s * share(middle) * map.at(middle) * piece.joining_per_m()
         });
     }
 

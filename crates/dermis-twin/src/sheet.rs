@@ -153,8 +153,9 @@ impl SheetSkin {
 
     fn renew_sheet(&mut self) {
         let cuts: Vec<Cut> = self.wear.wounds().map(|wound| wound.cut.shortened(self.inset_m)).collect();
+        let share = self.wear.share();
         for ((rest, corners), centroid) in self.rest_s.iter_mut().zip(&self.triangles_m).zip(&self.centroids_m) {
-            let sheet_s = self.sheet_s * self.wear.share_at(*centroid) * self.conductance.at(*centroid);
+            let sheet_s = self.sheet_s * share(*centroid) * self.conductance.at(*centroid);
             *rest = damaged_conductance(sheet_s, &cuts, *corners).xx;
         }
     }

@@ -3,7 +3,8 @@
 use crate::cobs::{Full, Stuffer};
 use crate::list::{List, Numbers, Scalar};
 use crate::message::{Describe, Frame, Hello, Kind, Message, Part};
-use crate::{CRC, Command, MOST_PACKET, MOST_TEXT, Reply, Request, VERSION, WireError};
+use crate::packet::{CRC, MOST_PACKET, MOST_TEXT, VERSION};
+use crate::{Command, Reply, Request, WireError};
 
 /// Writes a message into `out` with a delimiter before and after it; the bytes to send.
 /// [`encoded_len`](crate::encoded_len) says how much room a packet takes.

@@ -2,7 +2,8 @@
 
 use crate::list::{Element, List, Numbers, Scalar};
 use crate::message::{Describe, Features, Frame, Hello, Kind, Message, Part, Status};
-use crate::{CRC, Command, FRAMING, MOST_PACKET, Reply, ReplyStatus, Request, VERSION, WireError};
+use crate::packet::{CRC, FRAMING, MOST_PACKET, VERSION};
+use crate::{Command, Reply, ReplyStatus, Request, WireError};
 
 static CHECKSUM: crc::Crc<u32> = CRC;
 

@@ -16,7 +16,7 @@ pub fn main() -> Result<(), Error> {
     let failed = |source| Error::Io { file: folder.clone(), source };
     std::fs::create_dir_all(&folder).map_err(failed)?;
     let skin = Skin::open("healing-square")?;
-    let presses = random_presses(&skin.outline(), &press_range(&skin), 3, 7);
+    let presses = random_presses(&skin.outline(), &press_range(&skin), 3, 7)?;
     let (baseline, frames) = (folder.join("rest.csv"), folder.join("press.csv"));
     let request = SampleRequest {
         skin: skin.clone(),

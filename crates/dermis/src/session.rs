@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use dermis_device::{
     Counters, DeviceError, FileSpec, Frame, HostStamp, Source, SourceEvent, SourceSelector, instruments,
 };
+use dermis_lab::Error;
 use dermis_lab::twin_source::TwinCommand;
 use dermis_live::calibration::Calibration;
 use dermis_live::forces::load_forces;
@@ -16,7 +17,6 @@ use dermis_record::read_frames;
 use dermis_skin::Skin;
 use dermis_touch::{Touch, TouchEvent};
 
-use crate::Error;
 use crate::source::{OpenedSource, SourceOptions, TwinControl, open_source};
 
 /// How long the source is asked at a time.

@@ -5,13 +5,12 @@ use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
     FileSpec, Format, FrameSelect, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
 };
+use dermis_lab::Error;
 use dermis_lab::measured_list::setup_of;
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
 use dermis_record::{Recording, Replay, is_recording, read_frames};
 use dermis_skin::Skin;
 use dermis_twin::PressRange;
-
-use crate::Error;
 
 /// Frames a second of files that do not say when their frames were, and of skin files that give none.
 const FRAMES_PER_S: f64 = 20.0;
@@ -47,7 +46,7 @@ pub struct OpenedSource {
 }
 
 /// How a running twin is pressed.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct TwinControl {
     /// Where commands go.
     pub commands: TwinCommands,

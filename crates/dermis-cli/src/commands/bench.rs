@@ -20,6 +20,9 @@ const EXAMPLE: &str = "\
 Example:
   dermis bench --seconds 0.2";
 
+/// Forward solves of the line with many.
+const MANY: usize = 256;
+
 /// Arguments of `dermis bench`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
@@ -48,7 +51,7 @@ impl Arguments {
         let time =
             |work: &mut dyn FnMut() -> anyhow::Result<()>| median_of(work, Duration::from_secs_f64(self.seconds));
         if !self.json {
-            writeln!(out, "{:<58} {:>12} {:>12}", "one core", "median", "best")?;
+            writeln!(out, "{:<58} {:>12} {:>12}", "one core but where it says all", "median", "best")?;
         }
         let mut lines = Lines { out, json: self.json.then(Vec::new) };
         for elements in [5_000, 20_000] {
@@ -61,6 +64,7 @@ impl Arguments {
             })?;
             lines.add(&format!("{} elements, 16 electrodes: forward + Jacobian", sigma.len()), took)?;
         }
+        many(&mut lines, &time)?;
         self.images(&mut lines, &time)?;
         self.frames(&mut lines, &time)?;
         if let Some(json) = lines.json {
@@ -122,6 +126,24 @@ impl Arguments {
         })?;
         lines.add("the same, both refined by the forward model", took)
     }
+}
+
+/// A disc of about 5,000 elements under many conductivities.
+fn many(lines: &mut Lines<'_>, time: &Timer<'_>) -> anyhow::Result<()> {
+    let mut skin = Skin::open("ionic-disc")?;
+    skin.imaging.elements = 5_000;
+    let prepared = Prepared::new(skin)?;
+    let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
+    let elements = model.body().mesh.element_count();
+    let conductance = prepared.skin.sheet_conductance_s();
+    let sigmas: Vec<Vec<f64>> = (0..MANY)
+        .map(|row| (0..elements).map(|element| conductance * (1.0 + 0.5 * ((row + element) as f64).sin())).collect())
+        .collect();
+    let took = time(&mut || {
+        std::hint::black_box(model.voltages_of_many(&sigmas)?);
+        Ok(())
+    })?;
+    lines.add(&format!("{MANY} forward solves, {elements} elements, all cores"), took)
 }
 
 type Timer<'a> = dyn Fn(&mut dyn FnMut() -> anyhow::Result<()>) -> anyhow::Result<(Duration, Duration)> + 'a;

@@ -281,7 +281,7 @@ impl Arguments {
 
     /// A calibration from the twin's pokes at random places: what it would be worth on the skin.
     fn locate_twin(&self, skin: &Skin, path: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
-        let presses = random_presses(&skin.outline(), &press_range(skin), self.pokes as usize, 1);
+        let presses = random_presses(&skin.outline(), &press_range(skin), self.pokes as usize, 1)?;
         let tables = with_progress("presses", |progress| sample_tables(skin, &presses, None, progress))?;
         let prepared = Prepared::new(skin.clone())?;
         let reads = prepared.skin.backend.reads;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use dermis::lab::measured_list::setup_of;
 use dermis::lab::serve::Background;
-use dermis::skin::Skin;
+use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::{Description, Order, WireControl};
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{Frame, Source, SourceEvent, SourceSelector, open_wire};
@@ -127,7 +127,7 @@ impl Arguments {
     fn instrument(&self) -> anyhow::Result<(SourceSelector, Option<Background>)> {
         match self.selector.parse::<SourceSelector>().map_err(dermis::Error::from)? {
             SourceSelector::Twin { name } => {
-                let name = name.as_deref().or(self.skin.as_deref()).unwrap_or("healing-square");
+                let name = name.as_deref().or(self.skin.as_deref()).unwrap_or(DEFAULT_NAME);
                 let twin = Background::start(&Skin::open(name)?)?;
                 Ok((twin.selector().clone(), Some(twin)))
             }

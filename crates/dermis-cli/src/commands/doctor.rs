@@ -5,14 +5,14 @@ use std::time::Duration;
 
 use dermis::lab::doctor::{Answer, Check, FEWEST_FRAMES, examine};
 use dermis::lab::twin_source::TwinSource;
-use dermis::skin::Skin;
+use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::Order;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
     DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
 };
 
-use super::skin_word::SkinWord;
+use super::skin_word::{SkinWord, skin};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -51,7 +51,7 @@ impl Arguments {
         }
         let patience = Duration::try_from_secs_f64(self.wait_s)
             .map_err(|_| UsageError(format!("--wait-s {}: expected a number of seconds", self.wait_s)))?;
-        let skin = super::run::skin(&self.skin.or("healing-square")?)?;
+        let skin = skin(&self.skin.or(DEFAULT_NAME)?)?;
         let mut checks = Vec::new();
         if let Some((mut source, contacts_ohm)) = self.open(&skin, patience, &mut checks)? {
             checks.extend(examine(skin, source.as_mut(), self.frames, patience, contacts_ohm.as_deref())?);
@@ -121,7 +121,8 @@ impl Arguments {
 /// A source, and the impedances of its electrodes' contacts, ohm, where it measures them.
 type Examined = (Box<dyn Source>, Option<Vec<f32>>);
 
-/// Opens an instrument as it is set. One on the wire is asked for its contacts first, which it cannot measure while frames flow.
+/// Opens an instrument as it is set. One on the wire is asked for its contacts first, which it cannot measure while
+/// frames flow.
 fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,

@@ -12,8 +12,11 @@ mod doctor;
 mod export;
 mod extent;
 mod info;
+mod live_page;
 mod new;
 mod order;
+mod printing;
+mod progress;
 mod reconstruct;
 mod record;
 mod recorded;
@@ -37,9 +40,12 @@ pub mod sources {
     pub use dermis::source::{SourceOptions, TwinControl};
 }
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 
 use crate::exit::Outcome;
+pub use live_page::LivePage;
+pub(crate) use printing::{hint, print_json};
+pub(crate) use progress::{busy, progress_bar, spinner, with_progress};
 pub use skins::skin_svg;
 
 /// What can be asked for.
@@ -125,78 +131,4 @@ impl Command {
             Command::Snr(arguments) => arguments.run(out),
         }
     }
-}
-
-/// A hint on stderr, for people: what was meant was understood, and how it is said now.
-pub(crate) fn hint(text: &str) {
-    eprintln!("hint: {text}");
-}
-
-/// A report as JSON, on lines of its own.
-pub(crate) fn print_json(report: &impl serde::Serialize, out: &mut dyn Write) -> anyhow::Result<()> {
-    serde_json::to_writer_pretty(&mut *out, report).map_err(std::io::Error::from)?;
-    writeln!(out)?;
-    Ok(())
-}
-
-/// Work of unknown length. Where someone watches, a spinner shows it; elsewhere a line on stderr says what takes longer
-/// than two seconds.
-pub(crate) struct Busy {
-    spinner: indicatif::ProgressBar,
-    done: Option<crossbeam_channel::Sender<()>>,
-}
-
-/// Says what is being done until the returned value is dropped.
-pub(crate) fn busy(text: String) -> Busy {
-    let spinner = spinner(&text);
-    let (done, wait) = crossbeam_channel::bounded(1);
-    if !std::io::stderr().is_terminal() {
-        std::thread::spawn(move || {
-            if wait.recv_timeout(QUIET) == Err(crossbeam_channel::RecvTimeoutError::Timeout) {
-                eprintln!("{text} ...");
-            }
-        });
-    }
-    Busy { spinner, done: Some(done) }
-}
-
-impl Busy {
-    /// The work is done.
-    pub(crate) fn finish(self) {}
-}
-
-impl Drop for Busy {
-    fn drop(&mut self) {
-        self.done = None;
-        self.spinner.finish_and_clear();
-    }
-}
-
-/// Work shorter than this needs no word.
-const QUIET: std::time::Duration = std::time::Duration::from_secs(2);
-
-/// Does work that says how many of all parts are done, with a bar on stderr meanwhile.
-pub(crate) fn with_progress<T>(unit: &str, work: impl FnOnce(&mut dyn FnMut(usize, usize)) -> T) -> T {
-    let bar = progress_bar(unit);
-    let done = work(&mut |done, all| {
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    });
-    bar.finish_and_clear();
-    done
-}
-
-/// A progress bar on stderr, shown only where someone watches.
-pub(crate) fn progress_bar(unit: &str) -> indicatif::ProgressBar {
-    let style = indicatif::ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}, {{eta}} left"));
-    let bar = indicatif::ProgressBar::new(0);
-    bar.set_style(style.unwrap_or_else(|_| indicatif::ProgressStyle::default_bar()));
-    bar
-}
-
-/// A spinner on stderr for work of unknown length.
-pub(crate) fn spinner(text: &str) -> indicatif::ProgressBar {
-    let spinner = indicatif::ProgressBar::new_spinner().with_message(text.to_string());
-    spinner.enable_steady_tick(std::time::Duration::from_millis(120));
-    spinner
 }

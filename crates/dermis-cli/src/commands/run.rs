@@ -2,37 +2,32 @@
 //! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
 
 mod page_feed;
+mod running;
 pub mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Token};
+use crate::page::{PageOptions, Request, Token};
 use crossbeam_channel::Receiver;
 use dermis::device::acquire::Acquisition;
-use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
-use dermis::live::clock::FrameAnomalies;
 use dermis::live::driver::{Driver, Observer};
 use dermis::live::network::built_in;
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
 use dermis::live::stages::classes::ClassPace;
-use dermis::live::stages::health::{HealthChange, HealthWatch};
 use dermis::record::sink::{JsonLines, LinesFor, Sink};
-use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView, is_recording};
-use dermis::skin::Skin;
-use dermis::twin::from_skin::treatment_of;
 use dermis_device::Frame;
 use dermis_learn::Model;
 
 use super::acquired::AcquiredFrames;
-use crate::exit::{Outcome, UsageError};
+use crate::exit::Outcome;
 use crate::interrupt;
-use page_feed::PageFeed;
+pub(super) use running::Running;
 
 const EXAMPLE: &str = "\
 Examples:
@@ -46,8 +41,6 @@ as `page: http://...`. Pages on other addresses than this machine's own need the
 
 /// Frames that may wait between source and pipeline.
 const QUEUE: usize = 64;
-/// Requests of pages that may wait for the next frame; of one kind, the last counts.
-const MOST_REQUESTS: usize = 256;
 
 /// Arguments of `dermis run`.
 #[derive(clap::Args)]
@@ -88,49 +81,22 @@ pub struct Arguments {
     frames: Option<u64>,
 }
 
-/// The run in progress.
-struct Run {
-    twin: Option<dermis::source::TwinControl>,
-    recorder: Option<LiveRecording>,
-    not_recorded: u64,
-    recording_failed: bool,
-    head: RecordingHead,
-    health: HealthWatch,
-    hub: Hub,
-    feed: PageFeed,
-}
-
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let (opened, mut pipeline, head) = self.input.open()?;
         self.classify_by_network(&mut pipeline)?;
-        let hub = Hub::new();
-        let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
-        let server = if self.headless {
+        let mut run = Running::new(opened.twin, head, &pipeline);
+        let page = if self.headless {
             None
         } else {
-            let scene = page_feed::scene(pipeline.prepared(), opened.twin.as_ref().map(|twin| twin.press));
-            let server = page::serve(self.address(), self.page_options()?, hub.clone(), scene, commands)?;
+            let (server, requests) = run.serve(self.address(), self.page_options()?, &pipeline)?;
             writeln!(out, "page: {}", server.url())?;
             out.flush()?;
             if !self.no_open {
                 source::open_browser(&server.url());
             }
-            Some(server)
-        };
-        let mut feed = PageFeed::new(&pipeline);
-        feed.demonstrate(opened.twin.is_some());
-        let health = HealthWatch::new(&pipeline.prepared().skin);
-        let mut run = Run {
-            twin: opened.twin,
-            recorder: None,
-            not_recorded: 0,
-            recording_failed: false,
-            head,
-            health,
-            hub,
-            feed,
+            Some((server, requests))
         };
         // A signal from here on ends the run as it would end with its source, so that a recording is finished.
         interrupt::begin();
@@ -140,19 +106,20 @@ impl Arguments {
         // Last of all, so that no frame waits for anything above.
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let name = acquisition.name().to_string();
-        let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, &requests, out);
+        let requests = page.as_ref().map(|(_, requests)| requests);
+        let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, out);
         run.stop_recording();
         let counters = acquisition.counters();
         drop(acquisition);
         let has_ended = matches!(outcome, Ok(true)) && opened.is_file;
-        if let Some(server) = server {
+        if let Some((server, _)) = page {
             if has_ended { server.shutdown_because("the file has ended") } else { server.shutdown() }
         }
         outcome?;
         if has_ended {
             eprintln!("{name} has ended after {} frames", pipeline.frames());
         }
-        Ok(Outcome::of_frames(counters, run.not_recorded, run.recording_failed))
+        Ok(run.outcome(counters))
     }
 
     /// The network asked for, or the one that ships with the skin as long as the skin is what it was trained on.
@@ -185,8 +152,8 @@ impl Arguments {
         &self,
         acquisition: &mut Acquisition,
         pipeline: &mut Pipeline,
-        run: &mut Run,
-        requests: &Receiver<Request>,
+        run: &mut Running,
+        requests: Option<&Receiver<Request>>,
         out: &mut dyn Write,
     ) -> anyhow::Result<bool> {
         let lines_for = if self.only_touches { LinesFor::Touches } else { LinesFor::EveryFrame };
@@ -199,8 +166,7 @@ impl Arguments {
         let mut followed = Followed { run, console, requests, interrupted, wall_ns: 0, is_told_to_stop: false };
         Driver::new(pipeline).run(&mut frames, &mut followed)?;
         let is_told_to_stop = followed.is_told_to_stop;
-        run.feed.end();
-        run.hub.publish(run.feed.update())?;
+        run.end()?;
         Ok(!is_told_to_stop)
     }
 }
@@ -235,9 +201,9 @@ impl Console<'_> {
 
 /// The run as it sees its frames.
 struct Followed<'a> {
-    run: &'a mut Run,
+    run: &'a mut Running,
     console: Console<'a>,
-    requests: &'a Receiver<Request>,
+    requests: Option<&'a Receiver<Request>>,
     interrupted: &'static AtomicBool,
     /// Time of the frame at hand.
     wall_ns: u64,
@@ -251,25 +217,19 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
             self.is_told_to_stop = true;
             return Ok(false);
         }
-        for request in page::coalesced(self.requests.try_iter().take(MOST_REQUESTS)) {
-            self.run.answer(request, pipeline);
+        if let Some(requests) = self.requests {
+            self.run.answer_all(requests, pipeline);
         }
         Ok(true)
     }
 
     fn idle(&mut self, feed: &AcquiredFrames<'_>) -> anyhow::Result<()> {
-        if self.run.feed.wait(feed.acquisition().problem()) {
-            self.run.hub.publish(self.run.feed.update())?;
-        }
-        Ok(())
+        self.run.wait(feed.acquisition())
     }
 
-    /// Raw is on its way to the disk before anything is made of it.
     fn before(&mut self, frame: &Frame) -> anyhow::Result<()> {
         self.wall_ns = frame.host_wall_ns;
-        if let Some(recorder) = &mut self.run.recorder {
-            recorder.frame(frame);
-        }
+        self.run.record(frame);
         Ok(())
     }
 
@@ -282,237 +242,7 @@ impl Observer<AcquiredFrames<'_>> for Followed<'_> {
     }
 
     fn after(&mut self, feed: &AcquiredFrames<'_>, pipeline: &Pipeline, renewed: bool) -> anyhow::Result<()> {
-        self.run.publish(feed.acquisition(), pipeline)?;
-        if renewed {
-            self.run.new_baseline(pipeline, self.wall_ns);
-        }
-        self.run.notice_failure();
-        self.console.flush(|| self.run.feed.status())
+        self.run.after(feed.acquisition(), pipeline, renewed.then_some(self.wall_ns))?;
+        self.console.flush(|| self.run.status())
     }
-}
-
-impl Run {
-    /// Hands the results of a frame to the recording and the page, and says what has happened.
-    fn show(&mut self, output: &Output<'_>) {
-        if let Some(recorder) = &mut self.recorder {
-            recorder.results(output);
-        }
-        self.feed.show(output);
-        for event in output.damage.events {
-            let text = dermis::live::stages::damage::describe(event);
-            tracing::warn!(frame = output.sequence, "{text}");
-            self.hub.announce(Level::Warning, text);
-        }
-        for HealthChange { detail, is_fault, .. } in self.health.changes(output.health) {
-            tracing::warn!(frame = output.sequence, "{detail}");
-            self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
-        }
-        let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
-        if clock_jump_ns != 0 || renumbered {
-            let jump_s = clock_jump_ns as f64 * 1e-9;
-            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
-            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
-            tracing::warn!(frame = output.sequence, "{text}");
-            self.hub.announce(Level::Warning, text);
-        }
-    }
-
-    /// Brings the page up to date.
-    fn publish(&mut self, acquisition: &Acquisition, pipeline: &Pipeline) -> anyhow::Result<()> {
-        self.feed
-            .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
-        self.feed.describe(pipeline);
-        self.hub.publish(self.feed.update())?;
-        for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
-            if let Some(recorder) = &self.recorder {
-                recorder.event("notice", &text, &[]);
-            }
-            self.hub.announce(Level::Warning, text);
-        }
-        Ok(())
-    }
-
-    /// A recording that has stopped is said at once; the stream goes on.
-    fn notice_failure(&mut self) {
-        if let Some(error) = self.recorder.as_mut().and_then(LiveRecording::new_failure) {
-            tracing::error!("the recording has stopped: {error}");
-            self.hub.announce(Level::Error, format!("the recording has stopped: {error}"));
-        }
-    }
-
-    fn new_baseline(&mut self, pipeline: &Pipeline, wall_ns: u64) {
-        let (_, noise) = pipeline.baseline();
-        self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
-        if let Some(recorder) = &self.recorder {
-            recorder.baseline(pipeline, wall_ns);
-        }
-        if let Some(reference) = pipeline.reference() {
-            let correlation = reference.order.correlation;
-            tracing::info!(correlation, "baseline taken");
-            if let Some(better) = &reference.order.better {
-                let text = format!(
-                    "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}; \
-                     `dermis order` writes the lines of the skin file that say so",
-                    better.description, better.correlation, correlation
-                );
-                tracing::warn!("{text}");
-                self.hub.announce(Level::Warning, text);
-            }
-        }
-    }
-
-    fn answer(&mut self, request: Request, pipeline: &mut Pipeline) {
-        let reply = request.reply;
-        match request.command {
-            Command::Tare { force } => self.tare(force, reply, pipeline),
-            Command::RecordStart => {
-                let path = PathBuf::from(format!("{}.mcap", timestamp()));
-                match self.start_recording(&path, pipeline) {
-                    Ok(()) => reply.accept(format!("recording to {}", path.display())),
-                    Err(error) => reply.refuse(format!("not recording: {error}")),
-                }
-            }
-            Command::RecordStop => match self.stop_recording() {
-                Some(RecordingEnd { error: Some(error), lost, .. }) => {
-                    reply.refuse(format!("the recording failed, {lost} frames are not in it: {error}"));
-                }
-                Some(RecordingEnd { path, frames, lost, .. }) => {
-                    reply.accept(format!("{}: {frames} frames, {lost} dropped", path.display()));
-                }
-                None => reply.refuse("nothing is being recorded"),
-            },
-            Command::Hyperparameter(value) => match pipeline.set_hyperparameter(value) {
-                Ok(()) => {
-                    if let Some(recorder) = &self.recorder {
-                        recorder.hyperparameter(value);
-                    }
-                    reply.accept(format!("hyperparameter {value:.3e}"));
-                }
-                Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
-            },
-            Command::Press(press) | Command::Move(press) => {
-                let press = TwinCommand::Press {
-                    pointer: press.pointer_id,
-                    position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
-                    radius_m: press.radius_mm * 1e-3,
-                    pressure_pa: press.pressure_kpa * 1e3,
-                };
-                self.ask_twin(press, reply);
-            }
-            Command::Treat(action) => {
-                self.feed.demonstrate(false);
-                self.ask_twin(TwinCommand::Treat(treatment_of(action)), reply);
-            }
-            Command::Demonstrate(wanted) => match self.command_twin(TwinCommand::Demonstrate(wanted)) {
-                Ok(()) => {
-                    self.feed.demonstrate(wanted);
-                    reply.accept(if wanted {
-                        "the twin shows touches by itself"
-                    } else {
-                        "nothing but you presses the twin"
-                    });
-                }
-                Err(refused) => reply.refuse(format!("refused: {refused}")),
-            },
-            Command::Release { pointer_id } => self.ask_twin(TwinCommand::Release { pointer: pointer_id }, reply),
-            // Every channel is published; the page chooses among them.
-            Command::ChooseChannels(_) => {}
-        }
-    }
-
-    fn tare(&mut self, force: bool, reply: Reply, pipeline: &mut Pipeline) {
-        const REASON: &str = "asked for in the page";
-        let asked = pipeline.tare(force, REASON);
-        match (asked, &self.recorder) {
-            (Ok(frames), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.tare(force, REASON);
-                }
-                reply.accept(format!("taring over {frames} frames"));
-            }
-            (Err(error), recorder) => {
-                if let Some(recorder) = recorder {
-                    recorder.event("tare-refused", &error.to_string(), &[]);
-                }
-                reply.refuse(format!("tare refused: {error}"));
-            }
-        }
-    }
-
-    fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {
-        self.twin.as_ref().map_or(Ok(()), |twin| twin.commands.send(command))
-    }
-
-    /// Hands a command to the twin, and says so only where it is refused.
-    fn ask_twin(&self, command: TwinCommand, reply: Reply) {
-        if let Err(refused) = self.command_twin(command) {
-            reply.refuse(format!("refused: {refused}"));
-        }
-    }
-
-    fn start_recording(&mut self, path: &Path, pipeline: &Pipeline) -> anyhow::Result<()> {
-        if let Some(recorder) = &self.recorder {
-            return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
-        }
-        let recorder = LiveRecording::start(path, &self.head, pipeline, SkinView::IMAGES_PER_S)?;
-        interrupt::protect(recorder.stop());
-        self.recorder = Some(recorder);
-        Ok(())
-    }
-
-    fn stop_recording(&mut self) -> Option<RecordingEnd> {
-        let end = self.recorder.take().map(LiveRecording::finish)?;
-        self.not_recorded += end.lost;
-        if let Some(error) = &end.error {
-            self.recording_failed = true;
-            tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
-        }
-        Some(end)
-    }
-}
-
-/// A name for a recording: seconds since 1970, which sorts by time.
-fn timestamp() -> String {
-    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    format!("dermis-{seconds}")
-}
-
-/// Rate over the last second or so.
-#[derive(Debug)]
-struct Rate {
-    since: Instant,
-    frames: u32,
-    per_s: f32,
-}
-
-impl Rate {
-    fn new() -> Self {
-        Self { since: Instant::now(), frames: 0, per_s: 0.0 }
-    }
-
-    fn count(&mut self) -> f32 {
-        self.frames += 1;
-        let elapsed = self.since.elapsed().as_secs_f32();
-        if elapsed > 0.5 {
-            self.per_s = self.frames as f32 / elapsed;
-            self.since = Instant::now();
-            self.frames = 0;
-        }
-        self.per_s
-    }
-}
-
-/// The skin that a name or path stands for. Of a recording or another source it is said where that goes.
-pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
-    let path = Path::new(name);
-    let is_source = ["tcp:", "serial:", "twin:", "file:"].iter().any(|scheme| name.starts_with(scheme));
-    if path.is_file() && is_recording(path) {
-        let text = format!("{name}: a recording and no skin file; it has its skin in it: dermis run --source {name}");
-        return Err(UsageError(text).into());
-    }
-    if is_source {
-        let text = format!("{name}: a source and no skin; expected SKIN first, and then --source {name}");
-        return Err(UsageError(text).into());
-    }
-    Ok(Skin::open(name)?)
 }

@@ -1,7 +1,11 @@
 //! SKIN, in the same place in every command: the first word. `--skin`, as some commands had it, is understood as well.
 
+use std::path::Path;
+
+use dermis::record::is_recording;
 use dermis::skin::Skin;
 
+use super::hint;
 use crate::exit::UsageError;
 
 /// Which skin, where one may be named.
@@ -25,7 +29,7 @@ impl SkinWord {
             if let Some(word) = &self.skin {
                 return Err(UsageError(format!("{word} and --skin {option}: expected one skin, as the first word")));
             }
-            super::hint(&format!("--skin {option} is the first word now, without --skin"));
+            hint(&format!("--skin {option} is the first word now, without --skin"));
         }
         Ok(self.skin.clone().or_else(|| self.option.clone()))
     }
@@ -35,7 +39,7 @@ impl SkinWord {
     /// # Errors
     /// Two skins, none, or one that cannot be read.
     pub fn open(&self) -> anyhow::Result<Skin> {
-        super::run::skin(&self.needed()?)
+        skin(&self.needed()?)
     }
 
     /// What was given, or a default.
@@ -55,4 +59,19 @@ impl SkinWord {
             "SKIN is missing: expected a built-in skin (`dermis skins list`) or a skin file as the first word";
         self.given()?.ok_or_else(|| UsageError(expected.into()))
     }
+}
+
+/// The skin that a name or path stands for. Of a recording or another source it is said where that goes.
+pub(super) fn skin(name: &str) -> anyhow::Result<Skin> {
+    let path = Path::new(name);
+    let is_source = ["tcp:", "serial:", "twin:", "file:"].iter().any(|scheme| name.starts_with(scheme));
+    if path.is_file() && is_recording(path) {
+        let text = format!("{name}: a recording and no skin file; it has its skin in it: dermis run --source {name}");
+        return Err(UsageError(text).into());
+    }
+    if is_source {
+        let text = format!("{name}: a source and no skin; expected SKIN first, and then --source {name}");
+        return Err(UsageError(text).into());
+    }
+    Ok(Skin::open(name)?)
 }

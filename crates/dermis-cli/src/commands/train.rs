@@ -4,7 +4,6 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
 use dermis_learn::train::{EpochReport, Progress, TrainOptions, Training, train};
 use dermis_learn::{Model, ModelCard, Tensors, TrainingSet};
 
@@ -77,6 +76,8 @@ impl Arguments {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let set = TrainingSet::open(&self.set)?;
         let checkpoint = self.out.with_extension("checkpoint");
+        let files = [self.out.clone(), self.out.with_extension("safetensors")];
+        let stood = files.each_ref().map(|file| file.exists());
         let options = self.options();
         let command = self.command();
         // Weights go with the factors that their images were multiplied by.
@@ -117,8 +118,17 @@ impl Arguments {
         bar.finish_and_clear();
         let mut model = trained?;
         failed?;
-        model.save(&self.out)?;
+        // Training takes long: what appeared under its names meanwhile is another's.
+        let appeared = files.iter().zip(stood).find(|(file, stood)| !stood && file.exists()).map(|(file, _)| file);
+        let kept = if appeared.is_some() { self.out.with_extension("finished.json") } else { self.out.clone() };
+        model.save(&kept)?;
         remove_checkpoint(&checkpoint);
+        if let Some(file) = appeared {
+            let (file, kept) = (file.display(), kept.display());
+            anyhow::bail!(
+                "{file}: another file appeared there meanwhile and was not replaced; the finished model stands at {kept}"
+            );
+        }
         summary(&model.card, out)?;
         Ok(Outcome::Done)
     }
@@ -171,7 +181,7 @@ impl Arguments {
 
 /// Weights from a file of their own.
 fn weights_of(file: &Path) -> anyhow::Result<Tensors> {
-    let bytes = std::fs::read(file).with_context(|| format!("{}: cannot be read", file.display()))?;
+    let bytes = dermis_device::instruments::read_bytes(file).map_err(dermis::Error::from)?;
     Ok(Tensors::from_bytes(&bytes, file)?)
 }
 

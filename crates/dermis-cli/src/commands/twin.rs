@@ -9,7 +9,7 @@ use dermis::lab::serve::{Door, WORDS, command_of, device_info, serve};
 use dermis::lab::twin_commands::CommandRefused;
 use dermis::lab::twin_sample::{SampleRequest, random_presses, read_presses, sample};
 use dermis::lab::twin_source::{TwinCommands, TwinSource};
-use dermis::skin::Skin;
+use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis::twin::PressRange;
 
 use crate::exit::{Outcome, UsageError};
@@ -88,7 +88,7 @@ impl Sample {
                     count.parse().ok().filter(|count| (1..=1_000_000).contains(count)).ok_or_else(|| {
                         UsageError(format!("--presses {}: expected random:N with N from 1 to 1000000", self.presses))
                     })?;
-                random_presses(&skin.outline(), &usual, count, self.seed.unwrap_or(1))
+                random_presses(&skin.outline(), &usual, count, self.seed.unwrap_or(1))?
             }
             None => read_presses(Path::new(&self.presses), &usual)?,
         };
@@ -120,7 +120,7 @@ impl Sample {
 #[command(after_help = format!("{EXAMPLE}{WORDS}"))]
 struct Serve {
     /// Built-in skin or skin file.
-    #[arg(default_value = "healing-square", value_name = "SKIN")]
+    #[arg(default_value = DEFAULT_NAME, value_name = "SKIN")]
     skin: String,
     /// Address to listen on.
     #[arg(long, default_value = "127.0.0.1:7879", value_name = "ADDRESS:PORT")]

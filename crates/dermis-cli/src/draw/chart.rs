@@ -1,7 +1,7 @@
 //! Charts of lines and points with axes, for reports: what was measured against what was varied.
 
+use super::picture::{Colour, Picture, Point, Polyline, Shape, Stroke};
 use super::text::Lettering;
-use super::{Colour, Picture, Point, Polyline, Shape, Stroke};
 
 const INK: Colour = Colour(40, 44, 52);
 const GRID: Colour = Colour(225, 228, 232);

@@ -1,7 +1,7 @@
 //! Images in false colours, several side by side on one scale, with marks where something truly was.
 
+use super::picture::{Colour, Picture, Polyline, Shape, Stroke};
 use super::text::Lettering;
-use super::{Colour, Picture, Polyline, Shape, Stroke};
 
 const INK: Colour = Colour(40, 44, 52);
 /// Height of a panel's image, and what surrounds it.
@@ -122,8 +122,8 @@ impl Panel {
     }
 }
 
-/// Where a point of an image that is laid on an upright cylinder of radius `bend` times its width is seen. Angles of up to
-/// a right one from the view are assumed, so that nothing hides anything.
+/// Where a point of an image that is laid on an upright cylinder of radius `bend` times its width is seen. Angles of up
+/// to a right one from the view are assumed, so that nothing hides anything.
 fn bent([x, y]: [f64; 2], [across, down]: [f64; 2], width: f64, bend: f64) -> [f64; 2] {
     let radius = bend * width;
     let (half, angle) = (0.5 / bend, (x - across) / radius);

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 
-use super::{Colour, Picture, Shape};
+use super::picture::{Colour, Picture, Shape};
 
 /// The picture as the content of a PNG file.
 pub fn png(picture: &Picture) -> anyhow::Result<Vec<u8>> {
@@ -53,7 +53,7 @@ fn paint(Colour(red, green, blue): Colour) -> Paint<'static> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::Polyline;
+    use crate::draw::picture::Polyline;
 
     #[test]
     fn a_filled_square_covers_its_pixels_and_no_others() {

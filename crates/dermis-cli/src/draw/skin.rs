@@ -1,10 +1,10 @@
-//! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes with the numbers that people use (from 1),
-//! axes in millimetres and a scale bar. x to the right, y up, seen from the toucher.
+//! A sheet skin drawn to scale as its model sees it: elements, rim, electrodes with the numbers that people use (from
+//! 1), axes in millimetres and a scale bar. x to the right, y up, seen from the toucher.
 
 use dermis_tomo::mesh::{Contact, ElectrodedMesh};
 
+use super::picture::{Colour, Picture, Point, Polyline, Shape, Stroke};
 use super::text::Lettering;
-use super::{Colour, Picture, Point, Polyline, Shape, Stroke};
 
 const INK: Colour = Colour(31, 41, 51);
 const MESH: Colour = Colour(186, 198, 210);

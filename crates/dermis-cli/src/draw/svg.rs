@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::{Colour, Picture, Polyline, Shape};
+use super::picture::{Colour, Picture, Polyline, Shape};
 
 /// The picture as an SVG document.
 pub fn svg(picture: &Picture) -> String {
@@ -72,7 +72,7 @@ fn escaped(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::draw::Stroke;
+    use crate::draw::picture::Stroke;
 
     #[test]
     fn a_picture_is_paths_and_an_escaped_title() {

@@ -1,7 +1,7 @@
-//! A stroke font of the characters that drawings need, on a grid of 4 x 6 units, drawn as polylines: digits, a few small
-//! letters, capitals, signs. Other small letters are small capitals.
+//! A stroke font of the characters that drawings need, on a grid of 4 x 6 units, drawn as polylines: digits, a few
+//! small letters, capitals, signs. Other small letters are small capitals.
 
-use super::{Point, Polyline};
+use super::picture::{Point, Polyline};
 
 /// Height of a capital or digit in grid units.
 const CAPITAL: f64 = 6.0;

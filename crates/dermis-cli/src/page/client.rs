@@ -1,7 +1,7 @@
 //! One connected page: the scene first, then whatever is newest, while its requests go to the pipeline.
 //!
-//! A page acknowledges each update it has received. At most [`WINDOW`] are under way at once, so a slow page or network gets
-//! fewer updates rather than old ones: what it missed is counted, and nothing queues up.
+//! A page acknowledges each update it has received. At most [`WINDOW`] are under way at once, so a slow page or network
+//! gets fewer updates rather than old ones: what it missed is counted, and nothing queues up.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,12 +12,12 @@ use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use crossbeam_channel::TrySendError;
 use tokio::sync::{broadcast, mpsc, watch};
-use tokio::time::{Instant, interval, sleep, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
 use super::command::{Command, Reply, Request};
-use super::hub::Level;
-use super::protocol::{self, Answer, Encoded, Notice, Said};
-use super::server::Shared;
+use super::message::{Answer, Level, Notice};
+use super::protocol::{self, Encoded, Said};
+use super::shared::Shared;
 
 /// Updates sent and not yet acknowledged: enough for 60 a second over a round trip of 130 ms.
 const WINDOW: u64 = 8;
@@ -27,6 +27,8 @@ const ANSWER_BACKLOG: usize = 64;
 const SEND_LIMIT: Duration = Duration::from_secs(10);
 const ALIVE_PERIOD: Duration = Duration::from_secs(1);
 const RELEASE_LIMIT: Duration = Duration::from_secs(10);
+/// Until room is looked for again.
+const RETRY: Duration = Duration::from_millis(5);
 
 /// Why a page's connection ends.
 enum End {
@@ -42,6 +44,8 @@ struct Client<'a> {
     number: u64,
     answers: mpsc::Sender<Answer>,
     held: BTreeSet<u64>,
+    /// The last hyperparameter asked for, where the pipeline had no room for it yet.
+    later: Option<Request>,
     allowance: Allowance,
     /// Of acknowledgements and pings.
     signs: Allowance,
@@ -69,6 +73,7 @@ pub(super) async fn serve(mut socket: WebSocket, shared: &Shared) {
         number: shared.next_client.fetch_add(1, Ordering::Relaxed),
         answers,
         held: BTreeSet::new(),
+        later: None,
         allowance: Allowance::new(shared.options.most_messages_per_s),
         signs: Allowance::new(shared.options.most_messages_per_s),
         sent: 0,
@@ -94,6 +99,8 @@ impl Client<'_> {
         let mut noise = shared.hub.inner.noise.subscribe();
         let mut updates = shared.updates.subscribe();
         let mut alive = interval(ALIVE_PERIOD);
+        let mut retry = interval(RETRY);
+        retry.set_missed_tick_behavior(MissedTickBehavior::Delay);
         noise.mark_changed();
         updates.mark_changed();
         self.send_text(shared.scene_json.clone()).await?;
@@ -119,6 +126,7 @@ impl Client<'_> {
                         self.send_update(&update).await?;
                     }
                 }
+                _ = retry.tick(), if self.later.is_some() => self.try_again(),
                 _ = alive.tick() => self.send_text(protocol::alive(self.missed, shared.hub.stats())).await?,
             }
         }
@@ -174,8 +182,8 @@ impl Client<'_> {
         Ok(())
     }
 
-    /// Acknowledgements and signs of life have an allowance of their own: a page that asks for nothing else may send as many
-    /// as it gets updates, and no more than any message.
+    /// Acknowledgements and signs of life have an allowance of their own: a page that asks for nothing else may send as
+    /// many as it gets updates, and no more than any message.
     fn count_sign(&mut self) -> Result<(), End> {
         match self.signs.spend() {
             true => Ok(()),
@@ -195,12 +203,18 @@ impl Client<'_> {
         };
         let reply = Reply { id, answers: Some(self.answers.clone()) };
         let request = Request { client: self.number, command, reply };
+        if self.later.is_some() && matches!(request.command, Command::Hyperparameter(_)) {
+            return self.keep_for_later(request);
+        }
         match self.shared.commands.try_send(request) {
             Ok(()) => match held {
                 Some((pointer, true)) => _ = self.held.insert(pointer),
                 Some((pointer, false)) => _ = self.held.remove(&pointer),
                 None => {}
             },
+            Err(TrySendError::Full(request)) if matches!(request.command, Command::Hyperparameter(_)) => {
+                self.keep_for_later(request);
+            }
             Err(TrySendError::Full(request)) => {
                 request.reply.refuse("the pipeline is behind: not done, try again");
                 // The page has let go and will not say so again.
@@ -209,6 +223,21 @@ impl Client<'_> {
                 }
             }
             Err(TrySendError::Disconnected(request)) => request.reply.refuse("the pipeline has ended"),
+        }
+    }
+
+    /// Of hyperparameters the last one counts, also where there is no room for it yet.
+    fn keep_for_later(&mut self, request: Request) {
+        if let Some(earlier) = self.later.replace(request) {
+            earlier.reply.accept("replaced by a later one");
+        }
+    }
+
+    fn try_again(&mut self) {
+        match self.later.take().map(|request| self.shared.commands.try_send(request)) {
+            None | Some(Ok(())) => {}
+            Some(Err(TrySendError::Full(request))) => self.later = Some(request),
+            Some(Err(TrySendError::Disconnected(request))) => request.reply.refuse("the pipeline has ended"),
         }
     }
 

@@ -4,7 +4,7 @@ use dermis::skin::TwinAction;
 use serde::Deserialize;
 use tokio::sync::mpsc;
 
-use super::protocol::Answer;
+use super::message::Answer;
 use super::scene::Scene;
 
 /// A request of the page. Lengths are millimetres in the skin's frame.

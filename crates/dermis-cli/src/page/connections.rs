@@ -208,3 +208,124 @@ impl AsyncWrite for Connection {
         Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    use super::*;
+
+    const LONG: Duration = Duration::from_secs(3600);
+    const HEAD: &[u8] = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+
+    fn run(test: impl Future<Output = ()>) {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        runtime.block_on(test);
+    }
+
+    async fn bounded(most: usize, patience: Duration) -> (Bounded, SocketAddr) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        (Bounded::new(listener, most, patience), address)
+    }
+
+    async fn pair(listener: &mut Bounded, address: SocketAddr) -> (TcpStream, Connection) {
+        let (client, (server, _)) = tokio::join!(TcpStream::connect(address), listener.accept());
+        (client.unwrap(), server)
+    }
+
+    async fn take_head(server: &mut Connection) {
+        let mut buffer = vec![0; HEAD.len()];
+        server.read_exact(&mut buffer).await.unwrap();
+        assert_eq!(buffer, HEAD);
+    }
+
+    #[test]
+    fn who_sends_no_whole_head_in_time_is_cut_off() {
+        run(async {
+            for sent in [&b""[..], &HEAD[..1], &HEAD[..HEAD.len() - 1], b"\r\n\r\r\n\n"] {
+                let (mut listener, address) = bounded(4, Duration::from_millis(20)).await;
+                let (mut client, mut server) = pair(&mut listener, address).await;
+                client.write_all(sent).await.unwrap();
+                let mut buffer = Vec::new();
+                let error = server.read_to_end(&mut buffer).await.unwrap_err();
+                assert_eq!(error.kind(), io::ErrorKind::TimedOut, "after {sent:?}");
+            }
+        });
+    }
+
+    #[test]
+    fn a_head_in_pieces_is_a_head_and_an_answer_begins_the_wait_for_the_next() {
+        run(async {
+            let (mut listener, address) = bounded(4, Duration::from_millis(300)).await;
+            let (mut client, mut server) = pair(&mut listener, address).await;
+            for byte in HEAD {
+                client.write_all(&[*byte]).await.unwrap();
+                client.flush().await.unwrap();
+                assert_eq!(server.read_u8().await.unwrap(), *byte);
+            }
+            assert!(server.state == State::Answering && server.is_known.load(Ordering::Relaxed));
+            server.write_all(b"HTTP/1.1 200 OK\r\n\r\n").await.unwrap();
+            assert!(server.state == State::Head { seen: 0 });
+            // The same connection, left open without a second request.
+            assert_eq!(server.read_u8().await.unwrap_err().kind(), io::ErrorKind::TimedOut);
+        });
+    }
+
+    #[test]
+    fn a_pages_socket_has_no_deadline_here() {
+        run(async {
+            // Whatever has a deadline is over at once.
+            let (mut listener, address) = bounded(4, LONG).await;
+            let (mut client, mut server) = pair(&mut listener, address).await;
+            client.write_all(HEAD).await.unwrap();
+            take_head(&mut server).await;
+            server.write_all(b"HTTP/1.1 101 Switching Protocols\r\n\r\n").await.unwrap();
+            assert!(server.state == State::Socket);
+            server.until.as_mut().reset(Instant::now());
+            client.write_all(b"x").await.unwrap();
+            assert_eq!(server.read_u8().await.unwrap(), b'x');
+        });
+    }
+
+    #[test]
+    fn where_all_places_are_taken_the_one_that_was_silent_longest_goes() {
+        run(async {
+            let (mut listener, address) = bounded(3, LONG).await;
+            let (mut known, mut first) = pair(&mut listener, address).await;
+            known.write_all(HEAD).await.unwrap();
+            take_head(&mut first).await;
+            let (_silent, mut second) = pair(&mut listener, address).await;
+            let (_other, third) = pair(&mut listener, address).await;
+            let (_new, fourth) = pair(&mut listener, address).await;
+            assert_eq!(second.read_u8().await.unwrap_err().kind(), io::ErrorKind::TimedOut);
+            assert!(first.state == State::Answering, "a page was asked to go");
+            drop((third, fourth));
+        });
+    }
+
+    #[test]
+    fn where_all_places_are_held_by_pages_a_new_one_is_sent_away_and_a_later_one_let_in() {
+        run(async {
+            let (mut listener, address) = bounded(2, LONG).await;
+            let mut held = Vec::new();
+            for _ in 0..2 {
+                let (mut client, mut server) = pair(&mut listener, address).await;
+                client.write_all(HEAD).await.unwrap();
+                take_head(&mut server).await;
+                held.push((client, server));
+            }
+            let accepting = tokio::spawn(async move {
+                let accepted = listener.accept().await.0;
+                (listener, accepted)
+            });
+            let mut refused = TcpStream::connect(address).await.unwrap();
+            // Closed without a word: the end, or that the connection was reset.
+            assert!(!matches!(refused.read(&mut [0; 1]).await, Ok(count) if count > 0));
+            held.pop();
+            let _let_in = TcpStream::connect(address).await.unwrap();
+            let (listener, _server) = accepting.await.unwrap();
+            assert_eq!(listener.open.load(Ordering::Relaxed), 2);
+        });
+    }
+}

@@ -1,6 +1,6 @@
-//! Between the pipeline and the pages: the pipeline leaves its latest update here and goes on; the server takes it when it
-//! can. Three buffers change hands under a lock held for one pointer exchange, so neither side waits for the other, and an
-//! update that nobody took in time is overwritten and counted.
+//! Between the pipeline and the pages: the pipeline leaves its latest update here and goes on; the server takes it when
+//! it can. Three buffers change hands under a lock held for one pointer exchange, so neither side waits for the other,
+//! and an update that nobody took in time is overwritten and counted.
 
 use std::mem;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -10,7 +10,7 @@ use serde::Serialize;
 use tokio::sync::{Notify, broadcast, watch};
 
 use super::PageError;
-use super::protocol::Notice;
+use super::message::{Level, Notice};
 use super::update::Update;
 
 /// Notices that a page may leave unread before it loses the oldest.
@@ -59,18 +59,6 @@ pub struct HubStats {
     pub dropped: u64,
 }
 
-/// How serious a notice is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Level {
-    /// Something happened as it should.
-    Info,
-    /// Something needs attention.
-    Warning,
-    /// Something failed, or data was lost.
-    Error,
-}
-
 impl Default for Hub {
     fn default() -> Self {
         Self::new()
@@ -95,7 +83,8 @@ impl Hub {
     /// allocates only while its buffers grow.
     ///
     /// # Errors
-    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] when the update contradicts itself; it is then not shown.
+    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] when the update contradicts itself; it is then not
+    /// shown.
     pub fn publish(&self, update: &Update) -> Result<(), PageError> {
         update.check()?;
         let inner = &self.inner;

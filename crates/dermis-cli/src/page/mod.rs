@@ -1,12 +1,13 @@
 //! The live page: a small web server that shows one skin in a browser and passes what people do there to the pipeline.
 //!
-//! It knows no pipeline. The pipeline fills an [`Update`] per frame and hands it to [`Hub::publish`], which copies it and
-//! returns: a slow browser loses updates (counted), the pipeline never waits. Clicks come back as [`Request`]s on a bounded
-//! channel, each with a [`Reply`] that the page shows. The wire format is described in `docs/src/page-protocol.md`.
+//! It knows no pipeline. The pipeline fills an [`Update`] per frame and hands it to [`Hub::publish`], which copies it
+//! and returns: a slow browser loses updates (counted), the pipeline never waits. Clicks come back as [`Request`]s on a
+//! bounded channel, each with a [`Reply`] that the page shows. The wire format is described in
+//! `docs/src/page-protocol.md`.
 //!
-//! The server listens on loopback unless told otherwise. Every request must name an allowed host, and a WebSocket must come
-//! from the page's own origin, so that a site opened in the same browser can neither watch nor press; any address beyond
-//! loopback needs a [`Token`].
+//! The server listens on loopback unless told otherwise. Every request must name an allowed host, and a WebSocket must
+//! come from the page's own origin, so that a site opened in the same browser can neither watch nor press; any address
+//! beyond loopback needs a [`Token`].
 //!
 //! ```no_run
 //! use dermis_cli::page::{self, Hub, PageOptions, Scene, Update};
@@ -29,18 +30,22 @@ mod command;
 mod connections;
 mod error;
 mod hub;
+mod message;
 mod protocol;
 mod scene;
 mod server;
+mod shared;
 mod update;
 
 pub use access::Token;
 pub use command::{Command, Press, Reply, Request, coalesced};
 pub use error::PageError;
-pub use hub::{Hub, HubStats, Level};
+pub use hub::{Hub, HubStats};
+pub use message::Level;
 pub use protocol::PROTOCOL_VERSION;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
-pub use server::{PageOptions, ServerHandle, serve};
+pub use server::{ServerHandle, serve};
+pub use shared::PageOptions;
 pub use update::{
     BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
     PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,

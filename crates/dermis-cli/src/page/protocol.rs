@@ -5,7 +5,8 @@ use axum::body::Bytes;
 use serde::{Deserialize, Serialize};
 
 use super::command::Command;
-use super::hub::{HubStats, Level};
+use super::hub::HubStats;
+use super::message::{Answer, Notice};
 use super::scene::Scene;
 use super::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
 
@@ -29,21 +30,6 @@ pub(super) struct Encoded {
     pub(super) channels: Bytes,
     pub(super) classes: Option<Bytes>,
     pub(super) state: String,
-}
-
-/// An answer to one request.
-#[derive(Debug, Serialize)]
-pub(super) struct Answer {
-    pub(super) id: u64,
-    pub(super) ok: bool,
-    pub(super) text: String,
-}
-
-/// Something told to every page.
-#[derive(Debug, Clone, Serialize)]
-pub(super) struct Notice {
-    pub(super) level: Level,
-    pub(super) text: String,
 }
 
 /// What a page says.

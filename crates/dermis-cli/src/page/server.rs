@@ -27,28 +27,8 @@ use super::connections::Bounded;
 use super::hub::Hub;
 use super::protocol::{self, Encoded};
 use super::scene::Scene;
+use super::shared::{PageOptions, Shared};
 use super::update::Update;
-
-/// How the page is served.
-#[derive(Debug, Clone)]
-pub struct PageOptions {
-    /// Secret that pages must show; required beyond loopback.
-    pub token: Option<Token>,
-    /// Further host names by which the server is reached, without port.
-    pub allowed_hosts: Vec<String>,
-    /// Most pages connected at once; a further one is told so.
-    pub most_clients: usize,
-    /// Most connections open at once, pages among them; of more, those that have said nothing yet are cut off.
-    pub most_connections: usize,
-    /// For the head of a request to come.
-    pub head_patience: Duration,
-    /// Longest message accepted from a page.
-    pub most_message_bytes: usize,
-    /// Messages per second accepted from a page, on average and in a burst.
-    pub most_messages_per_s: u32,
-    /// Most updates per second sent to a page; frames in between are coalesced.
-    pub most_updates_per_s: u32,
-}
 
 /// A running server. Dropping it stops it.
 #[derive(Debug)]
@@ -58,23 +38,6 @@ pub struct ServerHandle {
     stop: watch::Sender<bool>,
     farewell: Arc<OnceLock<&'static str>>,
     thread: Option<JoinHandle<()>>,
-}
-
-/// What every request sees.
-#[derive(Debug)]
-pub(super) struct Shared {
-    access: Access,
-    pub(super) options: PageOptions,
-    pub(super) hub: Hub,
-    pub(super) scene: Scene,
-    pub(super) scene_json: String,
-    pub(super) commands: Sender<Request>,
-    pub(super) updates: watch::Sender<Option<Arc<Encoded>>>,
-    pub(super) stop: watch::Receiver<bool>,
-    /// Why it stops, for pages.
-    pub(super) farewell: Arc<OnceLock<&'static str>>,
-    pub(super) places: Semaphore,
-    pub(super) next_client: AtomicU64,
 }
 
 /// What pages have to say goodbye in.
@@ -107,26 +70,12 @@ const HEADERS: [(header::HeaderName, &str); 7] = [
     (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
 ];
 
-impl Default for PageOptions {
-    fn default() -> Self {
-        Self {
-            token: None,
-            allowed_hosts: Vec::new(),
-            most_clients: 8,
-            most_connections: 64,
-            head_patience: Duration::from_secs(10),
-            most_message_bytes: 16 * 1024,
-            most_messages_per_s: 1000,
-            most_updates_per_s: 100,
-        }
-    }
-}
-
 /// Serves the page at `address` (port 0 for any free one) until the handle is dropped. Returns once it listens.
 ///
 /// # Errors
 /// [`PageError::PortInUse`] or [`PageError::Bind`] when the address cannot be had, [`PageError::TokenMissing`] beyond
-/// loopback without a token, [`PageError::HostUnfit`] for a malformed host, [`PageError::Start`] when no thread could start.
+/// loopback without a token, [`PageError::HostUnfit`] for a malformed host, [`PageError::Start`] when no thread could
+/// start.
 pub fn serve(
     address: SocketAddr,
     options: PageOptions,

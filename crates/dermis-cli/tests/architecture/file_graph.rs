@@ -1,5 +1,5 @@
-//! The graph of a crate's files: which file names what another one defines. Names that a module file re-exports count as
-//! those of the file that defines them. Test modules, comments and strings are left aside.
+//! The graph of a crate's files: which file names what another one defines. Names that a module file re-exports count
+//! as those of the file that defines them. Test modules, comments and strings are left aside.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -153,19 +153,24 @@ fn use_statements(code: &str) -> Vec<std::ops::Range<usize>> {
     for line in code.split_inclusive('\n') {
         let start = at;
         at += line.len();
-        let text = line.trim_start();
-        let after_visibility = match text.strip_prefix("pub") {
-            Some(rest) if rest.starts_with('(') => rest.split_once(')').map_or(rest, |(_, rest)| rest),
-            Some(rest) => rest,
-            None => text,
-        };
-        if after_visibility.trim_start().starts_with("use ")
+        if without_visibility(line).starts_with("use ")
             && let Some(length) = code[start..].find(';')
         {
             found.push(start..start + length + 1);
         }
     }
     found
+}
+
+/// A line without its indentation and `pub` or `pub(...)`.
+fn without_visibility(line: &str) -> &str {
+    let text = line.trim_start();
+    let rest = match text.strip_prefix("pub") {
+        Some(rest) if rest.starts_with('(') => rest.split_once(')').map_or(rest, |(_, rest)| rest),
+        Some(rest) => rest,
+        None => text,
+    };
+    rest.trim_start()
 }
 
 fn without_uses(code: &str) -> String {
@@ -217,9 +222,19 @@ fn paths_in(code: &str) -> Vec<Vec<String>> {
         .collect()
 }
 
-/// The code up to its test module, which stands last.
+/// The code without its test modules, whose closing braces stand at the start of a line.
 fn without_tests(code: &str) -> String {
-    code.split("#[cfg(test)]\nmod ").next().unwrap_or_default().to_string()
+    let mut kept = String::with_capacity(code.len());
+    let mut lines = code.lines().peekable();
+    while let Some(line) = lines.next() {
+        let module = lines.next_if(|next| line == "#[cfg(test)]" && without_visibility(next).starts_with("mod "));
+        match module {
+            Some(declared) if declared.ends_with(';') => {}
+            Some(_) => drop(lines.find(|line| *line == "}")),
+            None => kept.extend([line, "\n"]),
+        }
+    }
+    kept
 }
 
 fn without_comments_and_strings(text: &str) -> String {
@@ -270,7 +285,8 @@ mod tests {
                 ("a/b.rs", "use crate::Error;\npub struct B;\npub struct Other;\n"),
                 (
                     "a/c.rs",
-                    "//! crate::nowhere\nuse super::Renamed;\nfn f() { let _ = (\"super::x\", crate::a::B); }\n",
+                    "//! crate::nowhere\nuse super::Renamed;\nfn f() { let _ = (\"super::x\", crate::a::B); }\n\
+                     #[cfg(test)]\npub(super) mod tests {\n    use crate::Other;\n}\n",
                 ),
             ],
         );
@@ -285,7 +301,10 @@ mod tests {
     fn a_child_that_uses_what_its_parent_defines_makes_a_cycle_with_a_parent_that_uses_it() {
         let files = [
             ("lib.rs", "mod a;\n"),
-            ("a.rs", "mod b;\npub const SIZE: usize = 3;\nfn f() { b::g() }\n#[cfg(test)]\nmod tests {\n}\n"),
+            (
+                "a.rs",
+                "mod b;\n#[cfg(test)]\nmod c;\n#[cfg(test)]\nmod tests {\n}\npub const SIZE: usize = 3;\nfn f() { b::g() }\n",
+            ),
             ("a/b.rs", "pub fn g() { super::SIZE; }\n"),
         ];
         let found = cycle(&graph_of("cycle", &files)).expect("a cycle");

@@ -1,8 +1,9 @@
-//! What instruments write down and send. Of files, one module per format turns bytes into a [`FrameTable`], chosen by name
-//! or by looking at the content; of live instruments, one module each ([`wire`], [`lines`], [`floats`]) makes frames of a
-//! stream of bytes.
+//! What instruments write down and send. Of files, one module per format turns bytes into a [`FrameTable`], chosen by
+//! name or by looking at the content; of live instruments, one module each ([`wire`], [`lines`], [`floats`]) makes
+//! frames of a stream of bytes.
 
 pub mod columns;
+mod content;
 pub mod csv;
 pub mod floats;
 pub mod golfball;
@@ -14,15 +15,13 @@ pub mod sciospec;
 pub mod wire;
 
 use std::fmt;
-use std::fs::{self, File};
-use std::io::Read;
 use std::path::Path;
 use std::str::FromStr;
 
+use self::content::NPY_MAGIC;
 use crate::{DeviceError, FileSpec, FrameTable};
-
-/// Most bytes of one file that are read into memory.
-pub const MOST_BYTES: u64 = 1 << 30;
+pub use content::{MOST_BYTES, open_regular, read_bytes};
+pub(crate) use content::{foreign, text_of};
 
 /// A file format of frames.
 ///
@@ -82,7 +81,7 @@ impl Format {
         if path.is_dir() || sciospec::looks_like(path, content) {
             return Ok(Self::Sciospec);
         }
-        if content.starts_with(npy::MAGIC) {
+        if content.starts_with(NPY_MAGIC) {
             return Ok(Self::Npy);
         }
         let shape = csv::Shape::of(content, path)?;
@@ -159,77 +158,5 @@ pub fn decode(format: Format, content: &[u8], file: &Path) -> Result<FrameTable,
         Format::Ktc => ktc::decode(content, file),
         Format::Golfball => golfball::decode(content, file),
         Format::Pyeidors => pyeidors::decode(content, file),
-    }
-}
-
-/// Reads a whole regular file, refusing more than [`MOST_BYTES`].
-///
-/// # Errors
-/// [`DeviceError::Io`] or [`DeviceError::TooLarge`].
-pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
-    let failed = |error| DeviceError::io(path, "read", error);
-    if path.is_dir() {
-        return Err(failed(std::io::ErrorKind::IsADirectory.into()));
-    }
-    let found = fs::metadata(path).map_err(failed)?;
-    if !found.is_file() {
-        // A device or a pipe may have no end, or nobody at its other one.
-        let text = "not a regular file; expected a file that has an end";
-        return Err(failed(std::io::Error::new(std::io::ErrorKind::InvalidInput, text)));
-    }
-    let found = found.len();
-    let mut content = Vec::new();
-    if found <= MOST_BYTES {
-        File::open(path).and_then(|file| file.take(MOST_BYTES + 1).read_to_end(&mut content)).map_err(failed)?;
-    }
-    let found = found.max(content.len() as u64);
-    if found > MOST_BYTES {
-        return Err(DeviceError::TooLarge { file: path.to_owned(), limit: MOST_BYTES, found });
-    }
-    Ok(content)
-}
-
-/// What content looks like, for messages about foreign files.
-pub(crate) fn describe(content: &[u8]) -> &'static str {
-    const SIGNATURES: [(&[u8], &str); 16] = [
-        (npy::MAGIC, "a NumPy array (npy)"),
-        (b"PK\x03\x04", "a ZIP archive (npz or xlsx?)"),
-        (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or MATLAB 7.3)"),
-        (b"MATLAB 5.0", "a MATLAB 5 file"),
-        (b"\x89MCAP0\r\n", "an MCAP recording"),
-        (b"\x89PNG", "a PNG image"),
-        (b"\xff\xd8\xff", "a JPEG image"),
-        (b"%PDF", "a PDF document"),
-        (b"PAR1", "a Parquet file"),
-        (b"\x1f\x8b", "gzip-compressed data"),
-        (b"\x28\xb5\x2f\xfd", "zstd-compressed data"),
-        (b"\xff\xfe", "UTF-16 text"),
-        (b"\xfe\xff", "UTF-16 text"),
-        (b"{", "JSON text"),
-        (b"<", "XML or HTML text"),
-        (b"---Draeger", "a Draeger .eit file"),
-    ];
-    if content.is_empty() {
-        return "an empty file";
-    }
-    match SIGNATURES.iter().find(|(signature, _)| content.starts_with(signature)) {
-        Some((_, name)) => name,
-        None if content.iter().take(4096).any(|&byte| byte == 0) => "binary data",
-        None if std::str::from_utf8(content).is_err() => "text or data that is not UTF-8",
-        None => "other text",
-    }
-}
-
-/// A [`DeviceError::Foreign`] from the content.
-pub(crate) fn foreign(file: &Path, expected: &'static str, content: &[u8]) -> DeviceError {
-    DeviceError::Foreign { file: file.to_owned(), expected, found: describe(content).to_owned() }
-}
-
-/// The content as text without a byte-order mark, or what it looks like instead.
-pub(crate) fn text_of<'a>(content: &'a [u8], file: &Path, expected: &'static str) -> Result<&'a str, DeviceError> {
-    let content = content.strip_prefix(b"\xef\xbb\xbf").unwrap_or(content);
-    match std::str::from_utf8(content) {
-        Ok(text) if !text.contains('\0') => Ok(text),
-        _ => Err(foreign(file, expected, content)),
     }
 }

@@ -4,12 +4,10 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+pub use super::content::NPY_MAGIC as MAGIC;
 use super::foreign;
 use crate::error::shorten;
 use crate::{DeviceError, FrameTable, Layout, write_atomic};
-
-/// First bytes of every file.
-pub const MAGIC: &[u8] = b"\x93NUMPY";
 
 const EXPECTED: &str = "a NumPy array (npy, version 1 to 3)";
 const MOST_DIMENSIONS: usize = 16;

@@ -3,6 +3,7 @@
 
 mod falling;
 mod inbox;
+mod link;
 mod options;
 #[cfg(unix)]
 mod pty;
@@ -12,7 +13,6 @@ mod tcp;
 #[cfg(feature = "serial")]
 mod serial;
 
-use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
@@ -20,6 +20,7 @@ use std::time::{Duration, Instant};
 
 pub use inbox::Inbox;
 use inbox::Shared;
+pub use link::{Connect, Dialogue, Link};
 pub use options::StreamOptions;
 #[cfg(unix)]
 pub use pty::Pty;
@@ -27,78 +28,17 @@ pub use pty::Pty;
 pub use serial::{Port, SerialConnect, ports};
 pub use tcp::TcpConnect;
 
-use crate::{Counters, DeviceError, Frame, HostStamp, Layout, Source, SourceEvent};
-
-/// A connection to a device.
-pub trait Link: Send {
-    /// Waits at most a tenth of a second for bytes; 0 where none came.
-    ///
-    /// # Errors
-    /// When the connection has ended, by whichever side.
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize>;
-
-    /// Sends all bytes, or fails within a second or so.
-    ///
-    /// # Errors
-    /// When the connection has ended or the device takes nothing.
-    fn write(&mut self, bytes: &[u8]) -> io::Result<()>;
-}
-
-/// Makes connections to one device.
-pub trait Connect: Send {
-    /// Connects, or fails within a few seconds.
-    ///
-    /// # Errors
-    /// Whatever the system says.
-    fn connect(&mut self) -> io::Result<Box<dyn Link>>;
-
-    /// What the user called the device.
-    fn name(&self) -> &str;
-}
-
-/// What is said over a connection: bytes in, frames and bytes out. It knows no port and reads no clock, so that it is tested
-/// without either.
-pub trait Dialogue: Send {
-    /// A connection has been made. Bytes to send go to `send`.
-    fn open(&mut self, send: &mut Vec<u8>);
-
-    /// Bytes have come, the first of them at `at`.
-    ///
-    /// # Errors
-    /// Why this connection is of no use, in plain words.
-    fn receive(&mut self, bytes: &[u8], at: HostStamp, inbox: &mut Inbox, send: &mut Vec<u8>) -> Result<(), String>;
-
-    /// Time has passed: `open_for` since the connection was made.
-    ///
-    /// # Errors
-    /// Why this connection is of no use, in plain words.
-    fn tick(&mut self, open_for: Duration, send: &mut Vec<u8>) -> Result<(), String>;
-
-    /// The connection is about to be closed by this side.
-    fn close(&mut self, send: &mut Vec<u8>);
-
-    /// Which reading stands at which channel, once that is known.
-    fn layout(&self) -> Option<Layout>;
-
-    /// Whether all that comes is frames, so that any byte is owed one.
-    fn is_frames_only(&self) -> bool {
-        false
-    }
-
-    /// What the device says that it is, once that is known.
-    fn identity(&self) -> Option<String> {
-        None
-    }
-}
+use crate::{Counters, DeviceError, Frame, Layout, Source, SourceEvent};
 
 /// A live instrument as a [`Source`].
 ///
-/// [`Source::next_frame`] never waits longer than it is told, whatever the device does. [`Counters::lost`] holds frames that
-/// the device numbered and that never came, frames that found the queue full, and, after a reset of the device, as many as
-/// its rate says it would have sent meanwhile.
+/// [`Source::next_frame`] never waits longer than it is told, whatever the device does. [`Counters::lost`] holds frames
+/// that the device numbered and that never came, frames that found the queue full, and, after a reset of the device, as
+/// many as its rate says it would have sent meanwhile.
 ///
-/// A stream begins with the first call of [`Source::next_frame`]: of what a device sends while its host still makes ready, 32
-/// frames wait; where there were more, the stream begins with the next frame, and nothing before that was lost.
+/// A stream begins with the first call of [`Source::next_frame`]: of what a device sends while its host still makes
+/// ready, 32 frames wait; where there were more, the stream begins with the next frame, and nothing before that was
+/// lost.
 #[derive(Debug)]
 pub struct StreamSource {
     name: String,
@@ -116,7 +56,8 @@ impl StreamSource {
     /// Connects and waits until the device has said how many channels it has.
     ///
     /// # Errors
-    /// [`DeviceError::SourceFailed`] where that has not happened within [`StreamOptions::patience`], with the last reason.
+    /// [`DeviceError::SourceFailed`] where that has not happened within [`StreamOptions::patience`], with the last
+    /// reason.
     pub fn open(
         connect: Box<dyn Connect>,
         dialogue: Box<dyn Dialogue>,
@@ -145,7 +86,8 @@ impl StreamSource {
         }
     }
 
-    /// The first frame is asked for. Where more came by now than were kept, those stand before a gap and are passed over.
+    /// The first frame is asked for. Where more came by now than were kept, those stand before a gap and are passed
+    /// over.
     fn begin(&mut self) {
         if self.shared.overflowed_unasked() {
             while let Ok(frame) = self.frames.try_recv() {

@@ -163,3 +163,71 @@ impl Owed {
         Err(format!("no whole frame for {:.1} s, although {why}", late.as_secs_f64()))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// No deadline is reached within a test, and one that is over from the beginning.
+    const NEVER: Duration = Duration::from_secs(3600);
+    const OVER: Duration = Duration::ZERO;
+
+    fn owed() -> (Owed, Inbox, std::sync::mpsc::Receiver<crate::Frame>) {
+        let (inbox, frames, _) = Inbox::new(8);
+        let mut owed = Owed::new("tcp:skin:1");
+        owed.begin(&inbox);
+        (owed, inbox, frames)
+    }
+
+    #[test]
+    fn many_bytes_without_a_frame_end_a_connection_and_few_do_not() {
+        let (mut owed, mut inbox, _frames) = owed();
+        let most = MOST_OWED as usize;
+        assert_eq!(owed.heard(most - 1, &mut inbox, false, OVER), Ok(()));
+        let error = owed.heard(1, &mut inbox, false, OVER).unwrap_err();
+        assert!(error.starts_with("no whole frame for 0.0 s, although 262144 bytes came"), "{error}");
+        assert_eq!(inbox.losses(), (0, 1), "what came counts as damaged");
+    }
+
+    #[test]
+    fn before_the_deadline_nothing_is_owed() {
+        let (mut owed, mut inbox, _frames) = owed();
+        for _ in 0..100 {
+            inbox.bad(1);
+            assert_eq!(owed.heard(1 << 20, &mut inbox, true, NEVER), Ok(()));
+        }
+    }
+
+    #[test]
+    fn damaged_frames_in_a_row_end_a_connection_with_what_was_wrong() {
+        let (mut owed, mut inbox, _frames) = owed();
+        for damaged in 1..=MOST_DAMAGED {
+            inbox.bad_because("a line of 100 numbers, expected 208".to_owned());
+            let heard = owed.heard(100, &mut inbox, false, OVER);
+            assert_eq!(heard.is_err(), damaged == MOST_DAMAGED, "after {damaged}");
+            if let Err(reason) = heard {
+                assert!(reason.ends_with("8 damaged frames came: a line of 100 numbers, expected 208"), "{reason}");
+            }
+        }
+        assert_eq!(inbox.losses(), (0, MOST_DAMAGED));
+    }
+
+    #[test]
+    fn where_all_that_comes_is_frames_any_byte_is_owed_one() {
+        let (mut owed, mut inbox, _frames) = owed();
+        assert!(owed.heard(1, &mut inbox, true, OVER).is_err());
+    }
+
+    #[test]
+    fn a_whole_frame_pays_and_the_trouble_is_over() {
+        let (mut owed, mut inbox, _frames) = owed();
+        let reason = owed.heard(MOST_OWED as usize, &mut inbox, false, OVER).unwrap_err();
+        inbox.shared().troubled(reason);
+        owed.begin(&inbox);
+        inbox.take(|frame| frame.values.push(1.0));
+        assert_eq!(owed.heard(4, &mut inbox, false, OVER), Ok(()));
+        assert_eq!(inbox.shared().problem(), None);
+        // What came before it is forgotten.
+        assert_eq!(owed.heard(MOST_OWED as usize - 1, &mut inbox, false, OVER), Ok(()));
+    }
+}

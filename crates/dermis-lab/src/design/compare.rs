@@ -6,7 +6,7 @@
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 
-use super::{Noise, Summary};
+use super::maps::{Noise, Summary};
 use crate::Error;
 
 /// Bounds closer than this share are equal: meshes differ by as much.

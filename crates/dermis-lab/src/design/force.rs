@@ -5,7 +5,7 @@ use dermis_tomo::mesh::PixelGrid;
 use dermis_twin::Frontend;
 use dermis_twin::mechanics::Indenter;
 
-use super::{DETECTED_SIGMA, Noise, places, scattered};
+use super::maps::{DETECTED_SIGMA, Noise, places, scattered};
 use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_twin::TwinKit;
@@ -39,9 +39,9 @@ impl ForceMap {
     }
 }
 
-/// Presses the twin of a skin, place by place, with the indenter that its sliders begin with, and finds the force at which
-/// all channels together are 3.3 deviations of noise away from rest. [`Noise::Assumed`] means the noise of the twin's own
-/// instrument, measured at rest. Places where the indenter would reach over the rim are left out.
+/// Presses the twin of a skin, place by place, with the indenter that its sliders begin with, and finds the force at
+/// which all channels together are 3.3 deviations of noise away from rest. [`Noise::Assumed`] means the noise of the
+/// twin's own instrument, measured at rest. Places where the indenter would reach over the rim are left out.
 ///
 /// # Errors
 /// A skin without twin; fields that cannot be solved.

@@ -1,10 +1,11 @@
-//! The search for a better skin: what the user frees is varied, the smallest bound on the position at the worst place wins.
-//! All candidates get the same time for a frame, so that reading more channels makes each noisier: noise power in
+//! The search for a better skin: what the user frees is varied, the smallest bound on the position at the worst place
+//! wins. All candidates get the same time for a frame, so that reading more channels makes each noisier: noise power in
 //! proportion to the number of readings, from the skin file's assumed noise in volts on.
 
 use dermis_tomo::mesh::ElectrodeShape;
 
-use super::{Maps, Noise, SharedInstrument, Summary};
+use super::SharedInstrument;
+use super::maps::{Maps, Noise, Summary};
 use crate::Error;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{DrivePattern, Electrodes, MeasurePattern, Modality, Pad, Pair, RimElectrode, Skin};

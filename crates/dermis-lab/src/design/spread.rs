@@ -4,14 +4,14 @@ use dermis_live::imager::Imager;
 use dermis_live::reference::Reference;
 use dermis_tomo::quality::spread_width_m;
 
-use super::Maps;
+use super::maps::Maps;
 use crate::Error;
 use dermis_live::prepare::Prepared;
 
 /// Width of the image of a point at each place of the maps, metres: the diameter of the disc that has the area of the
 /// region at half the peak or more (the resolution figure of GREIT, Adler et al., Physiol. Meas. 30, 2009, S35, as a
-/// length). The point is one pixel of the skin's image grid; the operator is the skin file's. NaN where the image has no
-/// peak of the right sign.
+/// length). The point is one pixel of the skin's image grid; the operator is the skin file's. NaN where the image has
+/// no peak of the right sign.
 ///
 /// # Errors
 /// An operator that cannot be made from the model alone.

@@ -1,177 +1,20 @@
-//! Experiments H1 to H6 of the self-healing sandwich (paper H: two-step imaging, touch told from damage) on its twin, whose
-//! two sheets, mesh and noise are not the reconstruction's. Every case is read off one frame at the published noise.
+//! Experiments H1 to H6 of the self-healing sandwich (paper H: two-step imaging, touch told from damage) on its twin,
+//! whose two sheets, mesh and noise are not the reconstruction's. Every case is read off one frame at the published
+//! noise.
 
+mod bench;
 mod damage;
 mod live;
 mod touches;
 
-use dermis_learn::scene::{LOWERED, RAISED};
-use dermis_tomo::mesh::PixelGrid;
-use dermis_tomo::quality::{SsimOptions, icc, rie, ssim};
-use dermis_touch::Contact;
-use dermis_twin::mechanics::{Indenter, Load, Shape};
-
-use crate::Error;
-use crate::report::{Experiment, Kind, Row};
-use crate::twin_bench::Rig;
-use dermis_live::network::{Classes, Classifier, built_in};
+use crate::report::Experiment;
 
 /// All of them.
 pub(super) const EXPERIMENTS: [Experiment; 6] = [
-    Experiment { id: "H1", title: "single touches of 20 and 25 mm at 80 kPa", run: touches::single },
-    Experiment { id: "H2", title: "position error at nine places of the first quadrant", run: touches::positions },
-    Experiment { id: "H3", title: "two and three touches at once", run: touches::several },
-    Experiment { id: "H4", title: "a cut of 20 mm, and touches beside it", run: damage::cut_and_touches },
-    Experiment { id: "H5", title: "healing: heat, two days, a new baseline", run: damage::healing },
-    Experiment { id: "H6", title: "pressing on the cut", run: damage::on_the_cut },
+    touches::SINGLE,
+    touches::POSITIONS,
+    touches::SEVERAL,
+    damage::CUT_AND_TOUCHES,
+    damage::HEALING,
+    damage::ON_THE_CUT,
 ];
-
-const SKIN: &str = "healing-square";
-/// Pressure of all touches, pascal.
-const PRESSURE_PA: f64 = 80e3;
-
-fn row(quantity: impl Into<String>, unit: &'static str, paper: Option<f64>, here: f64, kind: Kind) -> Row {
-    Row { quantity: quantity.into(), unit, paper, here, kind }
-}
-
-fn indenter(centre_mm: [f64; 2], diameter_mm: f64) -> Indenter {
-    Indenter {
-        centre_m: centre_mm.map(|v| 1e-3 * v),
-        shape: Shape::Disc { radius_m: 0.5e-3 * diameter_mm },
-        load: Load::PressurePa(PRESSURE_PA),
-    }
-}
-
-/// How an image came about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Step {
-    /// The linear image over its own peak.
-    First,
-    /// Compressed less damaged, by the network's probabilities.
-    Network,
-    /// Discs at the places and of the radii that the forward model fits.
-    Fit,
-}
-
-impl Step {
-    const ALL: [Self; 3] = [Self::First, Self::Network, Self::Fit];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::First => "first step",
-            Self::Network => "U-Net",
-            Self::Fit => "fitted discs",
-        }
-    }
-}
-
-/// Images of one frame, row-major, 1 where compressed.
-struct Seen {
-    /// By [`Step::ALL`].
-    images: [Vec<f64>; Step::ALL.len()],
-    contacts: Vec<Contact>,
-}
-
-/// The twin on the bench, and what makes images of its frames.
-struct Bench {
-    rig: Rig,
-    classifier: Option<Classifier>,
-    classes: Classes,
-}
-
-impl Bench {
-    fn new() -> Result<Self, Error> {
-        let rig = Rig::new(SKIN)?;
-        let prepared = rig.prepared();
-        let model = built_in(SKIN)?;
-        let classifier =
-            model.map(|model| Classifier::with_reference(prepared, rig.reference(), &model)).transpose()?;
-        let grid = prepared.map.grid();
-        Ok(Self { classifier, classes: Classes::new(grid.rows, grid.columns), rig })
-    }
-
-    fn grid(&self) -> &PixelGrid {
-        self.rig.prepared().map.grid()
-    }
-
-    /// One frame under these indenters, after frames at rest and one in which the mechanics settle.
-    fn frame(&mut self, indenters: &[Indenter]) -> Result<Vec<f64>, Error> {
-        self.rig.frames(&[], 2)?;
-        self.rig.frames(indenters, 1)?;
-        self.rig.mean_frame(indenters, 1)
-    }
-
-    fn see(&mut self, indenters: &[Indenter]) -> Result<Seen, Error> {
-        let frame = self.frame(indenters)?;
-        let image = self.rig.image(&frame)?;
-        let contacts = self.rig.touches(&image)?;
-        let peak = image.iter().copied().filter(|value| value.is_finite()).fold(f32::MIN_POSITIVE, f32::max);
-        let first = image.iter().map(|value| f64::from(value / peak)).collect();
-        let discs: Vec<([f64; 2], f64)> =
-            contacts.iter().map(|contact| (contact.centroid_m, radius_m(contact))).collect();
-        let fit = self.discs(&discs);
-        let network = self.classified(&frame, &image)?;
-        Ok(Seen { images: [first, network, fit], contacts })
-    }
-
-    /// Probability of compressed less that of damaged; NaN outside the skin. Nothing where no network ships.
-    fn classified(&mut self, frame: &[f64], image: &[f32]) -> Result<Vec<f64>, Error> {
-        if let Some(classifier) = &mut self.classifier {
-            classifier.classify(&self.rig.reference().difference(frame, None), &mut self.classes)?;
-        }
-        let pixels = image.len();
-        let probability =
-            |class: u8, pixel: usize| f64::from(self.classes.probabilities[class as usize * pixels + pixel]);
-        let value = |(pixel, seen): (usize, &f32)| {
-            if seen.is_finite() { probability(RAISED, pixel) - probability(LOWERED, pixel) } else { f64::NAN }
-        };
-        Ok(image.iter().enumerate().map(value).collect())
-    }
-
-    /// Share of each pixel that lies in any of these discs (centre, radius); NaN outside the skin.
-    fn discs(&self, discs: &[([f64; 2], f64)]) -> Vec<f64> {
-        /// Points a pixel's side.
-        const POINTS: usize = 8;
-        let grid = self.grid();
-        let inside = |x: f64, y: f64| discs.iter().any(|(at, radius)| (x - at[0]).hypot(y - at[1]) <= *radius);
-        let mut image = vec![f64::NAN; grid.len()];
-        for &pixel in self.rig.prepared().map.inside_pixels() {
-            let (column, row) = ((pixel as usize % grid.columns) as f64, (pixel as usize / grid.columns) as f64);
-            let step = |k: usize| (k as f64 + 0.5) / POINTS as f64;
-            let points = (0..POINTS).flat_map(|r| (0..POINTS).map(move |c| (step(r), step(c))));
-            let hits = points.filter(|(r, c)| {
-                inside(grid.left_m + (column + c) * grid.pixel_m, grid.top_m - (row + r) * grid.pixel_m)
-            });
-            image[pixel as usize] = hits.count() as f64 / (POINTS * POINTS) as f64;
-        }
-        image
-    }
-
-    /// What the indenters cover.
-    fn truth(&self, indenters: &[Indenter]) -> Vec<f64> {
-        let discs: Vec<([f64; 2], f64)> = indenters
-            .iter()
-            .filter_map(|indenter| match indenter.shape {
-                Shape::Disc { radius_m } => Some((indenter.centre_m, radius_m)),
-                _ => None,
-            })
-            .collect();
-        self.discs(&discs)
-    }
-
-    /// ICC, RIE and SSIM (equations 6 to 8) of an image whose values are 0 to 1.
-    fn scores(&self, truth: &[f64], image: &[f64]) -> Result<[f64; 3], Error> {
-        let similarity = ssim(truth, image, self.grid().columns, &SsimOptions::new(1.0))?;
-        Ok([icc(truth, image)?, rie(truth, image)?, similarity])
-    }
-}
-
-/// Fitted radius of a contact, else that of a disc of its area.
-fn radius_m(contact: &Contact) -> f64 {
-    contact.radius_m.unwrap_or_else(|| (contact.area_m2 / std::f64::consts::PI).sqrt())
-}
-
-fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
-    let (sum, count) = values.into_iter().fold((0.0, 0.0), |(sum, count), value| (sum + value, count + 1.0));
-    sum / count
-}

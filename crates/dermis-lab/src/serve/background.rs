@@ -7,7 +7,8 @@ use std::thread::{self, JoinHandle};
 
 use dermis_device::{Instrument, SourceSelector};
 
-use super::{Door, device_info, serve};
+use super::Door;
+use super::server::{device_info, serve};
 use crate::Error;
 use crate::twin_source::TwinSource;
 use dermis_skin::Skin;

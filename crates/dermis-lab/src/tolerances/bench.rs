@@ -1,5 +1,5 @@
-//! One sample on the bench: baseline, presses, images and touches, all by the model of the skin file, as the running skin does
-//! it. What does not depend on the sample is made once.
+//! One sample on the bench: baseline, presses, images and touches, all by the model of the skin file, as the running
+//! skin does it. What does not depend on the sample is made once.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -16,6 +16,7 @@ use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PressRange, TwinKit};
 
+use super::dice::Dice;
 use super::workshop::Built;
 use super::{Cause, Tolerances, places, workshop};
 use crate::Error;
@@ -27,8 +28,8 @@ const BASELINE_FRAMES: usize = 32;
 const SETTLED_S: f64 = 1e4;
 /// Where pokes begin in the sequence of places: none is at a place that is pressed.
 const FIRST_POKE: usize = 5000;
-/// Elements of the twins, relative to those of a skin's usual twin: a third of the time, at an error of their own that the skin
-/// as drawn shows too.
+/// Elements of the twins, relative to those of a skin's usual twin: a third of the time, at an error of their own that
+/// the skin as drawn shows too.
 const COARSER: f64 = 1.5;
 /// Between frames that have nothing to do with each other, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
@@ -168,8 +169,8 @@ impl Bench {
         let mut skin = skin.clone();
         // Every frame counts at once: presses have nothing to do with each other.
         skin.touch.least_frames = 1;
-        // A board that loads the skin is known to the model only in kind, and what that costs is not asked here: both are read by
-        // an ideal voltmeter.
+        // A board that loads the skin is known to the model only in kind, and what that costs is not asked here: both
+        // are read by an ideal voltmeter.
         skin.backend.circuit = None;
         if skin.frontend.coils.is_none() {
             skin.twin.element_mm = Some(1e3 * COARSER * MeshSizes::of(&skin).element_m);
@@ -200,8 +201,8 @@ impl Bench {
         workshop::build(&self.skin, self.prepared.channels(), tolerances, causes, seeds)
     }
 
-    /// Presses a sample at these places, and looks at it by the skin file's model alone, or as often as there are numbers of pokes
-    /// that it is calibrated with: one list of presses for each. `is_exact`: presses without noise.
+    /// Presses a sample at these places, and looks at it by the skin file's model alone, or as often as there are
+    /// numbers of pokes that it is calibrated with: one list of presses for each. `is_exact`: presses without noise.
     pub fn press(
         &self,
         built: &Built,
@@ -210,7 +211,7 @@ impl Bench {
         seeds: [u64; 2],
         is_exact: bool,
     ) -> Result<Vec<Vec<Press>>, Error> {
-        let mut noise_seed = workshop::Dice::new(seeds[0], seeds[1], 0);
+        let mut noise_seed = Dice::new(seeds[0], seeds[1], 0);
         let mut sample = self.sample(built, noise_seed.seed())?;
         let rest = sample.truth(Act::Rest)?;
         let mut baseline = Vec::with_capacity(BASELINE_FRAMES);
@@ -305,7 +306,8 @@ impl Bench {
         channels.filter(|(_, measurement)| uses(measurement)).map(|(channel, _)| channel as u32).collect()
     }
 
-    /// Baseline and noise, as the running skin takes them; the covariance of the noise only where weights are made of it.
+    /// Baseline and noise, as the running skin takes them; the covariance of the noise only where weights are made of
+    /// it.
     fn reference(&self, baseline: &[Vec<f64>]) -> Result<Reference, Error> {
         if matches!(self.skin.imaging.weights, WeightChoice::MeasuredFull) {
             return Ok(Reference::of(&self.prepared, baseline)?);

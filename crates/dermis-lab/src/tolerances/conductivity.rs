@@ -1,10 +1,10 @@
-//! Conductivity that varies from place to place: white noise on a grid, smoothed with a Gaussian of `L / sqrt(2)`, has the
-//! correlation `exp(-d^2 / (2 L^2))`; its exponential is the factor.
+//! Conductivity that varies from place to place: white noise on a grid, smoothed with a Gaussian of `L / sqrt(2)`, has
+//! the correlation `exp(-d^2 / (2 L^2))`; its exponential is the factor.
 
 use dermis_tomo::mesh::Outline;
 use dermis_twin::physics::ConductanceMap;
 
-use super::workshop::Dice;
+use super::dice::Dice;
 
 /// Steps of the grid to a correlation length.
 const STEPS: f64 = 3.0;

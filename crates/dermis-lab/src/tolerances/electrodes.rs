@@ -1,9 +1,9 @@
-//! Electrodes where a workshop puts them. None leaves the sheet, and none comes nearer to a neighbour than a fifth of the gap
-//! that was drawn: whoever builds a skin sees that.
+//! Electrodes where a workshop puts them. None leaves the sheet, and none comes nearer to a neighbour than a fifth of
+//! the gap that was drawn: whoever builds a skin sees that.
 
 use dermis_tomo::mesh::{ElectrodeShape, Outline, to_segment};
 
-use super::workshop::Dice;
+use super::dice::Dice;
 
 /// Share of a gap that is left at least.
 const LEAST_GAP: f64 = 0.2;

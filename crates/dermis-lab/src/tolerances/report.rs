@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::bench::{Bench, Press, Reader};
+use super::dice::Dice;
 use super::electrodes::to_rim;
-use super::workshop::Dice;
 use super::{Cause, Tolerances};
 use crate::Error;
 

@@ -1,3 +1,7 @@
+use std::path::Path;
+
+use dermis_skin::Skin;
+
 use super::*;
 
 fn extent(samples: usize) -> Extent {

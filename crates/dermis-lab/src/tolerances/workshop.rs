@@ -2,52 +2,16 @@
 
 use dermis_skin::{CoilPlaces, ContactLaw, Layer, Skin, Winding};
 use dermis_twin::AsBuilt;
-use rand::rngs::StdRng;
-use rand::{Rng, SeedableRng};
-use rand_distr::{Distribution, StandardNormal};
 
+use super::dice::Dice;
 use super::{Cause, Tolerances, conductivity, electrodes};
 use crate::Error;
 
 const MM: f64 = 1e-3;
-/// Errors beyond so many deviations are noticed and made good.
-const CUT_OFF: f64 = 3.0;
 /// Scatter of element heights where the file of tolerances says nothing, to which the skin's own is added.
 const ELEMENT_HEIGHT_MM: f64 = 0.3;
 /// Share of the gap between coils that is left at least.
 const LEAST_COIL_GAP: f64 = 0.2;
-
-/// Random numbers of one purpose in one sample.
-pub(super) struct Dice(StdRng);
-
-impl Dice {
-    pub fn new(seed: u64, sample: u64, purpose: u64) -> Self {
-        let mut mixed = [seed, sample, purpose].into_iter().fold(0x5eed_u64, |hash, value| {
-            // The finaliser of splitmix64.
-            let mut z = (hash ^ value).wrapping_add(0x9e37_79b9_7f4a_7c15);
-            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            z ^ (z >> 31)
-        });
-        mixed ^= mixed >> 32;
-        Self(StdRng::seed_from_u64(mixed))
-    }
-
-    /// Normal, cut off.
-    pub fn normal(&mut self) -> f64 {
-        let value: f64 = StandardNormal.sample(&mut self.0);
-        value.clamp(-CUT_OFF, CUT_OFF)
-    }
-
-    /// One of 0 to `count` - 1.
-    pub fn below(&mut self, count: usize) -> usize {
-        self.0.random_range(0..count.max(1) as u64) as usize
-    }
-
-    pub fn seed(&mut self) -> u64 {
-        self.0.random_range(0..=i64::MAX as u64)
-    }
-}
 
 /// A skin as built.
 #[derive(Debug)]

@@ -1,12 +1,12 @@
-//! What a training needs to go on: weights, Adam's moments, the best weights so far, and the numbers beside them, in one
-//! safetensors file and one JSON file that names its hash. Two tensor files take turns and the JSON is written last, so that a
-//! training that is killed while it writes goes on from the checkpoint before.
+//! What a training needs to go on: weights, Adam's moments, the best weights so far, and the numbers beside them, in
+//! one safetensors file and one JSON file that names its hash. Two tensor files take turns and the JSON is written
+//! last, so that a training that is killed while it writes goes on from the checkpoint before.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::TrainOptions;
+use super::options::TrainOptions;
 use crate::LearnError;
 use crate::model::{read_bounded, sha256, write_whole};
 use crate::shape::UNetShape;

@@ -1,6 +1,7 @@
 //! From the best weights to a model: temperature, novelty score, and the figures for the card.
 
-use super::{Split, TrainOptions, Training, scaled};
+use super::split::{Split, scaled};
+use super::{TrainOptions, Training};
 use crate::LearnError;
 use crate::metrics::{Calibration, Confusion, HeldOut, most_likely};
 use crate::model::{CARD_FORMAT, Model, ModelCard, TrainingRecord};
@@ -46,9 +47,9 @@ impl Run<'_> {
     }
 }
 
-/// Takes the classes' weights in the loss out of the logits. What is learnt with weights w is proportional to `w_c p_c` in
-/// place of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq. 2.4), so that `ln w_c`
-/// less is what makes probabilities of it.
+/// Takes the classes' weights in the loss out of the logits. What is learnt with weights w is proportional to `w_c p_c`
+/// in place of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq. 2.4), so
+/// that `ln w_c` less is what makes probabilities of it.
 fn unweigh(tensors: &mut Tensors, weights: &[f32]) -> Result<(), LearnError> {
     let Some((dims, bias)) = tensors.get("head.bias").filter(|(_, bias)| bias.len() == weights.len()) else {
         return Ok(());

@@ -2,18 +2,23 @@
 //! temperature and for the figures on the model card. Every pass over the samples ends in a checkpoint, from which an
 //! interrupted training goes on as if it had not been.
 
+mod batch;
 mod checkpoint;
 mod finish;
 mod initial;
 mod native;
+mod options;
+mod split;
+mod training;
 
-use std::path::Path;
+pub use options::TrainOptions;
+pub use training::Training;
+
 use std::time::Instant;
 
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
-use serde::{Deserialize, Serialize};
 
 use crate::LearnError;
 use crate::metrics::{Confusion, most_likely};
@@ -22,70 +27,10 @@ use crate::network::{Network, softmax};
 use crate::shape::UNetShape;
 use crate::shards::{Manifest, Shard, TrainingSet};
 use crate::weights::Tensors;
+use batch::Batch;
 use checkpoint::{Checkpoint, State};
-use initial::initial;
 use native::NativeUNet;
-
-/// Shards whose samples are mixed: their number bounds the memory.
-const SHARDS_AT_ONCE: usize = 8;
-/// Share of the first step that the last one has; between them a half cosine.
-const LAST_RATE: f64 = 0.02;
-
-/// Share by which a batch moves the running mean and variance; PyTorch's default.
-const MOMENTUM: f32 = 0.1;
-
-/// Samples of one step: images are batch x inputs x rows x columns, labels batch x rows x columns.
-struct Batch<'a> {
-    count: usize,
-    rows: usize,
-    columns: usize,
-    inputs: &'a [f32],
-    labels: &'a [u8],
-}
-
-/// How to train.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TrainOptions {
-    /// Channels of the finest level.
-    pub width: usize,
-    /// Levels.
-    pub levels: usize,
-    /// Most passes over the samples; with none, the weights to begin with are judged and given a card.
-    pub epochs: usize,
-    /// Samples a step.
-    pub batch: usize,
-    /// Adam's first step; it falls to a fiftieth along a half cosine.
-    pub learning_rate: f64,
-    /// Passes without improvement on the frames held out after which training stops.
-    pub patience: usize,
-    /// Share of the shards that are held out, the last ones.
-    pub held_out: f64,
-    /// Seed of the initial weights and of the order of samples.
-    pub seed: u64,
-    /// Weights of the classes in the loss; none for equal ones.
-    pub class_weights: Vec<f32>,
-    /// Turn and mirror samples at random, by the eight symmetries of the square: for skins that have them in outline,
-    /// electrodes and protocol, whose images of a turned scene are turned images.
-    pub symmetries: bool,
-}
-
-impl Default for TrainOptions {
-    fn default() -> Self {
-        Self {
-            width: 8,
-            levels: 4,
-            epochs: 40,
-            batch: 64,
-            learning_rate: 1e-3,
-            patience: 8,
-            held_out: 0.1,
-            seed: 1,
-            class_weights: Vec::new(),
-            symmetries: false,
-        }
-    }
-}
+use split::{SHARDS_AT_ONCE, Split, scaled};
 
 /// What training tells while it runs.
 #[derive(Clone, Debug)]
@@ -112,96 +57,11 @@ pub struct EpochReport {
     pub best: bool,
 }
 
-/// What is trained, and where it is kept meanwhile.
-pub struct Training<'a> {
-    /// The samples.
-    pub set: &'a TrainingSet,
-    /// How.
-    pub options: &'a TrainOptions,
-    /// Folder of the checkpoint; training goes on from what is there.
-    pub checkpoint: &'a Path,
-    /// The command, for the card.
-    pub command: &'a str,
-    /// Weights to begin with; random ones where `None`.
-    pub start: Option<&'a Tensors>,
-    /// Factors that the input images are multiplied by; where `None`, those that bring each to a root mean square of 1.
-    pub input_scale: Option<&'a [f32]>,
-}
-
-impl Training<'_> {
-    fn input_scale(&self, split: &Split) -> Result<Vec<f32>, LearnError> {
-        let Some(scale) = self.input_scale else { return input_scale(self.set, split) };
-        let (expected, got) = (self.set.manifest().inputs.len(), scale.len());
-        if got != expected {
-            return Err(LearnError::Size { what: "factors of the input images", expected, got });
-        }
-        if let Some(factor) = scale.iter().find(|factor| !(factor.is_finite() && **factor > 0.0)) {
-            let (what, value) = ("factor of an input image", factor.to_string());
-            return Err(LearnError::Value { what, value, expected: "a positive and finite one".into() });
-        }
-        Ok(scale.to_vec())
-    }
-
-    fn first_weights(&self, shape: &UNetShape) -> Result<Tensors, LearnError> {
-        let Some(start) = self.start else {
-            return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
-        };
-        start.check(shape, Path::new("weights to begin with"))?;
-        // What is beside them, a novelty score, is of another training.
-        let mut tensors = Tensors::default();
-        for spec in shape.tensors() {
-            let values = start.get(&spec.name).map(|(_, values)| values.to_vec()).unwrap_or_default();
-            tensors.insert(spec.name, spec.dims, values)?;
-        }
-        Ok(tensors)
-    }
-}
-
-impl TrainOptions {
-    fn check(&self) -> Result<(), LearnError> {
-        let refuse = |what: &'static str, value: String, expected: &str| {
-            Err(LearnError::Value { what, value, expected: expected.into() })
-        };
-        if self.batch == 0 || self.patience == 0 {
-            let value = format!("{}, {}", self.batch, self.patience);
-            return refuse("batch and patience", value, "at least 1 each");
-        }
-        if !(self.learning_rate > 0.0 && self.learning_rate < 1.0) {
-            return refuse("learning rate", self.learning_rate.to_string(), "between 0 and 1");
-        }
-        if !(self.held_out > 0.0 && self.held_out < 1.0) {
-            return refuse("share held out", self.held_out.to_string(), "between 0 and 1");
-        }
-        Ok(())
-    }
-
-    /// Weights of so many classes.
-    fn weights_of(&self, classes: usize) -> Result<Vec<f32>, LearnError> {
-        let weights = if self.class_weights.is_empty() { vec![1.0; classes] } else { self.class_weights.clone() };
-        if weights.len() != classes {
-            let (what, got) = ("weights of the classes", weights.len());
-            return Err(LearnError::Size { what, expected: classes, got });
-        }
-        if let Some(weight) = weights.iter().find(|weight| !(weight.is_finite() && **weight > 0.0)) {
-            let (what, value) = ("weight of a class", weight.to_string());
-            return Err(LearnError::Value { what, value, expected: "a positive and finite one".into() });
-        }
-        Ok(weights)
-    }
-
-    /// Adam's step in a pass counted from 0.
-    fn rate(&self, epoch: usize) -> f64 {
-        let along = epoch as f64 / self.epochs as f64;
-        let cosine = 0.5 * (1.0 + (std::f64::consts::PI * along).cos());
-        self.learning_rate * (LAST_RATE + (1.0 - LAST_RATE) * cosine)
-    }
-}
-
 /// Trains, or goes on training, and returns the finished model (not yet saved).
 ///
 /// # Errors
-/// Options or a training set that make no sense, shards that are missing or damaged, a checkpoint of another training, a
-/// checkpoint that cannot be written, a loss that is no longer finite.
+/// Options or a training set that make no sense, shards that are missing or damaged, a checkpoint of another training,
+/// a checkpoint that cannot be written, a loss that is no longer finite.
 pub fn train(training: &Training<'_>, mut progress: impl FnMut(&Progress)) -> Result<Model, LearnError> {
     let (set, options) = (training.set, training.options);
     options.check()?;
@@ -255,56 +115,6 @@ fn descent(shape: UNetShape, state: &State, options: &TrainOptions) -> Result<Na
     let moments = (state.steps > 0).then_some((&state.moments, state.steps));
     let class_weights = options.weights_of(shape.classes)?;
     NativeUNet::new(shape, &state.tensors, moments, &class_weights)
-}
-
-/// Shards to train on and shards held out.
-struct Split {
-    training: Vec<usize>,
-    held_out: Vec<usize>,
-}
-
-impl Split {
-    fn of(set: &TrainingSet, share: f64) -> Result<Self, LearnError> {
-        let shards = set.manifest().shards();
-        if shards < 2 {
-            let (what, expected) = ("shards of the training set", "at least 2, one of which is held out".into());
-            return Err(LearnError::Value { what, value: shards.to_string(), expected });
-        }
-        let held_out = ((shards as f64 * share).round() as usize).clamp(1, shards - 1);
-        Ok(Self { training: (0..shards - held_out).collect(), held_out: (shards - held_out..shards).collect() })
-    }
-
-    fn samples(set: &TrainingSet, shards: &[usize]) -> usize {
-        shards.iter().map(|&shard| set.manifest().samples_of(shard)).sum()
-    }
-}
-
-/// Factors that bring each input image to a root mean square of 1 over a few shards.
-fn input_scale(set: &TrainingSet, split: &Split) -> Result<Vec<f32>, LearnError> {
-    let manifest = set.manifest();
-    let (images, pixels) = (manifest.inputs.len(), manifest.pixels());
-    let (mut squares, mut count) = (vec![0.0_f64; images], 0_usize);
-    for &shard in split.training.iter().take(SHARDS_AT_ONCE) {
-        let samples = set.read(shard)?;
-        for (place, image) in samples.inputs.chunks_exact(pixels).enumerate() {
-            squares[place % images] += image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
-        }
-        count += samples.labels.len();
-    }
-    let scale = |square: &f64| {
-        let deviation = (square / count.max(1) as f64).sqrt();
-        if deviation > 1e-12 { (1.0 / deviation) as f32 } else { 1.0 }
-    };
-    Ok(squares.iter().map(scale).collect())
-}
-
-/// Multiplies every image of a shard by its factor.
-fn scaled(mut shard: Shard, scale: &[f32], pixels: usize) -> Shard {
-    for (place, image) in shard.inputs.chunks_exact_mut(pixels).enumerate() {
-        let factor = scale[place % scale.len()];
-        image.iter_mut().for_each(|value| *value *= factor);
-    }
-    shard
 }
 
 /// One pass over the samples.
@@ -388,7 +198,8 @@ fn turn(inputs: &mut [f32], labels: &mut [u8], manifest: &Manifest, random: &mut
     }
 }
 
-/// The pixel that one of a square's symmetries brings to a place: columns exchanged, rows exchanged, both with each other.
+/// The pixel that one of a square's symmetries brings to a place: columns exchanged, rows exchanged, both with each
+/// other.
 fn turned(place: usize, side: usize, symmetry: u8) -> usize {
     let (mut row, mut column) = (place / side, place % side);
     if symmetry & 1 != 0 {

@@ -1,6 +1,9 @@
 //! Training on discs in noise: the gradient network and the one that runs live agree, the loss falls, a training that
 //! was interrupted ends where the uninterrupted one does.
 
+use std::path::Path;
+
+use super::initial::initial;
 use super::*;
 use crate::shards::SET_FORMAT;
 

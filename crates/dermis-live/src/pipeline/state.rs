@@ -57,8 +57,9 @@ impl Starting {
         Ok(Self { imager, refinement })
     }
 
-    /// What follows the first baseline.
-    pub fn run(&mut self, prepared: &Prepared, choices: &Choices, reference: Reference) -> Result<Running, Error> {
+    /// What follows the first baseline. A hyperparameter that this baseline's system cannot be solved at is dropped from
+    /// the choices with a warning: the stream goes on at the skin file's.
+    pub fn run(&mut self, prepared: &Prepared, choices: &mut Choices, reference: Reference) -> Result<Running, Error> {
         let CalibratedImager { mut imager, reference, placement } = match self.imager.take() {
             Some(mut imager) => {
                 imager.set_noise(&reference.noise)?;
@@ -66,8 +67,14 @@ impl Starting {
             }
             None => CalibratedImager::new(prepared, choices.calibration.as_ref(), reference, &[])?,
         };
-        if let Some(lambda) = choices.hyperparameter {
-            imager.set_hyperparameter(lambda, &reference.noise)?;
+        if let Some(lambda) = choices.hyperparameter
+            && let Err(error) = imager.set_hyperparameter(lambda, &reference.noise)
+        {
+            tracing::warn!(
+                "the hyperparameter {lambda} cannot be used ({error}); going on with {:.3e}",
+                imager.hyperparameter()
+            );
+            choices.hyperparameter = None;
         }
         let refinement = std::mem::replace(&mut self.refinement, Refinement::none());
         let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;

@@ -13,6 +13,7 @@ use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, spot_model}
 #[derive(Debug)]
 pub struct Refinement {
     by: By,
+    takes_time: bool,
 }
 
 #[derive(Debug)]
@@ -29,9 +30,13 @@ enum By {
 }
 
 impl Refinement {
+    fn by(by: By) -> Self {
+        Self { by, takes_time: false }
+    }
+
     /// Leaves contacts as the image has them.
     pub fn none() -> Self {
-        Self { by: By::Nothing }
+        Self::by(By::Nothing)
     }
 
     /// Whether touches of a skin are refined: where its file asks for it and images are made on the model's own Jacobian,
@@ -46,11 +51,11 @@ impl Refinement {
     /// See [`spot_model`]; a mesh that cannot be made.
     pub fn new(prepared: &Prepared, noise: &[f64]) -> Result<Self, Error> {
         if is_sandwich(prepared) {
-            return Ok(Self { by: By::Patches(Box::new(PatchStage::new(prepared, noise)?)) });
+            return Ok(Self::by(By::Patches(Box::new(PatchStage::new(prepared, noise)?))));
         }
         let whole = Box::new(spot_model(prepared, noise)?);
         let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone())));
-        Ok(Self { by: By::Spots { whole, stage } })
+        Ok(Self::by(By::Spots { whole, stage }))
     }
 
     /// Before any noise is known: refines nothing until [`Refinement::leave_out`] says what it is.
@@ -58,7 +63,24 @@ impl Refinement {
         if is_sandwich(prepared) {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
         }
-        Ok(Self { by: By::Spots { whole: Box::new(assumed_spot_model(prepared)?), stage: None } })
+        Ok(Self::by(By::Spots { whole: Box::new(assumed_spot_model(prepared)?), stage: None }))
+    }
+
+    /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those before
+    /// may be of other presses.
+    #[must_use]
+    pub fn taking_time(mut self) -> Self {
+        self.takes_time = true;
+        self.tell_pace();
+        self
+    }
+
+    fn tell_pace(&mut self) {
+        match &mut self.by {
+            By::Patches(patches) if self.takes_time => patches.take_time(),
+            By::Spots { stage: Some(spots), .. } if self.takes_time => spots.take_time(),
+            By::Patches(_) | By::Spots { .. } | By::Nothing => {}
+        }
     }
 
     /// Replaces the noise of the channels (model volts) that patches are judged by.
@@ -82,6 +104,7 @@ impl Refinement {
                 *stage = Some(Box::new(SpotStage::new(prepared, model)));
             }
         }
+        self.tell_pace();
         Ok(())
     }
 

@@ -30,13 +30,14 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
-/// A frame of which a fit leaves more than so many times the noise's energy, and more than this share of its own, may hold two
-/// touches that the image shows as one.
-const UNEXPLAINED_BY_NOISE: f64 = 4.0;
-const UNEXPLAINED: f64 = 0.01;
+/// A frame of which a fit leaves more than so many times the noise's energy, and beyond the noise more than this share of its
+/// own, may hold two touches that the image shows as one. One touch leaves up to 0.0019 beyond the noise (twins of gels and
+/// liquids, 40 presses each), two a quarter of the longer side apart that the image joins 0.0038 or more.
+const UNEXPLAINED_BY_NOISE: f64 = 2.0;
+const UNEXPLAINED: f64 = 0.003;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
-/// Two touches in place of one are believed where they leave no more than this share of what one left,
+/// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one left,
 const LEFT_BY_TWO: f64 = 0.3;
 /// stand apart by this share of half the shorter side and by so many times the sum of their radii,
 const LEAST_APART: f64 = 0.3;
@@ -47,6 +48,9 @@ const MOST_UNLIKE: f64 = 10.0;
 /// shorter side.
 const DIRECTIONS: usize = 4;
 const LOOKED_FOR_AT: f64 = 0.3;
+/// A start off the skin is drawn back towards the contact by this factor, so many times at most.
+const DRAWN_BACK: f64 = 0.6;
+const MOST_DRAWN_BACK: usize = 4;
 /// Contacts that are looked at so in a frame, the strongest, and frames before the next look after one in vain.
 const MOST_JOINED: usize = 3;
 const FRAMES_TO_NEXT_LOOK: u32 = 8;
@@ -64,8 +68,9 @@ pub(crate) struct SpotStage {
     parted: Vec<Spot>,
     /// Where the two touches of a parted contact were in the last frame.
     last_parted_m: Option<[[f64; 2]; 2]>,
-    /// Frames before the next attempt.
+    /// Frames before the next attempt; none where frames wait for as much work as they take.
     wait: u32,
+    is_unhurried: bool,
     /// Whether a touch is a smooth spot, so that what one spot leaves says that there are two. A patch that conducts as a whole
     /// is none.
     are_smooth: bool,
@@ -85,6 +90,7 @@ impl SpotStage {
             parted: Vec::with_capacity(MOST_SPOTS),
             last_parted_m: None,
             wait: 0,
+            is_unhurried: false,
             are_smooth: matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_)),
             grid: *prepared.map.grid(),
             inside: prepared.map.inside_mask(),
@@ -143,6 +149,11 @@ impl SpotStage {
         if self.are_smooth { (1..spots.len()).find(met) } else { None }
     }
 
+    /// From now on each frame is looked at for touches that the image shows as one.
+    pub(crate) fn take_time(&mut self) {
+        self.is_unhurried = true;
+    }
+
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
         (self.last_parted_m, self.wait) = (None, 0);
@@ -155,7 +166,7 @@ impl SpotStage {
             return None;
         }
         let last = self.last_parted_m.take();
-        let suspect = single.residual > UNEXPLAINED_BY_NOISE && single.residual > UNEXPLAINED * single.energy;
+        let suspect = single.residual > UNEXPLAINED_BY_NOISE && beyond_noise(single) > UNEXPLAINED * single.energy;
         if !suspect || self.starts_m.len() >= MOST_SPOTS {
             self.wait = 0;
             return None;
@@ -179,13 +190,13 @@ impl SpotStage {
                 let angle = std::f64::consts::PI * direction as f64 / DIRECTIONS as f64;
                 let reach = LOOKED_FOR_AT * self.half_width_m;
                 let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
-                let two = [[x + dx, y + dy], [x - dx, y - dy]];
+                let two = [[dx, dy], [-dx, -dy]].map(|offset| self.drawn_back([x, y], offset));
                 if let Some(outcome) = self.try_two(difference, joined, two, single) {
                     return Some((joined, outcome));
                 }
             }
         }
-        self.wait = FRAMES_TO_NEXT_LOOK;
+        self.wait = if self.is_unhurried { 0 } else { FRAMES_TO_NEXT_LOOK };
         None
     }
 
@@ -208,7 +219,7 @@ impl SpotStage {
         let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
         let press = |spot: &Spot| spot.amplitude * spot.radius_m * spot.radius_m;
         let alike = press(a) < MOST_UNLIKE * press(b) && press(b) < MOST_UNLIKE * press(a);
-        let is_better = outcome.residual <= LEFT_BY_TWO * single.residual;
+        let is_better = beyond_noise(&outcome) <= LEFT_BY_TWO * beyond_noise(single);
         let are_two =
             apart_m >= LEAST_APART * self.half_width_m && apart_m >= LEAST_APART_RADII * (a.radius_m + b.radius_m);
         if !(is_better && are_two && alike && self.is_believed(a) && self.is_believed(b)) {
@@ -219,11 +230,24 @@ impl SpotStage {
         Some(outcome)
     }
 
+    /// A place that far from a contact, or nearer to it where that is off the skin.
+    fn drawn_back(&self, [x, y]: [f64; 2], [mut dx, mut dy]: [f64; 2]) -> [f64; 2] {
+        for _ in 0..MOST_DRAWN_BACK {
+            if self.is_inside([x + dx, y + dy]) {
+                break;
+            }
+            (dx, dy) = (DRAWN_BACK * dx, DRAWN_BACK * dy);
+        }
+        [x + dx, y + dy]
+    }
+
+    fn is_inside(&self, position_m: [f64; 2]) -> bool {
+        self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+
     fn is_believed(&self, spot: &Spot) -> bool {
         let variance = spot.covariance[0][0] + spot.covariance[1][1];
-        spot.amplitude > 0.0
-            && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m
-            && self.grid.pixel_at(spot.position_m).is_some_and(|pixel| self.inside[pixel])
+        spot.amplitude > 0.0 && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m && self.is_inside(spot.position_m)
     }
 
     /// Whether a spot is where the image has its contact. Channels that are left out draw the image's peak to one side: a fit
@@ -235,6 +259,11 @@ impl SpotStage {
         own <= FAR * self.half_width_m
             || own <= allowed * self.half_width_m && self.starts_m.iter().all(|start| own <= moved(*start))
     }
+}
+
+/// Whitened energy that a fit leaves beyond the noise's own.
+fn beyond_noise(outcome: &FitOutcome) -> f64 {
+    (outcome.residual - 1.0).max(0.0)
 }
 
 /// Makes a contact one of the touches that the image shows together.

@@ -14,7 +14,7 @@ from ._dermis import Model, Skin
 class Order:
     """How a measured baseline fits a skin's model.
 
-    Attributes
+    Parameters
     ----------
     correlation : float
         Correlation with the model in the order of the skin file.

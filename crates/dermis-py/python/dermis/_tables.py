@@ -120,11 +120,3 @@ def to_xarray(recording: Any) -> Any:
     return xarray.DataArray(
         recording.frames(), coords=coordinates, dims=("time_s", "channel"), name="readings", attrs=attributes
     )
-
-
-def show(selector: str, skin: str) -> Any:
-    """Starts the live page of a source beside this process, and opens it in a browser; `.terminate()` of what it returns ends it."""
-    import subprocess
-    import sys
-
-    return subprocess.Popen([sys.executable, "-m", "dermis", "run", skin, "--source", selector, "--port", "0"])

@@ -116,6 +116,18 @@ def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:
 
     pyEIT drives +1 into ``ex_mat[:, 0]`` and -1 into ``ex_mat[:, 1]``, and reads the potential of ``meas_mat[:, 0]`` less
     that of ``meas_mat[:, 1]``; in ``meas_mat``'s third column, where there is one, is the stimulation.
+
+    Parameters
+    ----------
+    protocol : object
+        With ``ex_mat`` and ``meas_mat``.
+    amplitude_a : float
+        Current, amperes; pyEIT's is 1.
+
+    Returns
+    -------
+    Protocol
+        Its channels are in pyEIT's order.
     """
     drives = np.asarray(protocol.ex_mat, np.int64)
     reads = np.asarray(protocol.meas_mat, np.int64)
@@ -137,7 +149,20 @@ def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:
 
 
 def pyeit_model(mesh: Any, protocol: Any, amplitude_a: float = 1.0) -> ForwardModel:
-    """The forward model of a ``pyeit`` mesh and protocol, with pyEIT's own point electrodes (``el_pos``)."""
+    """The forward model of a ``pyeit`` mesh and protocol, with pyEIT's own point electrodes (``el_pos``).
+
+    Parameters
+    ----------
+    mesh, protocol : object
+        Of ``pyeit.mesh.create`` and ``pyeit.eit.protocol.create``.
+    amplitude_a : float
+        Current, amperes; pyEIT's is 1.
+
+    Returns
+    -------
+    ForwardModel
+        Its voltages are those of ``EITForward.solve_eit``.
+    """
     nodes, elements = _arrays_of(mesh)
     return ForwardModel(Mesh(nodes, elements), points(mesh.el_pos), protocol_from_pyeit(protocol, amplitude_a))
 
@@ -163,7 +188,9 @@ def pyeidors_model(fwd_model: Any) -> ForwardModel:
         impedance = float(_get(electrode, "z_contact"))
         make = Electrode.edges if faces.shape[1] == 2 else Electrode.faces
         electrodes.append(make(faces, impedance))
-    stimulations, measurements, of = [], [], []
+    stimulations: list[np.ndarray] = []
+    measurements: list[np.ndarray] = []
+    of: list[int] = []
     for number, stimulation in enumerate(_get(fwd_model, "stimulation", "stimulations")):
         stimulations.append(_dense(_get(stimulation, "stim_pattern")).ravel())
         rows = np.atleast_2d(_dense(_get(stimulation, "meas_pattern")))
@@ -177,9 +204,28 @@ def _dense(pattern: Any) -> np.ndarray:
 
 
 def ring_electrodes(mesh: Mesh, count: int, width_m: float, contact_impedance: float, *, start_rad: float = 0.0) -> list[Electrode]:
-    """Electrodes at equal angles round a flat mesh's rim: the boundary edges whose middles lie within half a width (along
-    a circle through them) of each middle, counter-clockwise from ``start_rad``. Edges are as the mesh has them: a mesh that is coarse
-    beside the width gives electrodes of other widths.
+    """Electrodes at equal angles round a flat mesh's rim, counter-clockwise.
+
+    Each is the boundary edges whose middles lie within half a width of its middle, along a circle through them. Edges are
+    as the mesh has them: a mesh that is coarse beside the width gives electrodes of other widths.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        A flat one.
+    count : int
+        How many electrodes.
+    width_m : float
+        Width of each, in the unit of the mesh's nodes.
+    contact_impedance : float
+        Contact impedance, ohm.m.
+    start_rad : float
+        Angle of the first, from +x.
+
+    Returns
+    -------
+    list of Electrode
+        In order.
     """
     nodes = np.asarray(mesh.nodes)[:, :2]
     edges = mesh.boundary_faces

@@ -61,7 +61,26 @@ def skin(of: Any, axes: Any = None, *, mesh: bool = False) -> Any:
 
 
 def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", symmetric: bool = True) -> Any:
-    """An image with its colour bar, the scale of both axes in millimetres."""
+    """An image with its colour bar, the scale of both axes in millimetres.
+
+    Parameters
+    ----------
+    values : array_like
+        Shape (rows, columns), row 0 at the top, NaN outside.
+    extent_mm : sequence of float
+        Left, right, bottom and top, millimetres.
+    axes : matplotlib.axes.Axes, optional
+        Where; a new figure's where left out.
+    label : str
+        Of the colour bar.
+    symmetric : bool
+        Whether zero is in the middle of the colours.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in millimetres.
+    """
     axes = _axes(axes)
     values = np.asarray(values)
     finite = values[np.isfinite(values)]
@@ -73,7 +92,20 @@ def image(values: Any, extent_mm: Any, axes: Any = None, *, label: str = "", sym
 
 
 def result(of: Any, axes: Any = None) -> Any:
-    """A result's image, with its touches as crosses of one standard deviation and their identities."""
+    """A result's image, with its touches as crosses of one standard deviation and their identities.
+
+    Parameters
+    ----------
+    of : Result
+        What to draw.
+    axes : matplotlib.axes.Axes, optional
+        Where; a new figure's where left out.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in millimetres.
+    """
     axes = image(of.image, of.extent_mm, axes, label=of.image_quantity)
     for touch in of.touches:
         if touch.phase == "end":
@@ -85,7 +117,22 @@ def result(of: Any, axes: Any = None) -> Any:
 
 
 def maps(of: Any, axes: Any = None, *, what: str = "position_bound_mm") -> Any:
-    """A map of a design: `position_bound_mm`, `sensitivity`, `smallest_change`, `amplitude_bound` or `spread_mm`."""
+    """A map of a design.
+
+    Parameters
+    ----------
+    of : Maps
+        What to draw.
+    axes : matplotlib.axes.Axes, optional
+        Where; a new figure's where left out.
+    what : str
+        One of `position_bound_mm`, `sensitivity`, `smallest_change`, `amplitude_bound` and `spread_mm`.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes, in millimetres.
+    """
     axes = image(getattr(of, what), of.extent_mm, axes, label=what.replace("_", " "), symmetric=False)
     axes.set_title(of.skin.title or of.skin.name)
     return axes

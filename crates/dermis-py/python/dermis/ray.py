@@ -7,6 +7,7 @@ lost and nothing doubled.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,13 @@ def _progress(total: int, unit: str) -> Any:
     return tqdm(total=total, unit=unit, leave=False)
 
 
+def _keep_to_one_processor() -> None:
+    """A task has asked for one processor; without this it would take all of its node, beside the other tasks there."""
+    os.environ.setdefault("RAYON_NUM_THREADS", "1")
+
+
 def _shard(toml: str, folder: str, shard: int, samples: int, shard_samples: int, seed: int) -> int:
+    _keep_to_one_processor()
     skin = _dermis.Skin.from_toml(toml)
     return _dermis.write_shard(skin, folder, shard, samples, shard_samples=shard_samples, seed=seed)
 
@@ -86,6 +93,7 @@ def train_set(skin: Any, n: int, folder: str | Path, *, shard_samples: int = 250
 
 
 def _tolerance(toml: str, samples: int, presses: int, pokes: list[int], seed: int) -> list[tuple[Any, ...]]:
+    _keep_to_one_processor()
     skin = _dermis.Skin.from_toml(toml)
     return _dermis.tolerance_rows(skin, samples=samples, presses=presses, pokes=pokes, seed=seed)
 
@@ -114,7 +122,9 @@ def tolerances(skin: Any, n: int, *, batch: int = 20, presses: int = 12, seed: i
         raise InputError(f"n, batch: expected 1 or more, got {n}, {batch}")
     toml = _toml(skin)
     starts = range(0, n, batch)
-    tasks = [(toml, min(batch, n - start), presses, [], seed + number) for number, start in enumerate(starts)]
+    tasks: list[tuple[Any, ...]] = [
+        (toml, min(batch, n - start), presses, [], seed + number) for number, start in enumerate(starts)
+    ]
     return _fan_out(_tolerance, tasks, "batch")
 
 
@@ -138,17 +148,19 @@ def sweep(skin: Any, parameters: Iterable[Any], work: Callable[[_dermis.Skin, An
     toml = _toml(skin)
 
     def task(text: str, parameter: Any) -> Any:
+        _keep_to_one_processor()
         return work(_dermis.Skin.from_toml(text), parameter)
 
     return _fan_out(task, [(toml, parameter) for parameter in parameters], "parameter")
 
 
 def _experiment(which: str, folder: str, options: list[str]) -> int:
+    _keep_to_one_processor()
     return _dermis.run_command(["dermis", "reproduce", which, "--out", folder, *options])
 
 
 def reproduce(which: Iterable[str], folder: str | Path, options: Iterable[str] = ()) -> dict[str, int]:
     """Replays the experiments of published skins, one task each, into folders of their own; their exit codes."""
     names, options = list(which), list(options)
-    tasks = [(name, str(Path(folder).absolute() / name), options) for name in names]
+    tasks: list[tuple[Any, ...]] = [(name, str(Path(folder).absolute() / name), options) for name in names]
     return dict(zip(names, _fan_out(_experiment, tasks, "experiment"), strict=True))

@@ -6,7 +6,7 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{Doubles, shape_text};
 use crate::errors::Fault;
-use crate::model::PyGrid;
+use crate::grid::PyGrid;
 
 /// The GREIT figures of an image of one target (Adler et al., Physiol. Meas. 30, 2009).
 ///
@@ -24,8 +24,8 @@ use crate::model::PyGrid;
 /// Returns
 /// -------
 /// dict
-///     ``amplitude_response``, ``radial_position_error_m``, ``position_error_m``, ``resolution``, ``shape_deformation``,
-///     ``ringing``.
+///     ``amplitude_response``, ``radial_position_error_m``, ``position_error_m``, ``resolution``,
+///     ``shape_deformation``, ``ringing``.
 #[pyfunction]
 pub fn greit_figures<'py>(
     py: Python<'py>,

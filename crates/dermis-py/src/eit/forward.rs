@@ -11,10 +11,7 @@ use super::mesh::{PyElectrode, PyMesh};
 use super::protocol::PyProtocol;
 use crate::arrays::{Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
-use crate::work::{pool, run};
-
-/// Conductivities between two looks for Ctrl-C.
-const CHUNK: usize = 256;
+use crate::work::{run, run_steps};
 
 /// The electrodes of a mesh.
 pub fn electrodes_of(body: &ElectrodedMesh) -> Vec<PyElectrode> {
@@ -47,23 +44,15 @@ pub fn voltages_of_rows<'py>(
         )
         .into());
     }
-    let own = threads.map(pool).transpose()?;
     let values = sigmas.values()?;
     let mut voltages = vec![0.0; count * channels];
-    for (chunk, (rows, out)) in values.chunks(CHUNK * elements).zip(voltages.chunks_mut(CHUNK * channels)).enumerate() {
-        let solve = || {
-            let rows = rows.par_chunks_exact(elements).zip(out.par_chunks_exact_mut(channels)).enumerate();
-            rows.try_for_each(|(row, (sigma, out))| {
-                out.copy_from_slice(&read(sigma).map_err(|fault| fault.at(&format!("row {}", chunk * CHUNK + row)))?);
-                Ok::<(), Fault>(())
-            })
-        };
-        match &own {
-            Some(own) => run(py, || own.install(solve))?,
-            None => run(py, solve)?,
-        }
-        py.check_signals()?;
-    }
+    run_steps(py, "voltages", count, threads, |progress| {
+        let rows = values.par_chunks_exact(elements).zip(voltages.par_chunks_exact_mut(channels)).enumerate();
+        rows.try_for_each(|(row, (sigma, out))| {
+            out.copy_from_slice(&read(sigma).map_err(|fault| fault.at(&format!("row {row}")))?);
+            progress.step()
+        })
+    })?;
     array2(py, voltages, count, channels)
 }
 
@@ -141,14 +130,36 @@ impl PyForwardModel {
         PyProtocol { protocol: self.model.protocol().clone() }
     }
 
-    /// Voltages of all channels, shape (k,), at a conductivity, shape (m,).
+    /// Voltages of all channels.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (k,), volts.
     fn voltages<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let sigma = self.sigma(sigma)?;
         let sigma = sigma.values()?;
         Ok(array1(py, run(py, || Ok(self.model.voltages(sigma)?))?))
     }
 
-    /// Voltages, shape (n, k), of many conductivities, shape (n, m), on so many threads.
+    /// Voltages of many conductivities, in parallel.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigmas : array_like
+    ///     Shape (n, m): a conductivity a row.
+    /// threads : int, optional
+    ///     How many; all processors where left out.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n, k), volts.
     #[pyo3(signature = (sigmas, threads=None))]
     fn voltages_many<'py>(
         &self,
@@ -160,7 +171,17 @@ impl PyForwardModel {
         voltages_of_rows(py, sigmas, self.elements(), self.channels(), threads, &read)
     }
 
-    /// Sensitivities, shape (k, m), with EIDORS' sign and units.
+    /// Sensitivity of every channel to every element, with EIDORS' sign and units.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (k, m), dv/dsigma.
     fn jacobian<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let sigma = self.sigma(sigma)?;
         let sigma = sigma.values()?;
@@ -169,6 +190,18 @@ impl PyForwardModel {
     }
 
     /// ``jacobian(sigma).T @ cotangent`` without forming the Jacobian.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    /// cotangent : array_like
+    ///     Shape (k,): weight of every channel.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (m,).
     fn vjp<'py>(
         &self,
         py: Python<'py>,
@@ -182,7 +215,19 @@ impl PyForwardModel {
         Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.vjp(cotangent)?))?))
     }
 
-    /// Potentials of all nodes during a stimulation, shape (n,), volts, against the last electrode.
+    /// Potentials of all nodes during a stimulation.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    /// stimulation : int
+    ///     Which of the protocol, from 0.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (n,), volts, against the last electrode.
     fn node_potentials<'py>(
         &self,
         py: Python<'py>,
@@ -194,7 +239,19 @@ impl PyForwardModel {
         Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.node_potentials(stimulation)))?))
     }
 
-    /// Potentials of the electrodes during a stimulation, shifted so that they add to zero.
+    /// Potentials of the electrodes during a stimulation.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    /// stimulation : int
+    ///     Which of the protocol, from 0.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (electrodes,), volts, shifted so that they add to zero.
     fn electrode_potentials<'py>(
         &self,
         py: Python<'py>,
@@ -206,7 +263,17 @@ impl PyForwardModel {
         Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.electrode_potentials(stimulation)))?))
     }
 
-    /// Shape (electrodes, electrodes), ohm: potential of the row's electrode against the last for 1 A into the column's.
+    /// Potentials of the electrodes for currents into them.
+    ///
+    /// Parameters
+    /// ----------
+    /// sigma : array_like
+    ///     Shape (m,): one conductivity an element, positive.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (electrodes, electrodes), ohm: potential of the row's electrode against the last for 1 A into the column's.
     fn transfer_impedance<'py>(
         &self,
         py: Python<'py>,

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Doubles, array1, array2, indices, read_only, shape_text};
 use crate::errors::Fault;
-use crate::model::PyGrid;
+use crate::grid::PyGrid;
 use crate::work::run;
 
 /// Nodes as an array, two columns where all lie in the plane z = 0.
@@ -114,9 +114,12 @@ impl PyMesh {
     /// Parameters
     /// ----------
     /// pixels : int
-    ///     Along the longer side.
+    ///     Along the longer side, at most 4096.
     #[pyo3(signature = (pixels=64))]
     fn grid(&self, py: Python<'_>, pixels: usize) -> PyResult<PyGrid> {
+        if !(1..=MOST_PIXELS).contains(&pixels) {
+            return Err(Fault::input("pixels", format!("1 to {MOST_PIXELS} along the longer side"), pixels).into());
+        }
         let map = run(py, || Ok(PixelMap::new(PixelGrid::over_mesh(&self.mesh, pixels)?, &self.mesh)?))?;
         Ok(PyGrid { map: Arc::new(map) })
     }
@@ -141,6 +144,8 @@ pub struct PyElectrode {
     pub electrode: Electrode,
 }
 
+/// Pixels along the longer side of a grid: more would not fit into memory.
+const MOST_PIXELS: usize = 4096;
 /// Node indices are checked against the mesh that an electrode is put on.
 const ANY: usize = u32::MAX as usize;
 
@@ -154,14 +159,36 @@ fn faces(what: &str, nodes: &Bound<'_, PyAny>, columns: usize) -> PyResult<Vec<V
 
 #[pymethods]
 impl PyElectrode {
-    /// On edges of a flat mesh, shape (p, 2); contact impedance in ohm.m.
+    /// On edges of a flat mesh.
+    ///
+    /// Parameters
+    /// ----------
+    /// nodes : array_like
+    ///     Shape (p, 2): the two nodes of every edge, from 0.
+    /// contact_impedance : float
+    ///     Contact impedance, ohm.m.
+    ///
+    /// Returns
+    /// -------
+    /// Electrode
     #[staticmethod]
     fn edges(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
         let contact = Contact::Faces(faces("edges", nodes, 2)?);
         Ok(Self { electrode: Electrode { contact, contact_impedance } })
     }
 
-    /// On faces of a solid, shape (p, 3); contact impedance in ohm.m^2.
+    /// On faces of a solid.
+    ///
+    /// Parameters
+    /// ----------
+    /// nodes : array_like
+    ///     Shape (p, 3): the three nodes of every face, from 0.
+    /// contact_impedance : float
+    ///     Contact impedance, ohm.m^2.
+    ///
+    /// Returns
+    /// -------
+    /// Electrode
     #[staticmethod]
     #[pyo3(name = "faces")]
     fn of_faces(nodes: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
@@ -169,7 +196,18 @@ impl PyElectrode {
         Ok(Self { electrode: Electrode { contact, contact_impedance } })
     }
 
-    /// A pad under elements of a sheet, shape (p,); contact impedance in ohm.m^2.
+    /// A pad under elements of a sheet.
+    ///
+    /// Parameters
+    /// ----------
+    /// elements : array_like
+    ///     Shape (p,): the elements, from 0.
+    /// contact_impedance : float
+    ///     Contact impedance, ohm.m^2.
+    ///
+    /// Returns
+    /// -------
+    /// Electrode
     #[staticmethod]
     fn elements(elements: &Bound<'_, PyAny>, contact_impedance: f64) -> PyResult<Self> {
         let (list, shape) = indices("elements", elements, ANY, "elements")?;
@@ -196,7 +234,7 @@ impl PyElectrode {
         }
     }
 
-    /// Its edges, faces, elements or node.
+    /// Nodes of its edges, shape (p, 2), or faces, shape (p, 3); its elements, shape (p,), or its node, shape (1,).
     #[getter]
     fn parts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         Ok(match &self.electrode.contact {
@@ -209,7 +247,7 @@ impl PyElectrode {
         })
     }
 
-    /// Specific contact impedance.
+    /// Contact impedance: ohm.m on edges, ohm.m^2 on faces and elements, 0 of a point.
     #[getter]
     fn contact_impedance(&self) -> f64 {
         self.electrode.contact_impedance

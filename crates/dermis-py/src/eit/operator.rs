@@ -39,13 +39,24 @@ impl PyPrior {
         Self { prior: Prior::Noser { exponent } }
     }
 
-    /// Covariance exp(-d^2 / (2 l^2)).
+    /// Covariance exp(-d^2 / (2 l^2)) of elements a distance d apart, with l in metres.
     #[staticmethod]
     fn gaussian(correlation_length_m: f64) -> Self {
         Self { prior: Prior::Gaussian { correlation_length_m } }
     }
 
-    /// The same, balanced by sensitivity.
+    /// The covariance of :meth:`gaussian`, balanced by sensitivity.
+    ///
+    /// Parameters
+    /// ----------
+    /// correlation_length_m : float
+    ///     The length l, metres.
+    /// exponent : float
+    ///     How far: 0 is none.
+    ///
+    /// Returns
+    /// -------
+    /// Prior
     #[staticmethod]
     #[pyo3(signature = (correlation_length_m, exponent=1.0))]
     fn balanced(correlation_length_m: f64, exponent: f64) -> Self {
@@ -107,7 +118,7 @@ fn rule_of(value: &Bound<'_, PyAny>, signal: Option<&Bound<'_, PyAny>>) -> PyRes
 /// prior : Prior
 ///     R.
 /// hyperparameter : float, str or tuple
-///     lambda, which enters squared, or a rule: ``"l-curve"``, ``"gcv"``, ``("relative", factor)``, ``("noise-figure",
+///     The number lambda, which enters squared, or a rule: ``"l-curve"``, ``"gcv"``, ``("relative", factor)``, ``("noise-figure",
 ///     target)``, ``("known-noise", factor)``.
 /// mesh : Mesh, optional
 ///     The elements, for priors that know neighbours or distances.
@@ -228,6 +239,19 @@ impl PyOperator {
     }
 
     /// The same problem at another hyperparameter.
+    ///
+    /// Parameters
+    /// ----------
+    /// hyperparameter : float, str or tuple
+    ///     A number or a rule.
+    /// data : array_like, optional
+    ///     Shape (n, k): difference data that rules look at.
+    /// signal : array_like, optional
+    ///     Shape (k,): difference data of a small target, for the noise figure.
+    ///
+    /// Returns
+    /// -------
+    /// Operator
     #[pyo3(signature = (hyperparameter, *, data=None, signal=None))]
     fn at(
         &self,

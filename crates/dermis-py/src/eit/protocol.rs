@@ -108,6 +108,9 @@ fn measure_of(value: &Bound<'_, PyAny>, electrodes: usize) -> PyResult<Measure> 
     }
 }
 
+/// Channels go with the square of the electrodes: more would not fit into memory.
+const MOST_ELECTRODES: usize = 512;
+
 #[pymethods]
 impl PyProtocol {
     #[new]
@@ -154,6 +157,9 @@ impl PyProtocol {
         if electrodes > 4096 {
             return Err(Fault::input("electrodes", "at most 4096", electrodes).into());
         }
+        if electrodes > MOST_ELECTRODES {
+            return Err(Fault::input("electrodes", format!("at most {MOST_ELECTRODES}"), electrodes).into());
+        }
         let spec = ProtocolSpec {
             electrode_count: electrodes,
             drive: drive.map_or(Ok(Drive::Adjacent), |drive| drive_of(drive, electrodes))?,
@@ -166,6 +172,21 @@ impl PyProtocol {
     }
 
     /// Adjacent drives and measurements.
+    ///
+    /// Parameters
+    /// ----------
+    /// electrodes : int
+    ///     How many.
+    /// rotating : bool
+    ///     Whether measurements begin at the driven electrodes in place of the first.
+    /// keep_driven : bool
+    ///     Whether pairs with a driven electrode are measured too.
+    /// amplitude_a : float
+    ///     Current, amperes.
+    ///
+    /// Returns
+    /// -------
+    /// Protocol
     #[staticmethod]
     #[pyo3(signature = (electrodes, *, rotating=false, keep_driven=false, amplitude_a=1e-3))]
     fn adjacent(electrodes: usize, rotating: bool, keep_driven: bool, amplitude_a: f64) -> PyResult<Self> {
@@ -203,7 +224,7 @@ impl PyProtocol {
         array1(py, self.protocol.measurements().iter().map(|measurement| measurement.stimulation).collect())
     }
 
-    /// As :attr:`dermis.Model.channels`.
+    /// Electrodes of every channel, shape (k, 4), as :attr:`dermis.Model.channels`.
     #[getter]
     fn channels<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<i32>>> {
         channels_of(py, &self.protocol)

@@ -14,9 +14,9 @@
 use std::collections::HashMap;
 
 use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
-use thiserror::Error;
 
-use super::forward::{EitError, Solution};
+use super::error::{CircuitError, EitError};
+use super::forward::Solution;
 use super::protocol::{Pattern, Protocol};
 
 /// One value for each of the three lines that a channel connects besides the source.
@@ -53,45 +53,6 @@ pub struct ReadoutCircuit {
     pub reading: Lines,
     /// Where the current goes.
     pub current_return: CurrentReturn,
-}
-
-/// Why a circuit does not fit a protocol or a skin.
-#[derive(Clone, Debug, Error, PartialEq)]
-#[non_exhaustive]
-pub enum CircuitError {
-    /// A channel that is no pair of electrodes driven and a pair read.
-    #[error(
-        "channel {channel}: its {what} has {entries} electrodes adding to {sum:e}; expected two of opposite weight"
-    )]
-    NotAPair {
-        /// Which channel.
-        channel: usize,
-        /// `stimulation` or `measuring pattern`.
-        what: &'static str,
-        /// Electrodes with a weight.
-        entries: usize,
-        /// Sum of the weights.
-        sum: f64,
-    },
-    /// A value that no circuit has.
-    #[error("{field}: {value} is not {expected}")]
-    Value {
-        /// Which field.
-        field: &'static str,
-        /// The value.
-        value: f64,
-        /// What was expected.
-        expected: &'static str,
-    },
-    /// No line leads to ground, so the potentials are undetermined, or two electrodes are one.
-    #[error("channel {channel}: potentials are undetermined; expected a positive load on at least one line")]
-    Floating {
-        /// Which channel.
-        channel: usize,
-    },
-    /// The skin has no admittance matrix.
-    #[error("the transfer impedance is not positive definite; expected electrodes that share no node")]
-    Impedance,
 }
 
 /// Readings of a circuit, and the protocol whose Jacobian is theirs.
@@ -289,7 +250,8 @@ fn pair(what: &'static str, channel: usize, pattern: &Pattern) -> Result<(usize,
     }
 }
 
-/// `G`, electrodes x electrodes in siemens: currents into the skin for given electrode potentials. Its rows add to zero.
+/// `G`, electrodes x electrodes in siemens: currents into the skin for given electrode potentials. Its rows add to
+/// zero.
 fn electrode_admittance(impedance: MatRef<'_, f64>) -> Result<Mat<f64>, CircuitError> {
     let last = impedance.nrows() - 1;
     let factor = impedance.submatrix(0, 0, last, last).llt(Side::Lower).map_err(|_| CircuitError::Impedance)?;
@@ -387,7 +349,8 @@ mod tests {
             (deviation(ReadoutCircuit::differential(1e-4)), deviation(ReadoutCircuit::differential(1e-6)));
         // First order in the load.
         assert!(little < 1e-5 && (some / little - 100.0).abs() < 1.0, "{some:e} {little:e}");
-        // A source against ground stays far from it however small the loads are: the current returns through all of them.
+        // A source against ground stays far from it however small the loads are: the current returns through all of
+        // them.
         let grounded = ReadoutCircuit { current_return: CurrentReturn::Ground, ..ReadoutCircuit::differential(1e-6) };
         assert!(deviation(grounded) > 0.1);
         // Unless one line is as good as ground: a grounded sink is the plain model again.

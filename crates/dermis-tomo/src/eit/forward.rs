@@ -3,79 +3,12 @@
 
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
-use thiserror::Error;
 
-use super::circuit::CircuitError;
+use super::error::EitError;
 use super::protocol::{Measurement, Pattern, Protocol};
 use super::system::{ElementGeometry, System};
 use crate::mesh::{Contact, ElectrodedMesh, SlitEdge};
-use crate::sparse::{SparseError, SpdFactor};
-
-/// Why a forward problem could not be posed or solved.
-#[derive(Clone, Debug, Error, PartialEq)]
-#[non_exhaustive]
-pub enum EitError {
-    /// Mesh and protocol disagree, or there are too few electrodes.
-    #[error("the mesh carries {mesh} electrodes, the protocol is for {protocol}; both must agree and be at least 2")]
-    ElectrodeCount {
-        /// Electrodes of the mesh.
-        mesh: usize,
-        /// Electrodes of the protocol.
-        protocol: usize,
-    },
-    /// Wrong number of conductivities.
-    #[error("conductivity: expected {expected} values (one an element), got {got}")]
-    ConductivityCount {
-        /// Elements.
-        expected: usize,
-        /// Values given.
-        got: usize,
-    },
-    /// A conductivity that no passive material has.
-    #[error("conductivity of element {element} is {value}; expected positive and finite")]
-    Conductivity {
-        /// Element index.
-        element: usize,
-        /// The value.
-        value: f64,
-    },
-    /// Wrong number of channels.
-    #[error("frame: expected {expected} values (one a channel), got {got}")]
-    ChannelCount {
-        /// Channels.
-        expected: usize,
-        /// Values given.
-        got: usize,
-    },
-    /// A patch of contact that there cannot be.
-    #[error("contact of radius {radius_m} m and {conductance_s_per_m2} S/m^2; expected both positive and finite")]
-    Contact {
-        /// Its radius.
-        radius_m: f64,
-        /// Its conductance per area.
-        conductance_s_per_m2: f64,
-    },
-    /// A slit's edge that conducts as nothing does.
-    #[error("joint {index} conducts {value} S/m; expected 0 or more, and finite")]
-    Joint {
-        /// Which of the edges.
-        index: usize,
-        /// Its conductance per length.
-        value: f64,
-    },
-    /// Contacts were asked for on a body whose reference electrode is a point.
-    #[error("contacts need electrodes with a contact impedance, and the last one is a point")]
-    PointElectrode,
-    /// The system could not be factored.
-    #[error("forward problem: {0}")]
-    System(#[from] SparseError),
-    /// A readout circuit does not fit.
-    #[error("readout circuit: {0}")]
-    Circuit(#[from] CircuitError),
-    /// A fit was asked for with parameters that make no sense.
-    #[error(transparent)]
-    Fit(#[from] crate::least_squares::Error),
-}
+use crate::sparse::SpdFactor;
 
 /// Mesh, electrodes and protocol made ready to solve for any conductivity.
 #[derive(Debug)]
@@ -105,8 +38,8 @@ impl ForwardModel {
         Self::with_joints(body, protocol, &[])
     }
 
-    /// As [`ForwardModel::new`], of a sheet with slits ([`crate::mesh::SlitMesh`]) of which these edges conduct from one side to
-    /// the other: siemens per metre of the edge.
+    /// As [`ForwardModel::new`], of a sheet with slits ([`crate::mesh::SlitMesh`]) of which these edges conduct from
+    /// one side to the other: siemens per metre of the edge.
     ///
     /// # Errors
     /// As [`ForwardModel::new`]; a conductance that is negative or not finite.
@@ -242,8 +175,8 @@ impl Solution<'_> {
         self.model
     }
 
-    /// Transfer impedances in ohm, electrodes x electrodes, symmetric: potential of the row's electrode for 1 A into the
-    /// column's and out of the last electrode, against the last. Row and column of the last are zero.
+    /// Transfer impedances in ohm, electrodes x electrodes, symmetric: potential of the row's electrode for 1 A into
+    /// the column's and out of the last electrode, against the last. Row and column of the last are zero.
     pub fn transfer_impedance(&self) -> MatRef<'_, f64> {
         self.impedance.as_ref()
     }

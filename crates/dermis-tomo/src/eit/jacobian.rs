@@ -6,7 +6,8 @@ use std::collections::HashMap;
 
 use pulp::{Arch, NullaryFnOnce};
 
-use super::forward::{EitError, Solution};
+use super::error::EitError;
+use super::forward::Solution;
 use super::protocol::{Pattern, Protocol};
 use super::system::ElementGeometry;
 use crate::mesh::{Mesh, PixelMap};
@@ -68,9 +69,9 @@ impl Solution<'_> {
 }
 
 impl Solution<'_> {
-    /// `J' c`: how a weighted sum of the channels changes with the conductivity of every element, without forming J. The
-    /// weighted measuring patterns of a stimulation are one adjoint field, so that this costs as many fields as there are
-    /// stimulations, whatever the number of channels.
+    /// `J' c`: how a weighted sum of the channels changes with the conductivity of every element, without forming J.
+    /// The weighted measuring patterns of a stimulation are one adjoint field, so that this costs as many fields as
+    /// there are stimulations, whatever the number of channels.
     ///
     /// # Errors
     /// [`EitError::ChannelCount`] unless there is one weight a channel.

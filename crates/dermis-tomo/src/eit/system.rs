@@ -5,7 +5,7 @@
 //! their node. The last electrode is the reference (0 V): its unknown is left out, which changes no measured value as
 //! every stimulation is balanced.
 
-use super::forward::EitError;
+use super::error::EitError;
 use crate::mesh::{Contact, ElectrodedMesh, Mesh, SlitEdge, joint_entries};
 use crate::sparse::{Ordering, SpdFactor, SpdStructure};
 
@@ -14,7 +14,8 @@ const DROPPED: u32 = u32::MAX;
 /// `grad phi_a . grad phi_b` times the element's measure, and the square root used by the Jacobian.
 #[derive(Debug)]
 pub(super) struct ElementGeometry {
-    /// Lower-triangular C (row-major, d(d+1)/2 an element) with `measure * G^-1 = C C'`, G the Gram matrix of the edges.
+    /// Lower-triangular C (row-major, d(d+1)/2 an element) with `measure * G^-1 = C C'`, G the Gram matrix of the
+    /// edges.
     pub(super) roots: Vec<f64>,
     /// d, the dimension of the elements.
     pub(super) dimension: usize,

@@ -8,7 +8,7 @@ use faer::linalg::solvers::{Llt, Solve};
 use faer::{Accum, Mat, MatRef, Par, Scale, Side};
 
 use super::reciprocity::ReciprocalColumns;
-use super::{Hyperparameter, InverseError, PriorMatrix, Spectrum, Weighting, check_finite};
+use super::{InverseError, PriorMatrix, Spectrum, Weighting, check_finite, check_hyperparameter};
 
 /// Below this many unknowns a singular prior is solved exactly, in model space.
 const MODEL_SPACE_LIMIT: usize = 1500;
@@ -55,14 +55,14 @@ struct UnknownsForm {
     information: Mat<f64>,
 }
 
-/// `(J P J' + lambda^2 W^-1)^-1`, channels x channels: the inverse covariance that prior and noise together give difference
-/// data, over lambda^2.
+/// `(J P J' + lambda^2 W^-1)^-1`, channels x channels: the inverse covariance that prior and noise together give
+/// difference data, over lambda^2.
 #[derive(Clone, Debug)]
 pub enum DataPrecision {
     /// The matrix.
     Whole(Mat<f64>),
-    /// Rows are made when asked for, `(W - W J X) / lambda^2` with X the operator (Woodbury): channels outnumber unknowns,
-    /// and the matrix would be the largest of all.
+    /// Rows are made when asked for, `(W - W J X) / lambda^2` with X the operator (Woodbury): channels outnumber
+    /// unknowns, and the matrix would be the largest of all.
     Implied {
         /// W.
         weighting: Weighting,
@@ -133,15 +133,6 @@ impl LinearProblem {
         self.alike.expanded(self.sensitivities.as_ref()).transpose().to_owned()
     }
 
-    /// Chooses the hyperparameter by the rule given; `data` (difference data of example frames) is needed by the rules
-    /// that look at data.
-    ///
-    /// # Errors
-    /// See [`Hyperparameter`].
-    pub fn choose(&self, rule: &Hyperparameter, data: &[Vec<f64>]) -> Result<f64, InverseError> {
-        rule.choose(self, data)
-    }
-
     /// Eigenvalues of the whitened data-space problem, from which every hyperparameter can be judged cheaply.
     ///
     /// # Errors
@@ -175,14 +166,7 @@ impl LinearProblem {
     /// # Errors
     /// A hyperparameter that is not positive and finite, or a system that is not positive definite.
     pub fn operator(&self, hyperparameter: f64) -> Result<Operator, InverseError> {
-        if !(hyperparameter > 0.0 && hyperparameter.is_finite()) {
-            return Err(InverseError::Value {
-                what: "hyperparameter",
-                index: None,
-                value: hyperparameter,
-                expected: "positive and finite",
-            });
-        }
+        check_hyperparameter(hyperparameter)?;
         match &self.form {
             Form::Data(form) => self.data_space(hyperparameter, form),
             Form::Model | Form::Unknowns(_) => self.over_unknowns(hyperparameter),

@@ -1,19 +1,19 @@
 //! Gauss-Newton for large contrasts, in `y = log(sigma / sigma_rest)` on pixels: conductivity stays positive, and an
 //! insulator and a metal are equally far from rest. With `F(y)` the forward model, `J = dF/dy` at the iterate and the
-//! prior's covariance `P = R^-1` and lambda held fixed, every step solves the linearised problem anew (Tarantola, Inverse
-//! Problem Theory, 2005, eq. 3.51):
-//! `y+ = P J'(J P J' + lambda^2 W^-1)^-1 (dv - F(y) + F(0) + J y)`.
+//! prior's covariance `P = R^-1` and lambda held fixed, every step solves the linearised problem anew (Tarantola,
+//! Inverse Problem Theory, 2005, eq. 3.51): `y+ = P J'(J P J' + lambda^2 W^-1)^-1 (dv - F(y) + F(0) + J y)`.
 //!
-//! Channels are never handled singly. With one current pattern after another made of neighbouring pairs, every voltage is
-//! a combination `v = B u` of the L(L-1)/2 transfer impedances u between neighbouring pairs of L electrodes (reciprocity
-//! makes the others equal). `B'WB = Q e Q'` then gives `e^1/2 Q'` for `W^1/2 B` with the same normal equations, so that
-//! 2356 channels of 32 electrodes are 496 rows and nothing is lost.
+//! Channels are never handled singly. With one current pattern after another made of neighbouring pairs, every voltage
+//! is a combination `v = B u` of the L(L-1)/2 transfer impedances u between neighbouring pairs of L electrodes
+//! (reciprocity makes the others equal). `B'WB = Q e Q'` then gives `e^1/2 Q'` for `W^1/2 B` with the same normal
+//! equations, so that 2356 channels of 32 electrodes are 496 rows and nothing is lost.
 //!
 //! Nor are pixels, where the prior is smooth: with `P = U U'` of few columns (pivoted Cholesky) the step is
 //! `y+ = U (U'J'J U + lambda^2)^-1 U'J' b`, over those columns alone.
 
 use faer::{ColRef, Mat, MatRef, Side, linalg::solvers::Solve};
 
+use super::check::positive;
 use super::{InverseError, PriorMatrix, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
 use crate::mesh::{ElectrodedMesh, PixelMap};
@@ -50,9 +50,7 @@ impl GaussNewton {
             ("largest Gauss-Newton step", self.largest_step),
             ("limit of the log conductivity", self.limit),
         ] {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(InverseError::Value { what, index: None, value, expected: "positive and finite" });
-            }
+            positive(what, value)?;
         }
         Ok(())
     }
@@ -109,8 +107,8 @@ struct Linearisation {
 
 impl NonlinearProblem {
     /// Brings the parts together. `rest_conductivity` is uniform, in S/m (S on sheets); `map` belongs to the mesh of
-    /// `body`; the prior is over the inside pixels, for relative changes of conductivity; frames will have the channels of
-    /// `protocol`.
+    /// `body`; the prior is over the inside pixels, for relative changes of conductivity; frames will have the channels
+    /// of `protocol`.
     ///
     /// # Errors
     /// Sizes that disagree, or a body that cannot be solved.
@@ -202,8 +200,8 @@ impl NonlinearProblem {
     /// `step_done` is told how many steps are done.
     ///
     /// # Errors
-    /// Parameters that are not positive, a frame of the wrong length or with values that are not finite where the reduced
-    /// channels expect some, or a forward problem that cannot be solved.
+    /// Parameters that are not positive, a frame of the wrong length or with values that are not finite where the
+    /// reduced channels expect some, or a forward problem that cannot be solved.
     pub fn solve(
         &self,
         parameters: &GaussNewton,
@@ -328,8 +326,8 @@ impl FactoredPrior {
     }
 }
 
-/// U with `U U'` a covariance up to a [`NEGLECTED`] share of its largest variance in every variance; `None` where that takes more than half as
-/// many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
+/// U with `U U'` a covariance up to a [`NEGLECTED`] share of its largest variance in every variance; `None` where that
+/// takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
 fn pivoted_cholesky(covariance: MatRef<'_, f64>) -> Option<Mat<f64>> {
     let size = covariance.nrows();
     let mut left: Vec<f64> = (0..size).map(|k| covariance[(k, k)]).collect();

@@ -1,6 +1,6 @@
 //! By which rules steps are damped, taken and ended.
 
-use super::Progress;
+use super::progress::Progress;
 
 /// Parameters that make no sense.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -55,8 +55,8 @@ impl Default for Damping {
 pub enum Control {
     /// Damping of the equations; a rejected step is solved for anew.
     Damping(Damping),
-    /// Whole steps, shortened by a factor between 0 and 1 each time they are rejected. A rejected step that moves no farther
-    /// than the tolerance settles the fit.
+    /// Whole steps, shortened by a factor between 0 and 1 each time they are rejected. A rejected step that moves no
+    /// farther than the tolerance settles the fit.
     Shortening {
         /// The factor.
         factor: f64,
@@ -124,7 +124,8 @@ pub struct Tolerances {
     pub gain: Option<f64>,
     /// A step would lower the cost by less than this; it is not even tried.
     pub predicted: Option<f64>,
-    /// A step that was taken has lowered the cost as predicted up to less than this: it is a parabola, whose bottom this is.
+    /// A step that was taken has lowered the cost as predicted up to less than this: it is a parabola, whose bottom
+    /// this is.
     pub agreement: Option<f64>,
 }
 

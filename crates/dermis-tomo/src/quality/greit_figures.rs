@@ -2,8 +2,8 @@
 //! linear EIT reconstruction of lung images*, Physiol. Meas. 30 (2009) S35, section 3: amplitude response, position
 //! error, resolution, shape deformation and ringing.
 
+use super::error::{QualityError, check_positive};
 use super::peak::{centroid_m, distance_m, peak};
-use super::{QualityError, check_positive};
 use crate::mesh::PixelGrid;
 
 /// The target that an image should show.
@@ -113,7 +113,8 @@ mod tests {
 
     #[test]
     fn an_oblong_image_is_deformed_by_the_share_outside_the_equal_disc() {
-        // A 4:1 rectangle 0.8 x 0.2 m: the disc of its area has a radius of 0.22568 m, and cuts it at x = +-sqrt(r^2 - y^2).
+        // A 4:1 rectangle 0.8 x 0.2 m: the disc of its area has a radius of 0.22568 m, and cuts it at x = +-sqrt(r^2 -
+        // y^2).
         let (grid, image) = disc(|x, y| f64::from(u8::from(x.abs() < 0.4 && y.abs() < 0.1)));
         let target = Target { centre_m: [0.0, 0.0], area_m2: 0.16, change: 1.0 };
         let figures = GreitFigures::of(&image, &grid, &target).unwrap();

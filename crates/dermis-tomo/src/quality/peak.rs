@@ -1,7 +1,7 @@
 //! Where an image's strongest response lies and how wide it is. The response is taken in the direction of `sign`:
 //! `1.0` for pressed (positive), `-1.0` for damage.
 
-use super::{QualityError, check_length};
+use super::error::{QualityError, check_length};
 use crate::mesh::PixelGrid;
 
 /// Centre of the pixel of largest value (times the sign of `sign`), metres. The first in row-major order among equals.

@@ -1,7 +1,7 @@
 //! Correlation and relative error of an image against a known truth, as in the self-healing skin's paper (Chen, Wang
 //! et al.), equations 6 and 7. Pixels that are not finite in either image are left out.
 
-use super::{QualityError, check_length};
+use super::error::{QualityError, check_length};
 
 /// Image correlation coefficient, equation 6: the Pearson correlation of image and truth, from -1 to 1. Independent of
 /// scale and offset of either.

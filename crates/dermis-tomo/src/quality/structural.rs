@@ -2,7 +2,7 @@
 //! (2004) 600, equation 13; equation 8 of the self-healing skin's paper. With the default options it is the figure
 //! that scikit-image's `structural_similarity` gives for the same `data_range`.
 
-use super::{QualityError, check_length, check_positive};
+use super::error::{QualityError, check_length, check_positive};
 
 /// The window that local means and variances are taken over.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,8 +24,8 @@ pub struct SsimOptions {
     pub k1: f64,
     /// Stabilises the variances: `C2 = (k2 data_range)^2`.
     pub k2: f64,
-    /// Whether variances are those of a sample, `n / (n - 1)` with n pixels a window, as scikit-image has it; Wang et al.
-    /// have it without.
+    /// Whether variances are those of a sample, `n / (n - 1)` with n pixels a window, as scikit-image has it; Wang et
+    /// al. have it without.
     pub sample_covariance: bool,
 }
 

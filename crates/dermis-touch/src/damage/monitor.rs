@@ -6,7 +6,7 @@ use crate::blob::seconds_between;
 use crate::cells::ImageCells;
 use crate::contact::PixelNoise;
 use crate::error::{TouchError, require_length};
-use crate::track::Touch;
+use crate::touch::Touch;
 
 /// A suspicion that is not seen for so long is dropped, seconds.
 const DROP_S: f64 = 0.3;
@@ -39,8 +39,8 @@ pub struct DamageFrame<'a> {
     pub touches: &'a [Touch],
     /// True while anything touches the skin, contacts that are not yet touches included.
     pub loaded: bool,
-    /// What a model makes of the damage known already, as an image: where it explains a low region, that is a side lobe and
-    /// begins nothing.
+    /// What a model makes of the damage known already, as an image: where it explains a low region, that is a side lobe
+    /// and begins nothing.
     pub known: Option<&'a [f32]>,
     /// The classes of the cells, where a network gives them: a damage begins only where most of its place is called
     /// damaged, and is covered where most is called compressed.
@@ -63,9 +63,9 @@ struct Record {
 
 /// Tells damage from touch, frame by frame, in memory of its own.
 ///
-/// Damage is looked for in the mean of frames in which nothing touches the skin, from a while after the last touch on, so
-/// that neither the lobes of a touch nor what it leaves behind become damage. Nothing here changes the reference: what
-/// the image is taken against is the caller's, and must be the intact skin.
+/// Damage is looked for in the mean of frames in which nothing touches the skin, from a while after the last touch on,
+/// so that neither the lobes of a touch nor what it leaves behind become damage. Nothing here changes the reference:
+/// what the image is taken against is the caller's, and must be the intact skin.
 #[derive(Debug, Clone)]
 pub struct DamageMonitor {
     cells: ImageCells,
@@ -196,7 +196,8 @@ impl DamageMonitor {
         self.publish();
     }
 
-    /// The intact reference was replaced by the skin as it is: what is healed is part of it from now on, and is forgotten.
+    /// The intact reference was replaced by the skin as it is: what is healed is part of it from now on, and is
+    /// forgotten.
     pub fn renew(&mut self) {
         let freed = |record: &Record| if record.damage.state == DamageState::Healed { record.bit } else { 0 };
         let bits = self.records.iter().map(freed).fold(0, |all, bit| all | bit);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::cells::GridGeometry;
 use crate::contact::{ContactSign, PixelNoise};
-use crate::track::{Observation, Touch, TouchPhase};
+use crate::touch::{Observation, Touch, TouchPhase};
 
 const GRID: usize = 50;
 const NOISE: PixelNoise<'static> = PixelNoise::Uniform(0.002);

@@ -7,9 +7,9 @@
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, Side};
 
-use super::Locator;
 use super::data::{LoadEstimate, Located, MIN_CHANNELS};
 use super::error::{LocatorError, check_length};
+use super::model::Locator;
 use super::posterior::moments;
 use super::regression::{Products, noise_variance};
 use super::rows::{dot, logarithms, products};

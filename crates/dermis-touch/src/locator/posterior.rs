@@ -9,6 +9,8 @@ use super::regression::median;
 const TEMPERATURES: usize = 20;
 const COLDEST: f64 = 2.0;
 const HOTTEST: f64 = 0.003;
+/// Logarithms of weights below this count for nothing.
+const NEGLIGIBLE: f64 = -40.0;
 /// Fraction of errors within one standard deviation of a Gaussian.
 pub(super) const ONE_SIGMA: f64 = 0.6827;
 /// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
@@ -49,9 +51,9 @@ pub(super) fn moments(
     let origin = positions[peak];
     for p in 0..positions.len() {
         let below = log_likelihood[p] - top;
-        let w = if temperature * below > -40.0 { (temperature * below).exp() } else { 0.0 };
+        let w = if temperature * below > NEGLIGIBLE { (temperature * below).exp() } else { 0.0 };
         weights[p] = w;
-        if below > -40.0 {
+        if below > NEGLIGIBLE {
             evidence += below.exp();
         }
         let (x, y) = (positions[p][0] - origin[0], positions[p][1] - origin[1]);
@@ -94,27 +96,56 @@ pub(super) fn calibrate(
     truth: &[[f64; 2]],
     spacing_m: f64,
 ) -> Calibration {
-    let mut weights = vec![0.0; positions.len()];
-    let mut best = Calibration { temperature: 1.0, score: f64::NEG_INFINITY };
-    for step in 0..TEMPERATURES {
+    let temperature = |step: usize| {
         let share = step as f64 / (TEMPERATURES - 1) as f64;
-        let temperature = HOTTEST * (COLDEST / HOTTEST).powf(share);
-        let mut errors = Vec::with_capacity(2 * truth.len());
-        for (i, position) in truth.iter().enumerate() {
-            let log_likelihood = left_out.col_as_slice(i);
-            let found = moments(positions, log_likelihood, temperature, spacing_m, &mut weights);
-            for axis in 0..2 {
-                errors.push((found.mean_m[axis] - position[axis], found.covariance_m2[axis].sqrt()));
-            }
+        HOTTEST * (COLDEST / HOTTEST).powf(share)
+    };
+    // Per temperature: errors with the posterior's deviations, x and y of each example.
+    let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::new(); TEMPERATURES];
+    let mut likely: Vec<(f64, [f64; 2])> = Vec::with_capacity(positions.len());
+    for (i, position) in truth.iter().enumerate() {
+        let log_likelihood = left_out.col_as_slice(i);
+        let top = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        likely.clear();
+        likely.extend(log_likelihood.iter().zip(positions).map(|(value, at)| (value - top, *at)));
+        // From the hottest on, ever fewer positions count.
+        for (step, errors) in errors.iter_mut().enumerate() {
+            let temperature = temperature(step);
+            likely.retain(|(below, _)| temperature * below > NEGLIGIBLE);
+            let (mean_m, variances_m2) = spread_of(&likely, temperature, spacing_m);
+            errors.extend([0, 1].map(|axis| (mean_m[axis] - position[axis], variances_m2[axis].sqrt())));
         }
+    }
+    let mut best = Calibration { temperature: 1.0, score: f64::NEG_INFINITY };
+    for (step, errors) in errors.iter().enumerate() {
         let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
         let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
         let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / truth.len() as f64;
         if score > best.score {
-            best = Calibration { temperature, score };
+            best = Calibration { temperature: temperature(step), score };
         }
     }
     best
+}
+
+/// Mean and variances along x and y of a tempered posterior, of positions with the logarithms of their likelihoods below the
+/// largest.
+fn spread_of(likely: &[(f64, [f64; 2])], temperature: f64, spacing_m: f64) -> ([f64; 2], [f64; 2]) {
+    let origin = likely.first().map_or([0.0; 2], |(_, at)| *at);
+    let (mut total, mut sum, mut squares) = (0.0, [0.0; 2], [0.0; 2]);
+    for (below, at) in likely {
+        let weight = (temperature * below).exp();
+        total += weight;
+        for axis in 0..2 {
+            let away = at[axis] - origin[axis];
+            sum[axis] += weight * away;
+            squares[axis] += weight * away * away;
+        }
+    }
+    let grain = spacing_m * spacing_m / 12.0;
+    let mean = sum.map(|sum| sum / total);
+    let variance = |axis: usize| (squares[axis] / total - mean[axis] * mean[axis]).max(0.0) + grain;
+    ([origin[0] + mean[0], origin[1] + mean[1]], [variance(0), variance(1)])
 }
 
 /// One example as located by others: its error, the posterior's variances before calibration, and the part of the map's

@@ -1,16 +1,14 @@
 //! What a locator keeps, as plain arrays that can be stored and are checked when read back.
 
 use super::data::{Hyperparameters, LeaveOneOut};
-use super::design::{Design, Prior};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::load::LoadLaw;
 use super::posterior::Spread;
-use super::{Fitting, Judged, Locator, example_noise, median, quantile};
 
 /// Version of the stored form; a locator of another version is refused.
 pub const LOCATOR_VERSION: u32 = 1;
 
-/// The stored form of a [`Locator`].
+/// The stored form of a [`Locator`](super::Locator).
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LocatorState {
@@ -49,50 +47,8 @@ pub(super) struct LocatorState {
 }
 
 impl LocatorState {
-    /// Gathers the state from a finished fit.
-    pub(super) fn assemble(
-        design: &Design,
-        prior: &Prior,
-        fitting: &Fitting,
-        judged: &Judged,
-        spread: Spread,
-        hyperparameters: Hyperparameters,
-        load: Option<LoadLaw>,
-    ) -> Self {
-        let map = &judged.map;
-        let (rank, channels) = (map.transform.nrows(), map.transform.ncols());
-        let mut transform = Vec::with_capacity(rank * channels);
-        for r in 0..rank {
-            transform.extend((0..channels).map(|k| map.transform[(r, k)] as f32));
-        }
-        let mut signatures = Vec::with_capacity(rank * fitting.positions.len());
-        for p in 0..fitting.positions.len() {
-            signatures.extend(map.signatures.col_as_slice(p).iter().map(|v| *v as f32));
-        }
-        Self {
-            version: LOCATOR_VERSION,
-            positions_m: fitting.positions.to_vec(),
-            spacing_m: fitting.spacing_m,
-            weights: design.weights.clone(),
-            energy: design.energy.clone(),
-            rank,
-            transform,
-            signatures,
-            variance: map.variance.clone(),
-            median_amplitude: median(&design.amplitude),
-            usual_misfit: quantile(&judged.misfits, 0.95),
-            temperature: judged.calibration.temperature,
-            sigma_factor: spread.factor,
-            extrapolation_m: spread.extrapolation_m,
-            hyperparameters,
-            example_noise: example_noise(design, hyperparameters.noise),
-            report: fitting.report(design, prior, judged, spread, load.as_ref()),
-            load,
-        }
-    }
-
     /// Refuses a state whose arrays do not fit together or hold values no fit produces.
-    fn check(&self) -> Result<(), LocatorError> {
+    pub(super) fn check(&self) -> Result<(), LocatorError> {
         if self.version != LOCATOR_VERSION {
             return Err(LocatorError::Version { expected: LOCATOR_VERSION, got: self.version });
         }
@@ -136,39 +92,10 @@ impl LocatorState {
         }
         Ok(())
     }
-}
 
-impl LocatorState {
     /// How sigma follows from the posterior.
     pub(super) fn spread(&self) -> Spread {
         Spread { factor: self.sigma_factor, extrapolation_m: self.extrapolation_m }
-    }
-}
-
-impl Locator {
-    /// Checks a state and derives what is not stored.
-    pub(super) fn from_state(state: LocatorState) -> Result<Self, LocatorError> {
-        state.check()?;
-        let squares = state.signatures.chunks_exact(state.rank).map(squared_length).collect();
-        let fingerprint =
-            state.signatures.iter().chain(&state.transform).fold(0xcbf2_9ce4_8422_2325, |hash, v| {
-                (hash ^ u64::from(v.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
-            });
-        Ok(Self { state, squares, fingerprint })
-    }
-}
-
-impl TryFrom<LocatorState> for Locator {
-    type Error = LocatorError;
-
-    fn try_from(state: LocatorState) -> Result<Self, LocatorError> {
-        Self::from_state(state)
-    }
-}
-
-impl From<Locator> for LocatorState {
-    fn from(locator: Locator) -> Self {
-        locator.state
     }
 }
 
@@ -181,10 +108,6 @@ pub(super) fn check_hyperparameters(hyper: &Hyperparameters) -> Result<(), Locat
         return Err(LocatorError::Value { field: "shrinkage", index: 0, value: hyper.shrinkage, expected });
     }
     Ok(())
-}
-
-fn squared_length(row: &[f32]) -> f64 {
-    row.iter().map(|v| f64::from(*v).powi(2)).sum()
 }
 
 fn product(a: usize, b: usize) -> Result<usize, LocatorError> {

@@ -4,9 +4,10 @@
 
 use faer::Mat;
 
-use super::Locator;
 use super::data::SuggestedPoke;
 use super::error::LocatorError;
+use super::fit::evenly;
+use super::model::Locator;
 use super::posterior::moments;
 use super::regression::{Products, correlations, inverse_covariance, noise_variance};
 use super::rows::dot;
@@ -30,7 +31,7 @@ impl Locator {
     /// The covariance of the examples is singular, which a fitted locator's is not.
     pub fn suggest_pokes(&self, count: usize) -> Result<Vec<SuggestedPoke>, LocatorError> {
         let state = &self.state;
-        let chosen = super::evenly(state.positions_m.len(), CANDIDATES);
+        let chosen = evenly(state.positions_m.len(), CANDIDATES);
         let places: Vec<[f64; 2]> = chosen.iter().map(|&p| state.positions_m[p]).collect();
         let examples: Vec<[f64; 2]> = state.report.examples.iter().map(|e| e.position_m).collect();
         let length_m = state.hyperparameters.length_m;

@@ -1,7 +1,7 @@
 //! What repeated and cyclic loading show: the area of the hysteresis loop, the scatter of repeats, and drift under
 //! constant conditions.
 
-use super::{line, mean_std, require_finite};
+use super::statistics::{line, mean_std, require_finite};
 use crate::error::{TouchError, require, require_length};
 
 /// A loading and unloading cycle.

@@ -1,7 +1,7 @@
 //! Limit of detection as in the frontend/backend skin's paper: the load whose V_rms, the root mean
 //! square of the frame's difference from the untouched skin, exceeds noise by 3.3 standard deviations of 30 frames.
 
-use super::{line, mean_std, require_finite};
+use super::statistics::{line, mean_std, require_finite};
 use crate::error::{TouchError, require, require_length};
 
 /// Standard deviations of noise that a signal must exceed.

@@ -1,7 +1,7 @@
 //! Minimum discernible distance as in the frontend/backend skin's paper: how far a contact moves before its vector of
 //! channel differences correlates with that of the first place by no more than 0.9, or 0.5.
 
-use super::require_finite;
+use super::statistics::require_finite;
 use crate::error::{TouchError, require, require_length};
 
 /// Pearson's correlation coefficient of two vectors of channels.

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
-use crate::error::{TwinError, check, check_positive};
+use crate::error::{TwinError, check};
 
 /// A current source that only makes multiples of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -159,39 +159,5 @@ impl Timing {
         check("timing settling_s", self.settling_s, 0.0, f64::MAX, expected)?;
         check("timing conversion_s", self.conversion_s, 0.0, f64::MAX, expected)?;
         check("timing frame_overhead_s", self.frame_overhead_s, 0.0, f64::MAX, expected)
-    }
-}
-
-impl super::InstrumentOptions {
-    /// Checks what this module describes.
-    pub(super) fn check_chain(&self) -> Result<(), TwinError> {
-        if let Some(drive) = self.drive {
-            check_positive("drive wanted_a", drive.wanted_a)?;
-            check_positive("drive step_a", drive.step_a)?;
-            check("drive most_a", drive.most_a, drive.step_a, f64::MAX, "one step or more, finite")?;
-        }
-        if let Some(mux) = self.multiplexer {
-            check("multiplexer on_resistance_ohm", mux.on_resistance_ohm, 0.0, f64::MAX, "zero or more, finite")?;
-            check_positive("multiplexer input_resistance_ohm", mux.input_resistance_ohm)?;
-            check("multiplexer input_capacitance_f", mux.input_capacitance_f, 0.0, f64::MAX, "zero or more, finite")?;
-            check("multiplexer crosstalk", mux.crosstalk, 0.0, 0.5, "0 to 0.5")?;
-        }
-        if let Some(ranges) = self.gain_ranges {
-            check("gain_ranges factor", ranges.factor, 1.0 + 1e-9, 1e6, "above 1, at most 1e6")?;
-            check("gain_ranges count", f64::from(ranges.count), 1.0, 16.0, "1 to 16")?;
-        }
-        if let Some(mains) = self.mains {
-            check("mains amplitude_v", mains.amplitude_v, 0.0, f64::MAX, "zero or more, finite")?;
-            check_positive("mains frequency_hz", mains.frequency_hz)?;
-            check("mains phase_rad", mains.phase_rad, f64::MIN, f64::MAX, "finite")?;
-        }
-        if let Some(t) = self.temperature {
-            check("temperature coefficient_per_k", t.coefficient_per_k, f64::MIN, f64::MAX, "finite")?;
-            check("temperature rise_k", t.rise_k, f64::MIN, f64::MAX, "finite")?;
-            check_positive("temperature warm_up_s", t.warm_up_s)?;
-            check("temperature swing_k", t.swing_k, f64::MIN, f64::MAX, "finite")?;
-            check_positive("temperature swing_period_s", t.swing_period_s)?;
-        }
-        self.timing.as_ref().map_or(Ok(()), Timing::check)
     }
 }

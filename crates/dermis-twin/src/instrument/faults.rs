@@ -12,6 +12,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::noise::normal;
 use crate::error::{TwinError, check};
 
 /// One fault; see the module for how electrodes act.
@@ -259,7 +260,7 @@ impl Faults {
                     imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value = 0.0);
                 }
                 Fault::NoisyChannel { channel, deviation_v } => {
-                    let mut noise = || deviation_v * super::normal(&mut self.random);
+                    let mut noise = || deviation_v * normal(&mut self.random);
                     readings_v[channel] += noise();
                     imaginary_v.iter_mut().skip(channel).take(1).for_each(|value| *value += noise());
                 }

@@ -1,146 +1,31 @@
 //! What an instrument makes of true voltages: slow drift, noise, gain, and an analogue-to-digital converter that
-//! saturates and rounds; behind them, where wanted, a stepped source, a multiplexer, mains pickup, temperature, the time
-//! of a scan, and faults. Seeded: the same seed and the same steps give the same readings.
+//! saturates and rounds; behind them, where wanted, a stepped source, a multiplexer, mains pickup, temperature, the
+//! time of a scan, and faults. Seeded: the same seed and the same steps give the same readings.
 
 mod chain;
+mod converter;
 mod faults;
 mod noise;
+mod options;
 mod schedule;
 mod snr;
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, StandardNormal};
-use serde::{Deserialize, Serialize};
 
-use crate::error::{TwinError, check, check_positive};
+use crate::error::TwinError;
 pub use chain::{DriveSteps, GainRanges, Mains, Multiplexer, Temperature, Timing};
+pub use converter::Converter;
 pub use faults::{Fault, FrameFate};
 pub use noise::{Drift, Noise};
+pub use options::{InstrumentOptions, Reading};
 pub(crate) use schedule::FaultSchedule;
 pub use schedule::TimedFault;
 pub use snr::{expected_ionic_snr_db, floor_for_ionic_snr_v, snr_db};
 
 use dermis_tomo::eit::Protocol;
 use faults::Faults;
-
-/// The converter behind the amplifier.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Converter {
-    /// Resolution over the whole range, both signs.
-    pub bits: u32,
-    /// Largest magnitude that it converts, volts after the gain.
-    pub range_v: f64,
-    /// Amplification before it.
-    pub gain: f64,
-}
-
-impl Converter {
-    /// Volts at the skin between neighbouring codes.
-    pub fn step_v(&self) -> f64 {
-        self.range_v / self.gain / f64::from(self.bits - 1).exp2()
-    }
-
-    /// The value read for a voltage at the skin: the nearest code, two's complement, in volts at the skin.
-    pub fn read_v(&self, voltage_v: f64) -> f64 {
-        let codes = f64::from(self.bits - 1).exp2();
-        let step = self.step_v();
-        (voltage_v / step).round().clamp(-codes, codes - 1.0) * step
-    }
-}
-
-const RIGHT_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
-
-/// Parameters of an instrument.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct InstrumentOptions {
-    /// Noise of every reading.
-    pub noise: Noise,
-    /// Slow change, where wanted.
-    pub drift: Option<Drift>,
-    /// Rounding and saturation; `None` (`"none"` in TOML) reads without either.
-    #[serde(with = "converter_or_none")]
-    pub converter: Option<Converter>,
-    /// Steps of the current source.
-    pub drive: Option<DriveSteps>,
-    /// Multiplexer on the measuring side.
-    pub multiplexer: Option<Multiplexer>,
-    /// Amplifier ranges before the converter.
-    pub gain_ranges: Option<GainRanges>,
-    /// Pickup of the mains.
-    pub mains: Option<Mains>,
-    /// Gain that follows temperature.
-    pub temperature: Option<Temperature>,
-    /// Time that a scan takes; `None` reads all channels at once.
-    pub timing: Option<Timing>,
-    /// What of the voltage is reported.
-    pub reading: Reading,
-    /// Angle by which the demodulator's reference leads: a signed reading is `V cos`, a complex one has `V sin` as its
-    /// imaginary part; a rectifier knows nothing of it. Radians, within a right angle.
-    pub phase_error_rad: f64,
-}
-
-/// What of a voltage an instrument reports.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Reading {
-    /// The in-phase voltage with its sign.
-    #[default]
-    Signed,
-    /// Its size only, as behind a rectifier.
-    Magnitude,
-    /// In-phase and quadrature voltage, each with its noise; the latter is [`Instrument::imaginary_v`]. A resistive skin
-    /// has none, so that only the phase error shows there.
-    Complex,
-}
-
-impl Default for InstrumentOptions {
-    fn default() -> Self {
-        Self::ideal()
-    }
-}
-
-impl InstrumentOptions {
-    /// An instrument that adds nothing.
-    pub fn ideal() -> Self {
-        Self {
-            noise: Noise { floor_v: 0.0, proportional: 0.0 },
-            drift: None,
-            converter: None,
-            drive: None,
-            multiplexer: None,
-            gain_ranges: None,
-            mains: None,
-            temperature: None,
-            timing: None,
-            reading: Reading::Signed,
-            phase_error_rad: 0.0,
-        }
-    }
-
-    /// Checks the parameters.
-    ///
-    /// # Errors
-    /// Negative noise or drift, fewer than 2 or more than 32 bits, a range or gain that is not positive, parts of the
-    /// chain that make no sense.
-    pub fn check(&self) -> Result<(), TwinError> {
-        check("noise floor_v", self.noise.floor_v, 0.0, f64::MAX, "zero or more, finite")?;
-        check("noise proportional", self.noise.proportional, 0.0, f64::MAX, "zero or more, finite")?;
-        if let Some(drift) = self.drift {
-            check("drift common_per_sqrt_s", drift.common_per_sqrt_s, 0.0, f64::MAX, "zero or more, finite")?;
-            check("drift channel_per_sqrt_s", drift.channel_per_sqrt_s, 0.0, f64::MAX, "zero or more, finite")?;
-        }
-        if let Some(converter) = self.converter {
-            check("converter bits", f64::from(converter.bits), 2.0, 32.0, "2 to 32")?;
-            check_positive("converter range_v", converter.range_v)?;
-            check_positive("converter gain", converter.gain)?;
-        }
-        check("phase_error_rad", self.phase_error_rad, -RIGHT_ANGLE, RIGHT_ANGLE, "within a right angle")?;
-        self.check_chain()
-    }
-}
+use noise::normal;
 
 /// An instrument at work.
 #[derive(Clone, Debug)]
@@ -197,7 +82,8 @@ impl Instrument {
     /// Replaces the faults; none makes it sound again.
     ///
     /// # Errors
-    /// Channels, electrodes or coils that do not exist, probabilities outside 0 to 1, faults of electrodes without a protocol.
+    /// Channels, electrodes or coils that do not exist, probabilities outside 0 to 1, faults of electrodes without a
+    /// protocol.
     pub fn set_faults(&mut self, faults: Vec<Fault>) -> Result<(), TwinError> {
         self.faults.set(faults)
     }
@@ -289,52 +175,6 @@ impl Instrument {
         let factor = drive * self.options.temperature.map_or(1.0, warm);
         voltages_v.iter_mut().for_each(|voltage| *voltage *= factor);
     }
-}
-
-impl InstrumentOptions {
-    /// Rectifier, amplifier range and converter.
-    fn convert(&self, voltage_v: f64) -> f64 {
-        let voltage_v = if self.reading == Reading::Magnitude { voltage_v.abs() } else { voltage_v };
-        let Some(converter) = self.converter else { return voltage_v };
-        let full_scale_v = converter.range_v / converter.gain;
-        let extra = self.gain_ranges.map_or(1.0, |ranges| ranges.gain(voltage_v.abs(), full_scale_v));
-        Converter { gain: converter.gain * extra, ..converter }.read_v(voltage_v)
-    }
-}
-
-/// A converter as a table, none as the word `"none"` or left out: TOML has no null.
-mod converter_or_none {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    use super::Converter;
-
-    #[derive(Serialize, Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    enum Word {
-        None,
-    }
-
-    #[derive(Serialize, Deserialize)]
-    #[serde(untagged)]
-    enum Written {
-        Word(Word),
-        Table(Converter),
-    }
-
-    pub fn serialize<S: Serializer>(converter: &Option<Converter>, serializer: S) -> Result<S::Ok, S::Error> {
-        converter.map_or(Written::Word(Word::None), Written::Table).serialize(serializer)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Converter>, D::Error> {
-        Ok(match Written::deserialize(deserializer)? {
-            Written::Word(Word::None) => None,
-            Written::Table(converter) => Some(converter),
-        })
-    }
-}
-
-fn normal(random: &mut ChaCha8Rng) -> f64 {
-    StandardNormal.sample(random)
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! Random errors of a reading: white noise `sd^2 = floor^2 + (proportional V)^2` (amplifier, and current source or
 //! demodulator), and a slow random walk of the gain, common and per channel.
 
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
 
 /// White noise of a reading, independent between channels and frames.
@@ -38,6 +40,11 @@ pub struct Drift {
     pub common_per_sqrt_s: f64,
     /// Of each channel alone (contacts, multiplexers): relative deviation after one second.
     pub channel_per_sqrt_s: f64,
+}
+
+/// A number from the standard normal distribution.
+pub(super) fn normal(random: &mut ChaCha8Rng) -> f64 {
+    StandardNormal.sample(random)
 }
 
 #[cfg(test)]

@@ -5,13 +5,15 @@ use dermis_tomo::sparse::{Ordering, SparseError, SpdStructure};
 use faer::Mat;
 
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
-use super::two_sheets::{TwoSheets, joint_entries, refuse};
+use super::sheet_body::refuse;
+use super::two_sheets::{TwoSheets, joint_entries};
 
 /// Transfer impedances as [`TwoSheets::impedance`], for a shortcut sheet of any conductance (siemens). Where nothing
 /// touches at all, the floating sheet is tied to ground by one node, through which then no current flows.
 ///
 /// # Errors
-/// A singular system; a sheet with slits along its edges ([`TwoSheets::set_slit_paths`]), which has unknowns of its own.
+/// A singular system; a sheet with slits along its edges ([`TwoSheets::set_slit_paths`]), which has unknowns of its
+/// own.
 pub fn direct_impedance(
     sheets: &TwoSheets,
     shortcut_s: f64,

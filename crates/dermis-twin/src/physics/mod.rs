@@ -1,8 +1,9 @@
 //! Fields of two conductive sheets that touch where pressed: a sensing sheet u with electrodes and a
 //! shortcut sheet v that floats, `div(s_s grad u) = g (u - v)`, `div(s_c grad v) = -g (u - v)`, insulated rims.
-//! In weak form the contact adds `integral g (u - v)(phi_u - phi_v)`; g is linear on each triangle and the integral exact
-//! under continuous copper ([`TwoSheets`]), g and v are constant on cells under separate patches ([`PatchedSheet`]).
-//! And fields of a tray of liquid whose depth varies, averaged over the depth or in three dimensions.
+//! In weak form the contact adds `integral g (u - v)(phi_u - phi_v)`; g is linear on each triangle and the integral
+//! exact under continuous copper ([`TwoSheets`]), g and v are constant on cells under separate patches
+//! ([`PatchedSheet`]). And fields of a tray of liquid whose depth varies, averaged over the depth or in three
+//! dimensions.
 
 mod conductance_map;
 mod cut;
@@ -12,6 +13,7 @@ mod liquid;
 mod patches;
 mod patches_cells;
 mod paths;
+mod sheet_body;
 mod two_sheets;
 
 pub use conductance_map::ConductanceMap;

@@ -1,11 +1,12 @@
 //! A sensing sheet under separate patches of fabric, say, solved by a low-rank update. Fabric conducts so much better
 //! than the sprayed sheet that each patch is one floating potential v; a cell of it with conductance `d = g area` takes
-//! the current `q = d (u - v)` from the sheet, u the sheet's mean potential under the cell, and `sum q = 0` over a patch.
+//! the current `q = d (u - v)` from the sheet, u the sheet's mean potential under the cell, and `sum q = 0` over a
+//! patch.
 //!
-//! With G the bare sheet's mean potential under each cell for unit current into another, U that for each electrode's unit
-//! current, Z0 the bare sheet's transfer impedances and B telling cells by patches, over the touching cells only:
-//! `(G + 1/d) q + B v = U`, `B' q = 0`, `Z = Z0 - U' q` (Sherman, Morrison and Woodbury, with the floating potentials as
-//! constraint). G, U and Z0 are found once; a frame costs one dense Cholesky factor of the touching cells.
+//! With G the bare sheet's mean potential under each cell for unit current into another, U that for each electrode's
+//! unit current, Z0 the bare sheet's transfer impedances and B telling cells by patches, over the touching cells only:
+//! `(G + 1/d) q + B v = U`, `B' q = 0`, `Z = Z0 - U' q` (Sherman, Morrison and Woodbury, with the floating potentials
+//! as constraint). G, U and Z0 are found once; a frame costs one dense Cholesky factor of the touching cells.
 
 use dermis_tomo::mesh::ElectrodedMesh;
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
@@ -15,7 +16,7 @@ use faer::{Mat, MatRef, Par, Side};
 use super::conductance_map::ConductanceMap;
 use super::element::{PAIRS, SheetConductance, stiffness};
 use super::patches_cells::{ContactCell, ContactCells, PatchLayout};
-use super::two_sheets::{contact_entries, coordinates, refuse, triangles_of};
+use super::sheet_body::{contact_entries, coordinates, refuse, triangles_of};
 
 /// Right-hand sides solved together.
 const BLOCK: usize = 64;
@@ -38,8 +39,8 @@ pub struct PatchedSheet {
 }
 
 impl PatchedSheet {
-    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity), times a factor from place to
-    /// place, under patches.
+    /// Prepares a flat sheet of conductance `sheet_s` (siemens: thickness times conductivity), times a factor from
+    /// place to place, under patches.
     ///
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.

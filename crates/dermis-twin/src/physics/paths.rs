@@ -1,6 +1,6 @@
-//! Slits along the edges of a mesh that knows nothing of them: each cut follows the chain of edges nearest to it, off by
-//! about half an element, and the nodes in between have a second value for the elements on one side. A sheet that is cut
-//! differently in every scene then needs no new mesh, only some more right-hand sides
+//! Slits along the edges of a mesh that knows nothing of them: each cut follows the chain of edges nearest to it, off
+//! by about half an element, and the nodes in between have a second value for the elements on one side. A sheet that is
+//! cut differently in every scene then needs no new mesh, only some more right-hand sides
 //! ([`super::TwoSheets::set_slit_paths`]).
 
 use std::cmp::Reverse;
@@ -9,13 +9,13 @@ use std::collections::{BinaryHeap, HashMap};
 use dermis_tomo::mesh::{Contact, ElectrodedMesh, distance, to_segment};
 use dermis_tomo::sparse::SparseError;
 
-use super::two_sheets::triangles_of;
+use super::sheet_body::triangles_of;
 
 /// Steps along a cut in which its nearest nodes are looked for, and how far off those may be, in edges' mean length.
 const STEP: f64 = 0.25;
 const REACH: f64 = 0.9;
-/// Farthest that a path strays from its cut, and how much longer (one plus this times the square of what it strays by) an edge
-/// seems there, both with edges' mean length.
+/// Farthest that a path strays from its cut, and how much longer (one plus this times the square of what it strays by)
+/// an edge seems there, both with edges' mean length.
 const FARTHEST: f64 = 1.5;
 const STRAYING: f64 = 4.0;
 /// Least share of a cut's length that its edges must follow.
@@ -98,9 +98,9 @@ impl SlitPaths {
         Ok(Self { positions, triangles, around, neighbours, free, edge_m })
     }
 
-    /// The path nearest to a chain of points (metres) beside those that are there already, with this conductance across it per
-    /// length (S/m). A chain that leaves the sheet is followed as far as it goes. None where edges cannot follow it: at
-    /// electrodes, at other paths, and where it is shorter than three edges.
+    /// The path nearest to a chain of points (metres) beside those that are there already, with this conductance across
+    /// it per length (S/m). A chain that leaves the sheet is followed as far as it goes. None where edges cannot follow
+    /// it: at electrodes, at other paths, and where it is shorter than three edges.
     pub fn along(&self, chain_m: &[[f64; 2]], beside: &[SlitPath], s_per_m: f64) -> Option<SlitPath> {
         let near = self.near(chain_m);
         let may_pass = |node: u32| self.free[node as usize] && !beside.iter().any(|path| path.nodes.contains(&node));
@@ -200,7 +200,8 @@ impl SlitPaths {
         }
     }
 
-    /// Elements about the middle of three nodes of a path, on its left: counter-clockwise from the next edge to the last.
+    /// Elements about the middle of three nodes of a path, on its left: counter-clockwise from the next edge to the
+    /// last.
     fn fan(&self, three: &[u32]) -> Option<Vec<u32>> {
         let (before, node, after) = (three[0], three[1], three[2]);
         let mut elements = Vec::new();

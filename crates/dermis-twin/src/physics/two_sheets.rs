@@ -9,7 +9,7 @@
 
 use std::collections::HashMap;
 
-use dermis_tomo::mesh::{self, Contact, ElectrodedMesh, SlitEdge};
+use dermis_tomo::mesh::{self, ElectrodedMesh, SlitEdge};
 use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, MatRef, Side};
@@ -17,13 +17,15 @@ use faer::{Mat, MatRef, Side};
 use super::cut::{Cut, damaged_conductance};
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
 use super::paths::SlitPath;
+use super::sheet_body::{ContactEntry, contact_entries, coordinates, refuse, triangles_of};
 
 /// The sheet above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shortcut {
     /// Conducts without loss: one potential for the whole sheet.
     Equipotential,
-    /// A continuous sheet of this conductance in siemens (thickness times conductivity), much above the sensing sheet's.
+    /// A continuous sheet of this conductance in siemens (thickness times conductivity), much above the sensing
+    /// sheet's.
     Sheet {
         /// Sheet conductance.
         conductance_s: f64,
@@ -67,16 +69,8 @@ pub struct TwoSheets {
     touching: Vec<u32>,
 }
 
-/// One entry of the constant part: electrode contacts. Unknowns at or above the node count are electrodes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ContactEntry {
-    pub(super) row: u32,
-    pub(super) column: u32,
-    pub(super) value: f64,
-}
-
-/// What paths add to the system `K u = r`: an element on the slit's side takes `u + w` at the path's inner nodes, so that
-/// `K u + B w = r` and `B' u + D w = s`.
+/// What paths add to the system `K u = r`: an element on the slit's side takes `u + w` at the path's inner nodes, so
+/// that `K u + B w = r` and `B' u + D w = s`.
 #[derive(Debug)]
 pub(super) struct SecondValues {
     /// Elements with the numbers that their corners have among the second values; with one or more of them.
@@ -104,7 +98,7 @@ struct Copper {
 
 impl TwoSheets {
     /// Prepares both sheets. `intact_s` is the sensing sheet's conductance in siemens. Electrodes must be pads
-    /// ([`Contact::Area`]) or rim faces on a flat mesh of triangles.
+    /// ([`Contact::Area`](dermis_tomo::mesh::Contact::Area)) or rim faces on a flat mesh of triangles.
     ///
     /// # Errors
     /// Point electrodes, fewer than two electrodes, or a singular system.
@@ -113,7 +107,8 @@ impl TwoSheets {
     }
 
     /// As [`TwoSheets::new`], of a sheet with these slits ([`dermis_tomo::mesh::SlitMesh`]), open until
-    /// [`TwoSheets::set_joints`] says otherwise. The shortcut has them as well, which changes its loss by less than that is.
+    /// [`TwoSheets::set_joints`] says otherwise. The shortcut has them as well, which changes its loss by less than
+    /// that is.
     ///
     /// # Errors
     /// As [`TwoSheets::new`].
@@ -211,7 +206,8 @@ impl TwoSheets {
         Ok(())
     }
 
-    /// Sets what conducts across the slits: siemens per metre of each of their edges, by the edge's number and middle (metres).
+    /// Sets what conducts across the slits: siemens per metre of each of their edges, by the edge's number and middle
+    /// (metres).
     pub fn set_joints(&mut self, mut s_per_m: impl FnMut(usize, [f64; 2]) -> f64) {
         for (index, (edge, conductance)) in self.joints.iter_mut().enumerate() {
             let [a, b] = edge[0].map(|node| self.positions[node as usize]);
@@ -267,8 +263,8 @@ impl TwoSheets {
     }
 
     /// Transfer impedances in ohm, electrodes x electrodes: the potential of the row's electrode for 1 A into the
-    /// column's and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut sheet floats:
-    /// no net current enters it; where nothing touches, its potential has no meaning and no influence.
+    /// column's and out of the last. `contact_s_per_m2` is g at each node, linear in between. The shortcut sheet
+    /// floats: no net current enters it; where nothing touches, its potential has no meaning and no influence.
     ///
     /// # Errors
     /// A singular system, as after cutting an electrode off entirely.
@@ -517,66 +513,4 @@ fn unit_factor(structure: &SpdStructure) -> Result<SpdFactor, SparseError> {
     let mut values = vec![0.0; structure.value_count()];
     structure.add_to_diagonal(&mut values, 1.0);
     structure.factor(&values)
-}
-
-pub(super) fn refuse(reason: String) -> SparseError {
-    SparseError::Structure { reason }
-}
-
-pub(super) fn triangles_of(body: &ElectrodedMesh) -> Result<Vec<[u32; 3]>, SparseError> {
-    let triangle = |cell: &[u32]| match *cell {
-        [a, b, c] => Ok([a, b, c]),
-        _ => Err(refuse(format!("two sheets need triangles; an element has {} nodes", cell.len()))),
-    };
-    body.mesh.elements().map(triangle).collect()
-}
-
-/// The complete electrode model's terms, lower triangle by unknown; the reference electrode's own unknown is left out.
-pub(super) fn contact_entries(body: &ElectrodedMesh) -> Result<Vec<ContactEntry>, SparseError> {
-    let (mesh, nodes) = (&body.mesh, body.mesh.nodes().len() as u32);
-    let reference = body.electrodes.len().saturating_sub(1);
-    if reference == 0 {
-        return Err(refuse(format!("expected at least 2 electrodes, got {}", body.electrodes.len())));
-    }
-    let mut entries = Vec::new();
-    for (index, electrode) in body.electrodes.iter().enumerate() {
-        let patches: Vec<(&[u32], f64)> = match &electrode.contact {
-            Contact::Area(elements) => elements
-                .iter()
-                .map(|&element| (mesh.element(element as usize), mesh.measures()[element as usize]))
-                .collect(),
-            Contact::Faces(faces) => faces.iter().map(|face| (face.as_slice(), mesh.face_measure(face))).collect(),
-            Contact::Point(node) => {
-                return Err(refuse(format!("electrode {index} is a point (node {node}), not a pad")));
-            }
-        };
-        let unknown = (index < reference).then_some(nodes + index as u32);
-        for (corners, measure) in patches {
-            let (conductance, count) = (measure / electrode.contact_impedance, corners.len() as f64);
-            let mut push = |a: u32, b: u32, value: f64| {
-                entries.push(ContactEntry { row: a.max(b), column: a.min(b), value });
-            };
-            for (i, &a) in corners.iter().enumerate() {
-                for (j, &b) in corners[..=i].iter().enumerate() {
-                    let weight = if i == j { 2.0 } else { 1.0 };
-                    push(a, b, conductance * weight / (count * (count + 1.0)));
-                }
-                if let Some(unknown) = unknown {
-                    push(unknown, a, -conductance / count);
-                }
-            }
-            if let Some(unknown) = unknown {
-                push(unknown, unknown, conductance);
-            }
-        }
-    }
-    Ok(entries)
-}
-
-/// Places of the unknowns, for the elimination order.
-pub(super) fn coordinates(body: &ElectrodedMesh, positions: &[[f64; 2]]) -> Vec<[f64; 3]> {
-    let mut places: Vec<[f64; 3]> = positions.iter().map(|p| [p[0], p[1], 0.0]).collect();
-    let electrodes = body.electrodes.len() - 1;
-    places.extend((0..electrodes).map(|electrode| body.electrode_centre(electrode)));
-    places
 }

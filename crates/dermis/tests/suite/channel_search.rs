@@ -13,7 +13,7 @@ use dermis::twin::from_skin::press_range;
 
 /// A baseline of the twin of a skin.
 fn baseline(skin: &Skin) -> FrameTable {
-    let presses = random_presses(&skin.outline(), &press_range(skin), 1, 1);
+    let presses = random_presses(&skin.outline(), &press_range(skin), 1, 1).unwrap();
     let [baseline, _] = sample_tables(skin, &presses, Some(1), |_, _| {}).unwrap();
     baseline
 }

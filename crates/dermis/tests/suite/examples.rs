@@ -6,6 +6,7 @@ use dermis::Skin;
 use dermis::device::FileSpec;
 use dermis::lab::reconstruct::{Request, reconstruct};
 use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
+use dermis::skin::{Electrodes, Shape};
 use dermis::twin::from_skin::press_range;
 use dermis::twin::mechanics::Indenter;
 
@@ -66,7 +67,7 @@ fn place_mm(indenter: &Indenter) -> [f64; 2] {
 /// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen as
 /// several.
 fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
-    let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11);
+    let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11).unwrap();
     let found = touches_of(skin, &places, 1);
     let (mut errors, mut missed, mut several) = (Vec::new(), 0, 0);
     for (press, found) in places.iter().zip(&found) {
@@ -83,7 +84,7 @@ fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
 fn pairs_found(skin: Skin, pairs: usize) -> usize {
     let (low, high) = skin.outline().bounds_m();
     let apart_mm = 0.25e3 * (high[0] - low[0]).max(high[1] - low[1]);
-    let places = random_presses(&skin.outline(), &press_range(&skin), 40 * pairs, 7);
+    let places = random_presses(&skin.outline(), &press_range(&skin), 40 * pairs, 7).unwrap();
     let partner = |k: usize| {
         let fits = |press: &&Vec<Indenter>| {
             (distance_mm(place_mm(&press[0]), place_mm(&places[k][0])) / apart_mm - 1.0).abs() < 0.03
@@ -107,8 +108,8 @@ fn presses_anywhere_are_found_on_every_example() {
     {
         let (median, missed, several) = median_mm(example(name), 20);
         assert!(median <= 0.03 * shorter_mm, "{name}: {median} mm");
-        // One in twenty may lie where little is seen.
-        assert!(missed <= 1 && several <= 2, "{name}: {missed} missed, {several} seen as several");
+        // One in twenty may lie where little is seen. Every frame is of another press: none is two touches.
+        assert!(missed <= 1 && several == 0, "{name}: {missed} missed, {several} seen as several");
     }
 }
 
@@ -121,10 +122,37 @@ fn two_presses_a_quarter_of_the_longer_side_apart_are_two() {
 }
 
 #[test]
+fn two_presses_are_two_on_other_sizes_and_numbers_of_electrodes() {
+    let mut gel = example("gel-pad");
+    gel.frontend.shape = Shape::Square { side_mm: 80.0 };
+    let Electrodes::Rim { count, .. } = &mut gel.frontend.electrodes else { panic!() };
+    *count = 16;
+    let mut button = example("liquid-ellipse");
+    button.frontend.shape = Shape::Disc { diameter_mm: 80.0 };
+    let Electrodes::Rim { count, width_mm, .. } = &mut button.frontend.electrodes else { panic!() };
+    (*count, *width_mm) = (8, 5.0);
+    for skin in [gel, button] {
+        let name = skin.name.clone();
+        let found = pairs_found(skin, 10);
+        assert!(found >= 9, "{name}: {found} of 10 pairs");
+    }
+}
+
+#[test]
+fn a_large_sandwich_places_presses_that_jump_from_frame_to_frame() {
+    let mut skin = example("l-sandwich");
+    skin.frontend.shape = Shape::Rectangle { width_mm: 200.0, height_mm: 80.0 };
+    let Electrodes::Rim { count, .. } = &mut skin.frontend.electrodes else { panic!() };
+    *count = 32;
+    let (median, missed, several) = median_mm(skin, 20);
+    assert!(median <= 1.0 && missed == 0 && several == 0, "{median} mm, {missed} missed, {several} seen as several");
+}
+
+#[test]
 fn a_copy_of_another_size_and_name_has_a_twin_of_its_own() {
     let mut skin = example("liquid-ellipse");
     skin.name = "smaller".into();
-    let dermis::skin::Shape::Polygon { outer_mm, .. } = &mut skin.frontend.shape else { panic!() };
+    let Shape::Polygon { outer_mm, .. } = &mut skin.frontend.shape else { panic!() };
     outer_mm.iter_mut().flatten().for_each(|value| *value *= 0.6);
     let (median, missed, _) = median_mm(skin, 10);
     assert!(median <= 0.03 * 66.0 && missed == 0, "{median} mm, {missed} missed");

@@ -1,7 +1,8 @@
 //! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin that is
 //! killed and started again is found again with its gap counted.
 
-use std::net::TcpListener;
+use std::io::Write;
+use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
@@ -124,6 +125,36 @@ fn frames_are_the_twins_and_a_restart_is_survived() {
     let all: Vec<u64> = first.iter().chain(&again).map(|frame| frame.sequence).collect();
     let gaps: u64 = all.windows(2).map(|pair| pair[1] - pair[0] - 1).sum();
     assert_eq!(source.counters().lost, gaps);
+}
+
+#[test]
+fn several_hosts_have_the_same_frames_whoever_else_says_nothing_or_goes() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = listener.local_addr().expect("an address");
+    let instrument = Instrument::start(listener);
+    // One that says nothing, and one that says nothing that means anything.
+    let mute = TcpStream::connect(address).expect("it listens");
+    let mut noisy = TcpStream::connect(address).expect("it listens");
+    noisy.write_all(&[0x55; 20_000]).expect("it takes bytes");
+    let open = || open_stream(&format!("tcp:{address}").parse().expect("a selector"), options()).expect("it answers");
+    let (mut one, mut other) = (open(), open());
+    let (mut of_one, mut of_other) = (collect(&mut one, 20), collect(&mut other, 20));
+    // Each host counts from its own first frame; the twin's clock is the same for both.
+    let time = |frame: &Frame| frame.device_time_ns.expect("a twin has a clock");
+    while of_one.last().map(time) < of_other.last().map(time) {
+        of_one.extend(collect(&mut one, 1));
+    }
+    for frame in of_other.iter().filter(|frame| time(frame) >= time(&of_one[0])) {
+        let same = of_one.iter().find(|same| time(same) == time(frame)).expect("it came to both");
+        assert!(same.values == frame.values, "frame {} is not the same", frame.sequence);
+    }
+    drop(one);
+    let last = of_other.last().expect("frames").sequence;
+    of_other = collect(&mut other, 20);
+    assert!(of_other[0].sequence == last + 1 && of_other.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
+    drop((mute, noisy));
+    let served = instrument.kill();
+    assert_eq!((served.hosts, served.skipped), (4, 0));
 }
 
 /// The twin stands at a pseudo-terminal as a board at a serial port; a host goes and another one comes.

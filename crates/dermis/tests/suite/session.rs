@@ -19,7 +19,7 @@ fn files(folder: &Path) -> [String; 2] {
     let skin = skin();
     let [baseline, frames] = ["rest.csv", "press.csv"].map(|name| folder.join(name));
     let usual = dermis::twin::from_skin::press_range(&skin);
-    let presses = random_presses(&skin.outline(), &usual, 3, 5);
+    let presses = random_presses(&skin.outline(), &usual, 3, 5).unwrap();
     let names = [&baseline, &frames].map(|path| path.display().to_string());
     sample(&SampleRequest { skin, presses, baseline, frames, truth: None, seed: None, repeats: 3 }, |_, _| {}).unwrap();
     names

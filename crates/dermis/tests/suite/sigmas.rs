@@ -20,7 +20,7 @@ fn press(name: &str, seed: u64) -> Trial {
     let skin = Skin::open(name).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let places = random_presses(&skin.outline(), &press_range(&skin), PRESSES, seed);
+    let places = random_presses(&skin.outline(), &press_range(&skin), PRESSES, seed).unwrap();
     let request = SampleRequest {
         skin: skin.clone(),
         presses: places.clone(),

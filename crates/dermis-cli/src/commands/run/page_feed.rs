@@ -24,8 +24,6 @@ use dermis_tomo::mesh::{Contact, Outline};
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
-use super::Rate;
-
 const MM: f64 = 1e3;
 /// Quantiles are looked up this often, in frames: they cost more than a frame's touches.
 const LATENCY_EVERY: u64 = 25;
@@ -213,6 +211,31 @@ impl PageFeed {
             total.map_or(f64::NAN, |stage| stage.p99_us),
             self.update.counters.iter().filter(|counter| counter.is_loss).map(|counter| counter.value).sum::<u64>()
         )
+    }
+}
+
+/// Rate over the last second or so.
+#[derive(Debug)]
+struct Rate {
+    since: Instant,
+    frames: u32,
+    per_s: f32,
+}
+
+impl Rate {
+    fn new() -> Self {
+        Self { since: Instant::now(), frames: 0, per_s: 0.0 }
+    }
+
+    fn count(&mut self) -> f32 {
+        self.frames += 1;
+        let elapsed = self.since.elapsed().as_secs_f32();
+        if elapsed > 0.5 {
+            self.per_s = self.frames as f32 / elapsed;
+            self.since = Instant::now();
+            self.frames = 0;
+        }
+        self.per_s
     }
 }
 

@@ -9,11 +9,11 @@ use dermis::live::forces::parse_forces;
 use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
 use dermis::live::prepare::Prepared;
 use dermis::record::{Recording, RecordingHead, is_recording, read_frames};
-use dermis::skin::Skin;
+use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis::source::{OpenedSource, SourceOptions, TwinControl, open_source};
 use dermis_device::{FileSpec, Format, Source, SourceSelector};
 
-use super::super::skin_word::SkinWord;
+use super::super::skin_word::{SkinWord, skin};
 use super::super::{busy, hint};
 use crate::exit::UsageError;
 
@@ -51,7 +51,7 @@ pub struct InputArguments {
 impl InputArguments {
     /// Opens the source, its pipeline, and what a recording of it says at its beginning.
     pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
-        let skin = self.skin.or("healing-square")?;
+        let skin = self.skin.or(DEFAULT_NAME)?;
         // What is wrong with a file is said before the work of preparing a skin.
         let baseline = self.baseline.as_ref().map(|spec| read_frames(spec, self.format)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
@@ -118,11 +118,11 @@ impl Opened {
 /// # Errors
 /// As [`open_of`].
 pub fn open(selector: &str, skin_name: &str, options: &SourceOptions) -> anyhow::Result<Opened> {
-    open_of(selector, &|name| super::skin(name.unwrap_or(skin_name)), options)
+    open_of(selector, &|name| skin(name.unwrap_or(skin_name)), options)
 }
 
-/// As [`open`], of the skin that `find` makes of the name in the selector, or of none where it has no name. A recording is
-/// of the skin that is in it, and a twin of the one in its name.
+/// As [`open`], of the skin that `find` makes of the name in the selector, or of none where it has no name. A recording
+/// is of the skin that is in it, and a twin of the one in its name.
 ///
 /// # Errors
 /// A selector that names nothing, a skin or source that cannot be opened.

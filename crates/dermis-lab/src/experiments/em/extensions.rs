@@ -7,18 +7,21 @@ use dermis_twin::from_skin::{element_options, instrument_options, resting_voltag
 use dermis_twin::instrument::Instrument;
 use dermis_twin::{Conductor, ElementOptions, ElementSkin, FoilOptions, FoilSkin, Frontend, NearbyMetal};
 
-use super::{Array, Bench, CIRCULAR, EIGHT, row};
+use super::array::{Array, Bench, CIRCULAR, EIGHT, row};
 use crate::Error;
-use crate::report::{Curve, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Report};
 use crate::twin_bench::Rig;
 use crate::twin_bench::disc;
 use dermis_live::magnetic_model::MagneticModel;
 use dermis_mit::catalogue::SWEEP_HZ;
 use dermis_skin::{Skin, Solve};
 
-/// E12: how much one element in the middle, pressed by half its travel, changes the readings, as the root mean square over
-/// channels of their relative change, which is signal over noise where noise is a share of the reading.
-pub(super) fn sweep() -> Result<Report, Error> {
+pub(super) const SWEEP: Experiment =
+    Experiment { id: "E12", title: "which frequency is best, 1 to 100 kHz", run: sweep };
+
+/// E12: how much one element in the middle, pressed by half its travel, changes the readings, as the root mean square
+/// over channels of their relative change, which is signal over noise where noise is a share of the reading.
+fn sweep() -> Result<Report, Error> {
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     for array in [EIGHT, CIRCULAR] {
         let skin = Skin::open(array.skin)?;
@@ -70,12 +73,16 @@ pub(super) fn sweep() -> Result<Report, Error> {
     let notes = vec![
         "Noise is taken as the same share of a reading at every frequency; an instrument's own noise decides between frequencies that differ little.".into(),
     ];
-    Ok(Report { id: "E12", title: super::EXPERIMENTS[10].title, rows, figures, notes })
+    Ok(Report { id: SWEEP.id, title: SWEEP.title, rows, figures, notes })
 }
 
-/// E14: the paper's first membrane, a foil of copper on sponge, which it set aside as a touch does not deform it locally: how
-/// alike the readings are when neighbouring places are pressed, and how far down the neighbour goes with the one pressed.
-pub(super) fn foil() -> Result<Report, Error> {
+pub(super) const FOIL: Experiment =
+    Experiment { id: "E14", title: "a copper foil in place of the elements", run: foil };
+
+/// E14: the paper's first membrane, a foil of copper on sponge, which it set aside as a touch does not deform it
+/// locally: how alike the readings are when neighbouring places are pressed, and how far down the neighbour goes with
+/// the one pressed.
+fn foil() -> Result<Report, Error> {
     let skin = Skin::open(EIGHT.skin)?;
     let elements = MagneticModel::of(&skin)?.elements;
     let places = elements.places_m();
@@ -137,7 +144,7 @@ pub(super) fn foil() -> Result<Report, Error> {
     let notes = vec![
         "35 um of copper under an assumed tension of 300 N/m on the sponge of the cylinders; readings without noise, 2 N on discs of 10 mm.".into(),
     ];
-    Ok(Report { id: "E14", title: super::EXPERIMENTS[12].title, rows, figures: Vec::new(), notes })
+    Ok(Report { id: FOIL.id, title: FOIL.title, rows, figures: Vec::new(), notes })
 }
 
 /// Relative changes of the readings by 2 N at each place in turn; `look` sees the skin under each.
@@ -168,9 +175,11 @@ struct Metal {
     ball: Option<NearbyMetal>,
 }
 
-/// E13: every element pressed with metal that was there from the start, which the model knows of or not; and the same metal
-/// come after the baseline.
-pub(super) fn metal() -> Result<Report, Error> {
+pub(super) const METAL: Experiment = Experiment { id: "E13", title: "metal under and beside the array", run: metal };
+
+/// E13: every element pressed with metal that was there from the start, which the model knows of or not; and the same
+/// metal come after the baseline.
+fn metal() -> Result<Report, Error> {
     let plate = |name, z_mm, known| Metal { name, plate_mm: Some(z_mm), known, ball: None };
     let ball = |name, x_m| {
         let sphere = Sphere { radius_m: 0.03, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 };
@@ -225,7 +234,7 @@ pub(super) fn metal() -> Result<Report, Error> {
         "Plates conduct perfectly; the ball is of aluminium. A known plate is shield_mm in the skin file.".into(),
         "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no element moved.".into(),
     ];
-    Ok(Report { id: "E13", title: super::EXPERIMENTS[11].title, rows, figures, notes })
+    Ok(Report { id: METAL.id, title: METAL.title, rows, figures, notes })
 }
 
 fn bench(array: Array, metal: Metal) -> Result<Bench, Error> {

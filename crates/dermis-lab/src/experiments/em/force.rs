@@ -1,15 +1,21 @@
 //! How hard: force curves with their quadratic calibration, and the smallest force.
 
-use super::{Array, CIRCULAR, EIGHT, row};
+use super::array::{Array, CIRCULAR, EIGHT, row, solve_name};
 use crate::Error;
-use crate::report::{Curve, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Report};
 use dermis_skin::Solve;
 
 /// Standard deviations that a detected force stands out by.
 const DETECTED: f64 = 3.3;
 
+pub(super) const RAMPS: Experiment = Experiment {
+    id: "E10",
+    title: "force ramps at three elements and their quadratic calibration (E9, E10)",
+    run: ramps,
+};
+
 /// E9 and E10: the image at the element against force, and a quadratic fitted to it, up to the given force.
-pub(super) fn ramps() -> Result<Report, Error> {
+fn ramps() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     let eight = [("L1", 6), ("L2", 12), ("L3", 18)];
     let sixteen = [("L6", 18), ("L9", 27), ("L14", 45)];
@@ -20,14 +26,14 @@ pub(super) fn ramps() -> Result<Report, Error> {
     ] {
         let (more, curves) = ramp(array, solve, most_n, mean_of, &places)?;
         rows.extend(more);
-        let title = format!("E9, E10: {}, {} at the element against force", array.name, super::solve_name(solve));
+        let title = format!("E9, E10: {}, {} at the element against force", array.name, solve_name(solve));
         figures.push(Figure::Curves { name: file, title, x_label: "force (N)", y_label: "share of travel", curves });
     }
     let notes = vec![
         "Stiffness and travel of sponge and springs are assumed; that they stiffen bends the curve.".into(),
         "Means of ten frames of the eight coils, of 100 of the sixteen at 50 dB. Where the paper's L6, L9 and L14 lie among its elements is not said; here the 3rd, 4th and 6th row.".into(),
     ];
-    Ok(Report { id: "E10", title: super::EXPERIMENTS[8].title, rows, figures, notes })
+    Ok(Report { id: RAMPS.id, title: RAMPS.title, rows, figures, notes })
 }
 
 fn ramp(
@@ -50,7 +56,7 @@ fn ramp(
             points.push([force_n, bench.rig.mean_around(&image, bench.places[element])]);
         }
         let falls = points.windows(2).filter(|w| w[1][1] < w[0][1]).count();
-        let name = format!("{}, {}: {name}", array.name, super::solve_name(solve));
+        let name = format!("{}, {}: {name}", array.name, solve_name(solve));
         rows.push(row(format!("{name}: steps at which the curve falls"), "", Some(0.0), falls as f64, Kind::Predicted));
         rows.push(row(format!("{name}: R^2 of a quadratic"), "", None, quadratic_r2(&points), Kind::Predicted));
         let (first, last) = (points[3][1] - points[0][1], points[12][1] - points[9][1]);
@@ -67,8 +73,11 @@ fn ramp(
     Ok((rows, curves))
 }
 
+pub(super) const SMALLEST: Experiment =
+    Experiment { id: "E11", title: "smallest force: 120 mN on one element", run: smallest };
+
 /// E11: 120 mN on each element, frame by frame, against frames at rest.
-pub(super) fn smallest() -> Result<Report, Error> {
+fn smallest() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::Pixels)?;
     let (mut ratios, mut limits) = (Vec::new(), Vec::new());
     for element in 0..bench.places.len() {
@@ -105,7 +114,7 @@ pub(super) fn smallest() -> Result<Report, Error> {
         "The paper's 0.38 kPa is that of a radius of 1 cm; its element has 1 cm in diameter.".into(),
         "Single frames of 0.1 s, on sponge of an assumed stiffness (400 N/m: 120 mN are 0.3 mm).".into(),
     ];
-    Ok(Report { id: "E11", title: super::EXPERIMENTS[9].title, rows, figures: Vec::new(), notes })
+    Ok(Report { id: SMALLEST.id, title: SMALLEST.title, rows, figures: Vec::new(), notes })
 }
 
 pub(super) fn mean_and_deviation(values: &[f64]) -> (f64, f64) {

@@ -2,21 +2,24 @@
 
 use dermis_touch::rhythm::{Spectrum, SpectrumAnalyser};
 
-use super::{Bench, EIGHT, row};
+use super::array::{Bench, EIGHT, row, solve_name};
 use crate::Error;
-use crate::report::{Curve, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Report};
 use crate::twin_bench::distance_mm;
 use dermis_skin::Solve;
 
 /// Frames of a rhythm: 12.8 s, lines 0.078 Hz apart.
 const FRAMES: usize = 128;
 
+pub(super) const STABILITY: Experiment =
+    Experiment { id: "E6", title: "one element held for 100 frames", run: stability };
+
 /// E6: 100 frames of one element pressed.
-pub(super) fn stability() -> Result<Report, Error> {
+fn stability() -> Result<Report, Error> {
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     for solve in [Solve::Pixels, Solve::LiftOff] {
         let mut bench = EIGHT.bench(solve)?;
-        let (element, name) = (6, super::solve_name(solve));
+        let (element, name) = (6, solve_name(solve));
         let indenters = [bench.press(element, bench.press_n)];
         bench.rig.frames(&indenters, 20)?;
         let (mut values, mut farthest) = (Vec::new(), 0.0_f64);
@@ -35,11 +38,13 @@ pub(super) fn stability() -> Result<Report, Error> {
     let title = "E6: element 7 over its mean".into();
     let figures = vec![Figure::Curves { name: "stability", title, x_label: "frame", y_label: "over the mean", curves }];
     let notes = vec!["A pixel is 3 mm: the peak of an element between pixel centres lies up to 2 mm off.".into()];
-    Ok(Report { id: "E6", title: super::EXPERIMENTS[5].title, rows, figures, notes })
+    Ok(Report { id: STABILITY.id, title: STABILITY.title, rows, figures, notes })
 }
 
+pub(super) const CYCLIC: Experiment = Experiment { id: "E7", title: "cyclic touch at 3 Hz", run: cyclic };
+
 /// E7: one element at 3 Hz; the spectrum of the frame's mean.
-pub(super) fn cyclic() -> Result<Report, Error> {
+fn cyclic() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::LiftOff)?;
     let series = rhythms(&mut bench, &[(12, 3.0)])?;
     let rate_hz = 1.0 / bench.rig.frame_s();
@@ -64,11 +69,14 @@ pub(super) fn cyclic() -> Result<Report, Error> {
         },
     ];
     let notes = vec!["Ten frames a second; lines of the spectrum are 0.078 Hz apart.".into()];
-    Ok(Report { id: "E7", title: super::EXPERIMENTS[6].title, rows, figures, notes })
+    Ok(Report { id: CYCLIC.id, title: CYCLIC.title, rows, figures, notes })
 }
 
+pub(super) const TWO_RHYTHMS: Experiment =
+    Experiment { id: "E8", title: "two elements at 0.5 and 2 Hz at once", run: two_rhythms };
+
 /// E8: two elements at once, each with its own rhythm.
-pub(super) fn two_rhythms() -> Result<Report, Error> {
+fn two_rhythms() -> Result<Report, Error> {
     let mut bench = EIGHT.bench(Solve::LiftOff)?;
     let pressed = [(6, 0.5), (18, 2.0)];
     let series = rhythms(&mut bench, &pressed)?;
@@ -99,7 +107,7 @@ pub(super) fn two_rhythms() -> Result<Report, Error> {
         vec![Figure::Curves { name: "two-rhythms", title, x_label: "frequency (Hz)", y_label: "amplitude", curves }];
     let notes =
         vec!["Each element's spectrum is that of its own 3 x 3 pixels: the two are told apart in space.".into()];
-    Ok(Report { id: "E8", title: super::EXPERIMENTS[7].title, rows, figures, notes })
+    Ok(Report { id: TWO_RHYTHMS.id, title: TWO_RHYTHMS.title, rows, figures, notes })
 }
 
 struct Series {

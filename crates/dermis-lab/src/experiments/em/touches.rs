@@ -3,15 +3,18 @@
 use dermis_touch::measure::pearson;
 use dermis_twin::mechanics::Indenter;
 
-use super::{Bench, CIRCULAR, EIGHT, SQUARE, row, solve_name};
+use super::array::{Bench, CIRCULAR, EIGHT, SQUARE, row, solve_name};
 use crate::Error;
-use crate::report::{Figure, Kind, Report, Row};
+use crate::report::{Experiment, Figure, Kind, Report, Row};
 use crate::twin_bench::distance_mm;
 use dermis_live::magnetic_model::{ELEMENT_WIDTH, MagneticModel};
 use dermis_skin::Solve;
 
+pub(super) const SINGLE: Experiment =
+    Experiment { id: "E1", title: "single touch at every element, eight and sixteen coils", run: single };
+
 /// E1: every element pressed, one frame each after the mechanics settled; the eight coils for 100 frames each as well.
-pub(super) fn single() -> Result<Report, Error> {
+fn single() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, solve, frames) in [
         (EIGHT, Solve::Pixels, 100),
@@ -62,11 +65,11 @@ pub(super) fn single() -> Result<Report, Error> {
     }
     rows.extend(jacobians()?);
     let notes = vec!["The paper shows images; that all elements are located is its statement.".into()];
-    Ok(Report { id: "E1", title: super::EXPERIMENTS[0].title, rows, figures, notes })
+    Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
 }
 
-/// How close the Jacobian of the images is to the one that is measured as published, by poking each element once: correlation
-/// over the channels, element by element.
+/// How close the Jacobian of the images is to the one that is measured as published, by poking each element once:
+/// correlation over the channels, element by element.
 fn jacobians() -> Result<Vec<Row>, Error> {
     let mut bench = EIGHT.bench(Solve::Pixels)?;
     let pitch_m = MagneticModel::of(&bench.rig.prepared().skin)?.elements.pitch_m();
@@ -91,8 +94,10 @@ fn jacobians() -> Result<Vec<Row>, Error> {
     ])
 }
 
+pub(super) const ADJACENT: Experiment = Experiment { id: "E2", title: "two adjacent elements", run: adjacent };
+
 /// E2: every pair of elements side by side in a row.
-pub(super) fn adjacent() -> Result<Report, Error> {
+fn adjacent() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, solve) in
         [(EIGHT, Solve::Pixels), (EIGHT, Solve::LiftOff), (CIRCULAR, Solve::LiftOff), (SQUARE, Solve::LiftOff)]
@@ -119,7 +124,7 @@ pub(super) fn adjacent() -> Result<Report, Error> {
         "The paper shows one pair. In the linear image neighbours are one blob.".into(),
         "Single frames of the eight coils, means of ten of the sixteen.".into(),
     ];
-    Ok(Report { id: "E2", title: super::EXPERIMENTS[1].title, rows, figures, notes })
+    Ok(Report { id: ADJACENT.id, title: ADJACENT.title, rows, figures, notes })
 }
 
 /// In how many of these groups every element has its touch and there is no other; images of the first four.
@@ -140,8 +145,10 @@ fn told_apart<const N: usize>(
     Ok((apart as f64, panels))
 }
 
+pub(super) const SEVERAL: Experiment = Experiment { id: "E3", title: "three and four touches", run: several };
+
 /// E3: threes and fours, near each other and far apart.
-pub(super) fn several() -> Result<Report, Error> {
+fn several() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, file) in [(EIGHT, "several-8"), (CIRCULAR, "several-16")] {
         let mut bench = array.bench(Solve::LiftOff)?;
@@ -173,7 +180,7 @@ pub(super) fn several() -> Result<Report, Error> {
         "The last group of each four is of elements that touch each other.".into(),
         "Single frames of the eight coils, means of ten of the sixteen. Travels are those of the mean of ten frames, against what the twin's mechanics did.".into(),
     ];
-    Ok(Report { id: "E3", title: super::EXPERIMENTS[2].title, rows, figures, notes })
+    Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }
 
 /// Largest error of any element's travel when four are pressed half as hard, of the mean of ten frames.
@@ -198,8 +205,10 @@ fn travel_error(bench: &mut Bench, name: &str, groups: &[[usize; 4]]) -> Result<
     Ok(row(format!("{name}: travel of any element, largest error in fours"), "mm", None, 1e3 * worst, Kind::Algorithm))
 }
 
+pub(super) const COILS: Experiment = Experiment { id: "E4", title: "circular against square coils", run: coils };
+
 /// E4: how wide one element is in the linear image, which both arrays make with the same prior and noise.
-pub(super) fn coils() -> Result<Report, Error> {
+fn coils() -> Result<Report, Error> {
     let (mut rows, mut figures) = (Vec::new(), Vec::new());
     for (array, file) in [(CIRCULAR, "circular"), (SQUARE, "square")] {
         let mut bench = array.bench(Solve::Pixels)?;
@@ -240,11 +249,13 @@ pub(super) fn coils() -> Result<Report, Error> {
     let notes = vec![
         "Spread: root mean square distance from the element, weighted with the image squared; means of 16 frames. The paper finds square coils sharper.".into(),
     ];
-    Ok(Report { id: "E4", title: super::EXPERIMENTS[3].title, rows, figures, notes })
+    Ok(Report { id: COILS.id, title: COILS.title, rows, figures, notes })
 }
 
+pub(super) const SHAPES: Experiment = Experiment { id: "E5", title: "a line and a ring", run: shapes };
+
 /// E5: the middle row, and the eight elements around the middle.
-pub(super) fn shapes() -> Result<Report, Error> {
+fn shapes() -> Result<Report, Error> {
     let (mut rows, mut panels, mut columns) = (Vec::new(), Vec::new(), 0);
     let line: Vec<usize> = (10..15).collect();
     let ring = vec![6, 7, 8, 11, 13, 16, 17, 18];
@@ -274,5 +285,5 @@ pub(super) fn shapes() -> Result<Report, Error> {
         panels,
     }];
     let notes = vec!["The paper shows both as images of its eight coils.".into()];
-    Ok(Report { id: "E5", title: super::EXPERIMENTS[4].title, rows, figures, notes })
+    Ok(Report { id: SHAPES.id, title: SHAPES.title, rows, figures, notes })
 }

@@ -3,11 +3,11 @@
 use dermis_touch::Touch;
 use dermis_touch::damage::{DamageEvent, DamageState};
 
+use super::bench::{mean, row};
 use super::live::Line;
-use super::{EXPERIMENTS, mean, row};
 use crate::Error;
 use crate::report::Row;
-use crate::report::{Curve, Figure, ImagePanel, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report};
 use crate::twin_bench::{distance_mm, panel_of};
 use dermis_skin::TwinAction;
 
@@ -60,8 +60,11 @@ fn beside(line: &mut Line) -> Result<(f64, usize), Error> {
     Ok((mean(errors), odd))
 }
 
+pub(super) const CUT_AND_TOUCHES: Experiment =
+    Experiment { id: "H4", title: "a cut of 20 mm, and touches beside it", run: cut_and_touches };
+
 /// H4: a cut is found, and touches beside it are placed as before.
-pub(super) fn cut_and_touches() -> Result<Report, Error> {
+fn cut_and_touches() -> Result<Report, Error> {
     let mut line = Line::new()?;
     let (intact_mm, intact_odd) = beside(&mut line)?;
     cut(&mut line)?;
@@ -101,11 +104,14 @@ pub(super) fn cut_and_touches() -> Result<Report, Error> {
     ]);
     let figures = vec![images(&line, "cut", "H4: a cut of 20 mm, and a touch while it is there", panels)];
     let notes = vec!["The length is the paper's; it shows place and shape, and gives no numbers.".into()];
-    Ok(Report { id: "H4", title: EXPERIMENTS[3].title, rows, figures, notes })
+    Ok(Report { id: CUT_AND_TOUCHES.id, title: CUT_AND_TOUCHES.title, rows, figures, notes })
 }
 
+pub(super) const HEALING: Experiment =
+    Experiment { id: "H5", title: "healing: heat, two days, a new baseline", run: healing };
+
 /// H5: heated, left alone for 48 h, given a new baseline.
-pub(super) fn healing() -> Result<Report, Error> {
+fn healing() -> Result<Report, Error> {
     let mut line = Line::new()?;
     let intact = line.touched(MIDDLE_MM, HELD_S)?;
     cut(&mut line)?;
@@ -166,11 +172,13 @@ pub(super) fn healing() -> Result<Report, Error> {
             .into(),
         "The monitor fits the cut's joining and the rise of conductivity about it apart.".into(),
     ];
-    Ok(Report { id: "H5", title: EXPERIMENTS[4].title, rows, figures, notes })
+    Ok(Report { id: HEALING.id, title: HEALING.title, rows, figures, notes })
 }
 
+pub(super) const ON_THE_CUT: Experiment = Experiment { id: "H6", title: "pressing on the cut", run: on_the_cut };
+
 /// H6: pressed on the cut, and released.
-pub(super) fn on_the_cut() -> Result<Report, Error> {
+fn on_the_cut() -> Result<Report, Error> {
     let mut line = Line::new()?;
     cut(&mut line)?;
     let mut panels = vec![panel(&line, "cut", &line.damage_image, &[MIDDLE_MM])];
@@ -196,5 +204,5 @@ pub(super) fn on_the_cut() -> Result<Report, Error> {
     ];
     let figures = vec![images(&line, "on-the-cut", "H6: pressing on the cut", panels)];
     let notes = vec!["Against the intact skin, as in the paper's figure 12. 1 is yes.".into()];
-    Ok(Report { id: "H6", title: EXPERIMENTS[5].title, rows, figures, notes })
+    Ok(Report { id: ON_THE_CUT.id, title: ON_THE_CUT.title, rows, figures, notes })
 }

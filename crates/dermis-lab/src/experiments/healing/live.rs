@@ -1,10 +1,12 @@
-//! The sandwich's twin followed by the live pipeline, frame by frame, for what takes time: cuts, presses, heat and baselines.
+//! The sandwich's twin followed by the live pipeline, frame by frame, for what takes time: cuts, presses, heat and
+//! baselines.
 
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::Touch;
 use dermis_touch::damage::{Damage, DamageEvent};
 use dermis_twin::{Frontend, Treatment, Wound};
 
+use super::bench::{PRESSURE_PA, SKIN};
 use crate::Error;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
@@ -12,7 +14,7 @@ use dermis_skin::{Skin, TwinAction};
 use dermis_twin::{AnyTwin, TwinKit};
 
 /// Pressure of a press, pascal, and radius of the 20 mm indenter.
-const PRESS: (f64, f64) = (super::PRESSURE_PA, 10e-3);
+const PRESS: (f64, f64) = (PRESSURE_PA, 10e-3);
 
 /// A twin and the pipeline that follows it.
 pub(super) struct Line {
@@ -33,7 +35,7 @@ pub(super) struct Line {
 impl Line {
     /// With a baseline.
     pub(super) fn new() -> Result<Self, Error> {
-        let skin = Skin::open(super::SKIN)?;
+        let skin = Skin::open(SKIN)?;
         let twin = TwinKit::of(&skin)?.twin;
         let frame_s = 1.0 / skin.backend.frames_per_s.unwrap_or(25.0);
         let prepared = Prepared::new(skin)?;

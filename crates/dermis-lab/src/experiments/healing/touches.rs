@@ -3,9 +3,9 @@
 use dermis_tomo::quality::centroid_above_m;
 use dermis_twin::mechanics::Indenter;
 
-use super::{Bench, EXPERIMENTS, Seen, Step, indenter, mean, radius_m, row};
+use super::bench::{Bench, PRESSURE_PA, Seen, Step, indenter, mean, radius_m, row};
 use crate::Error;
-use crate::report::{Curve, Figure, ImagePanel, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report, Row};
 use crate::twin_bench::distance_mm;
 
 /// The two indenters, millimetres.
@@ -42,7 +42,7 @@ impl Scores {
         Ok(())
     }
 
-    fn rows(&self, published: [f64; 3], name: &str) -> Vec<super::Row> {
+    fn rows(&self, published: [f64; 3], name: &str) -> Vec<Row> {
         let mut rows = Vec::new();
         for (step, scores) in Step::ALL.iter().zip(&self.by_step) {
             for (k, figure) in ["ICC", "RIE", "SSIM"].into_iter().enumerate() {
@@ -55,8 +55,11 @@ impl Scores {
     }
 }
 
+pub(super) const SINGLE: Experiment =
+    Experiment { id: "H1", title: "single touches of 20 and 25 mm at 80 kPa", run: single };
+
 /// H1: both indenters at three places.
-pub(super) fn single() -> Result<Report, Error> {
+fn single() -> Result<Report, Error> {
     let mut bench = Bench::new()?;
     let mut scores = Scores::new();
     let mut diameters = Vec::new();
@@ -80,17 +83,20 @@ pub(super) fn single() -> Result<Report, Error> {
     };
     let told = diameters.iter().filter(nearer).count() as f64;
     rows.push(row("cases of six whose indenter is told by its size", "", Some(5.0), told, Kind::Algorithm));
-    let title = format!("H1: single touches at {} kPa", super::PRESSURE_PA * 1e-3);
+    let title = format!("H1: single touches at {} kPa", PRESSURE_PA * 1e-3);
     let figures = vec![Figure::Images { name: "single", title, columns: bench.rig.columns(), panels: scores.panels }];
     let notes = vec![
         "The paper's size of one of six cases, 25 mm in the middle, was not told from the smaller one's.".into(),
         "Truth is what the indenter covers. The first step is scored over its own peak.".into(),
     ];
-    Ok(Report { id: "H1", title: EXPERIMENTS[0].title, rows, figures, notes })
+    Ok(Report { id: SINGLE.id, title: SINGLE.title, rows, figures, notes })
 }
 
+pub(super) const POSITIONS: Experiment =
+    Experiment { id: "H2", title: "position error at nine places of the first quadrant", run: positions };
+
 /// H2: nine places 12.5 mm apart, 20 mm indenter.
-pub(super) fn positions() -> Result<Report, Error> {
+fn positions() -> Result<Report, Error> {
     let mut bench = Bench::new()?;
     let grid = *bench.grid();
     let mut errors: [Vec<f64>; Step::ALL.len()] = Default::default();
@@ -129,11 +135,13 @@ pub(super) fn positions() -> Result<Report, Error> {
     let title = "H2: nine places of the first quadrant".into();
     let figures = vec![Figure::Curves { name: "places", title, x_label: "x (mm)", y_label: "y (mm)", curves }];
     let notes = vec!["The first step's place is the centroid above half of the peak, as in the paper.".into()];
-    Ok(Report { id: "H2", title: EXPERIMENTS[1].title, rows, figures, notes })
+    Ok(Report { id: POSITIONS.id, title: POSITIONS.title, rows, figures, notes })
 }
 
+pub(super) const SEVERAL: Experiment = Experiment { id: "H3", title: "two and three touches at once", run: several };
+
 /// H3: two and three touches of 20 mm.
-pub(super) fn several() -> Result<Report, Error> {
+fn several() -> Result<Report, Error> {
     let two: [&[[f64; 2]]; 4] = [
         &[[-25.0, 0.0], [25.0, 0.0]],
         &[[0.0, -25.0], [0.0, 25.0]],
@@ -174,5 +182,5 @@ pub(super) fn several() -> Result<Report, Error> {
     let title = "H3: two and three touches".into();
     let figures = vec![Figure::Images { name: "several", title, columns: bench.rig.columns(), panels }];
     let notes = vec!["The paper's text does not say where its several touches lie; these are spread alike.".into()];
-    Ok(Report { id: "H3", title: EXPERIMENTS[2].title, rows, figures, notes })
+    Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }

@@ -3,14 +3,16 @@
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::sample::{Sample, layout_of};
-use super::{Learned, Loader, Place};
+use super::learned::{Learned, Loader};
+use super::sample::{Place, Sample, layout_of};
 use crate::LearnError;
 use crate::kernels::{Finish, Layout, Taps, add_kernel_slopes, convolve};
 use crate::network::NORM_EPSILON;
 use crate::shape::TensorSpec;
-use crate::train::{Batch, MOMENTUM};
+use crate::train::batch::Batch;
 
+/// Share by which a batch moves the running mean and variance; PyTorch's default.
+const MOMENTUM: f32 = 0.1;
 /// Values of a kernel whose slopes one thread sums.
 const KERNEL_CHUNK: usize = 2048;
 

@@ -1,15 +1,15 @@
-//! The 1x1 convolution that gives the logits, softmax and cross-entropy, with their slopes. Classes may weigh unlike each
-//! other: the loss is then the weighted mean, as that of PyTorch's `cross_entropy`.
+//! The 1x1 convolution that gives the logits, softmax and cross-entropy, with their slopes. Classes may weigh unlike
+//! each other: the loss is then the weighted mean, as that of PyTorch's `cross_entropy`.
 
 use pulp::Arch;
 use rayon::prelude::*;
 
+use super::learned::{Learned, Loader};
 use super::sample::{Sample, layout_of};
-use super::{Learned, Loader};
 use crate::LearnError;
 use crate::kernels::Layout;
 use crate::shape::TensorSpec;
-use crate::train::Batch;
+use crate::train::batch::Batch;
 
 /// From the last image to the loss.
 pub(super) struct Head {

@@ -3,24 +3,22 @@
 //! are taken in their order, so that a training gives the same weights whatever the number of threads.
 
 mod layer;
+mod learned;
 mod loss;
 mod sample;
 
 use pulp::Arch;
 use rayon::prelude::*;
 
-use super::Batch;
+use super::batch::Batch;
 use crate::LearnError;
 use crate::kernels::{pool, pool_back, repeat, repeat_back};
 use crate::shape::{TensorSpec, UNetShape};
 use crate::weights::Tensors;
 use layer::Layer;
+use learned::{Learned, Loader};
 use loss::Head;
-use sample::{Sample, layout_of};
-
-/// Adam's decay rates and the number that keeps its division finite: the paper's.
-const DECAY: [f64; 2] = [0.9, 0.999];
-const ADAM_EPSILON: f64 = 1e-8;
+use sample::{Place, Sample, layout_of};
 
 /// A U-Net being trained.
 pub(super) struct NativeUNet {
@@ -32,13 +30,6 @@ pub(super) struct NativeUNet {
     /// Steps of Adam so far.
     steps: usize,
     arch: Arch,
-}
-
-/// Channels of one image of a sample: which image, and the first channel.
-#[derive(Clone, Copy, Debug)]
-struct Place {
-    plane: usize,
-    channel: usize,
 }
 
 /// What is done to every sample, one after the other; backward in the opposite order.
@@ -57,28 +48,6 @@ enum Step {
         from: usize,
         to: usize,
     },
-}
-
-/// A tensor that descent moves: slopes of the last batch, and Adam's moments.
-struct Learned {
-    value: Vec<f32>,
-    slope: Vec<f32>,
-    first: Vec<f32>,
-    second: Vec<f32>,
-}
-
-impl Learned {
-    fn step(&mut self, rate: f64, steps: usize) {
-        let powers = DECAY.map(|decay| 1.0 - decay.powi(steps as i32));
-        let (rate, second_scale) = ((rate / powers[0]) as f32, (1.0 / powers[1]) as f32);
-        let [a, b] = DECAY.map(|decay| decay as f32);
-        let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((value, slope), (first, second)) in self.value.iter_mut().zip(&self.slope).zip(moments) {
-            *first = a * *first + (1.0 - a) * slope;
-            *second = b * *second + (1.0 - b) * slope * slope;
-            *value -= rate * *first / ((*second * second_scale).sqrt() + ADAM_EPSILON as f32);
-        }
-    }
 }
 
 impl NativeUNet {
@@ -177,7 +146,8 @@ impl NativeUNet {
             self.samples.clear();
         }
         while self.samples.len() < batch.count {
-            self.samples.push(Sample::new(&self.shape, batch, &self.layers));
+            let layers = self.layers.iter().map(|layer| (layer.outputs, layer.level));
+            self.samples.push(Sample::new(&self.shape, batch, layers));
         }
         let layout = layout_of(batch, 0);
         let given = batch.inputs.chunks_exact(self.shape.inputs * layout.pixels());
@@ -246,38 +216,6 @@ impl NativeUNet {
         put(&of_head[0], &self.head.weight)?;
         put(&of_head[1], &self.head.bias)?;
         Ok(tensors)
-    }
-}
-
-/// From named values to what is learned.
-struct Loader<'a> {
-    tensors: &'a Tensors,
-    moments: Option<&'a Tensors>,
-}
-
-impl Loader<'_> {
-    fn learned(&self, spec: &TensorSpec) -> Result<Learned, LearnError> {
-        let moment = |name: &str| match self.moments {
-            Some(moments) => Self::values(moments, &format!("{name}.{}", spec.name), spec),
-            None => Ok(vec![0.0; spec.len()]),
-        };
-        let (first, second) = (moment("first")?, moment("second")?);
-        Ok(Learned { value: self.running(spec)?, slope: vec![0.0; spec.len()], first, second })
-    }
-
-    /// Values that are not learned by descent.
-    fn running(&self, spec: &TensorSpec) -> Result<Vec<f32>, LearnError> {
-        Self::values(self.tensors, &spec.name, spec)
-    }
-
-    fn values(tensors: &Tensors, name: &str, spec: &TensorSpec) -> Result<Vec<f32>, LearnError> {
-        match tensors.get(name) {
-            Some((dims, values)) if dims == spec.dims => Ok(values.to_vec()),
-            found => {
-                let got = found.map_or(0, |(_, values)| values.len());
-                Err(LearnError::Size { what: "values of a tensor", expected: spec.len(), got })
-            }
-        }
     }
 }
 

@@ -1,9 +1,8 @@
 //! What is remembered of one sample between forward and backward: every image of the network, and the slopes by it.
 
-use super::layer::Layer;
 use crate::kernels::Layout;
 use crate::shape::UNetShape;
-use crate::train::Batch;
+use crate::train::batch::Batch;
 
 /// Images a level.
 const PLANES: usize = 5;
@@ -55,7 +54,8 @@ pub(super) struct Sample {
 }
 
 impl Sample {
-    pub(super) fn new(shape: &UNetShape, batch: &Batch<'_>, layers: &[Layer]) -> Self {
+    /// `layers` are the channels that each layer gives, and its level.
+    pub(super) fn new(shape: &UNetShape, batch: &Batch<'_>, layers: impl Iterator<Item = (usize, usize)>) -> Self {
         let mut planes = Vec::new();
         for level in 0..shape.levels {
             let (own, last) = (shape.channels(level), level + 1 == shape.levels);
@@ -67,7 +67,7 @@ impl Sample {
                 planes.push(vec![0.0; channels * pitch]);
             }
         }
-        let raw = layers.iter().map(|layer| vec![0.0; layer.outputs * layout_of(batch, layer.level).pitch()]);
+        let raw = layers.map(|(outputs, level)| vec![0.0; outputs * layout_of(batch, level).pitch()]);
         Self {
             size: (batch.rows, batch.columns),
             slopes: planes.clone(),
@@ -79,4 +79,11 @@ impl Sample {
             loss: 0.0,
         }
     }
+}
+
+/// Channels of one image of a sample: which image, and the first channel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) plane: usize,
+    pub(super) channel: usize,
 }

@@ -131,7 +131,7 @@ impl DamageStage {
         // What begins no touch on a healed or renewed skin that reads as the intact one is in the baseline of touches alone.
         let damages = self.monitor.damages();
         let is_mended = !damages.is_empty() && !damages.iter().any(Damage::is_open);
-        let is_intact = is_mended && frame.touches.is_empty() && self.intact.is_read(frame.noise);
+        let is_intact = frame.loaded && is_mended && frame.touches.is_empty() && self.intact.is_read(frame.noise);
         let frame = &DamageFrame { loaded: frame.loaded && !is_cut && !is_intact, ..*frame };
         self.monitor.process(&MonitorFrame {
             time_ns: frame.time_ns,

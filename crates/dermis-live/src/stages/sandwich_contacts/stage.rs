@@ -90,6 +90,8 @@ pub(crate) struct PatchStage {
     gathered: Gathered,
     search: Search,
     seen_ns: Option<u64>,
+    /// Whether frames wait for the whole of a search, and no search for a later frame.
+    is_unhurried: bool,
     /// Since when something has been on the skin.
     touched_ns: Option<u64>,
 }
@@ -121,6 +123,7 @@ impl PatchStage {
             gathered: Gathered::default(),
             search: Search::restarted(),
             seen_ns: None,
+            is_unhurried: false,
             touched_ns: None,
         })
     }
@@ -134,6 +137,11 @@ impl PatchStage {
         self.gathered = Gathered::default();
         self.search = Search::restarted();
         (self.seen_ns, self.touched_ns) = (None, None);
+    }
+
+    /// From now on each frame waits for as much of a search as it takes.
+    pub(crate) fn take_time(&mut self) {
+        self.is_unhurried = true;
     }
 
     /// Replaces the noise of the channels (model volts).
@@ -222,7 +230,8 @@ impl PatchStage {
             let mean = self.gathered.mean();
             self.left.extend_from_slice(mean);
         }
-        self.refine_now(time_ns, SEARCH_SHARE * since_ns.max(LEAST_NS), lowest, contacts);
+        let share_ns = if self.is_unhurried { f64::INFINITY } else { SEARCH_SHARE * since_ns.max(LEAST_NS) };
+        self.refine_now(time_ns, share_ns, lowest, contacts);
     }
 
     /// As [`PatchStage::refine`], of the frame in `left`.
@@ -327,7 +336,7 @@ impl PatchStage {
     fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
         let under_way = self.search.seek.take();
         let tools = self.tools();
-        let rested = time_ns >= self.search.pause_until_ns;
+        let rested = self.is_unhurried || time_ns >= self.search.pause_until_ns;
         let begin = || rested.then(|| Seek::new(&tools, &self.whitened.change, &self.whitened.deviation)).flatten();
         let Some(mut seek) = under_way.or_else(begin) else { return false };
         let found = match seek.advance(&tools, share_ns) {

@@ -1,10 +1,10 @@
-//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by damped least squares
-//! ([`crate::least_squares`]) on the full model, with a broad prior on radius and conductance.
+//! Patches of contact fitted to a frame: places, radii and conductances of all of them together, by damped least
+//! squares ([`crate::least_squares`]) on the full model, with a broad prior on radius and conductance.
 
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 
-use super::{ContactPatch, ContactSheet, Touched};
+use super::sheet::{ContactPatch, ContactSheet, Touched};
 use crate::eit::EitError;
 use crate::least_squares::{
     Acceptance, Control, Damping, NormalEquations, Outcome, Params, Problem, Scratch, Tolerances, Trial, minimise,
@@ -14,8 +14,8 @@ use crate::least_squares::{
 const OF_PATCH: usize = 4;
 /// Damping at the start and at most, relative to the diagonal.
 const DAMPING: [f64; 2] = [1e-3, 1e6];
-/// A step that would lower the cost (half squared standard deviations) by less than this is not taken: all parameters are
-/// then within a tenth of their standard deviations of the best ones.
+/// A step that would lower the cost (half squared standard deviations) by less than this is not taken: all parameters
+/// are then within a tenth of their standard deviations of the best ones.
 const SETTLED: f64 = 5e-3;
 /// A step moves no place by more than this many radii, and no logarithm by more than [`LONGEST_LOG`].
 const LONGEST: f64 = 0.7;
@@ -32,8 +32,8 @@ pub struct FitOptions {
     pub conductance_s_per_m2: f64,
     /// Standard deviation of its natural logarithm.
     pub conductance_log_deviation: f64,
-    /// Standard deviation of a change of all voltages by the same share, which is fitted beside the patches: a sheet grows
-    /// warmer. 0: there is none.
+    /// Standard deviation of a change of all voltages by the same share, which is fitted beside the patches: a sheet
+    /// grows warmer. 0: there is none.
     pub gain_deviation: f64,
     /// Steps at most.
     pub most_steps: usize,
@@ -55,8 +55,8 @@ pub struct FitSummary {
     pub misfit: f64,
     /// The same before anything was explained.
     pub energy: f64,
-    /// Sum over the channels of the squared residual over its variance, and over the patches of how far radius and conductance
-    /// are from what is expected, in squared standard deviations: what a fit makes small.
+    /// Sum over the channels of the squared residual over its variance, and over the patches of how far radius and
+    /// conductance are from what is expected, in squared standard deviations: what a fit makes small.
     pub cost: f64,
     /// Steps taken.
     pub steps: usize,
@@ -101,8 +101,8 @@ impl ContactSheet {
         Ok(PatchFit { patches: start.to_vec(), touched, change_v, gain: 0.0, jacobian: None, damping: DAMPING[0] })
     }
 
-    /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count) with
-    /// these standard deviations. `left_v` gets what is left over, `NaN` where the change was.
+    /// Fits patches, from where they are, to changes of the channels (volts; those that are not finite do not count)
+    /// with these standard deviations. `left_v` gets what is left over, `NaN` where the change was.
     ///
     /// # Errors
     /// Lengths that are not the number of channels; as [`ContactSheet::change_v`].
@@ -117,8 +117,8 @@ impl ContactSheet {
         self.go_on(change_v, deviation_v, &mut self.begin_fit(start)?, options, left_v)
     }
 
-    /// As [`ContactSheet::fit`], from where a fit stands; it stands at the patches found afterwards, and one that used all of
-    /// its steps can be gone on with.
+    /// As [`ContactSheet::fit`], from where a fit stands; it stands at the patches found afterwards, and one that used
+    /// all of its steps can be gone on with.
     ///
     /// # Errors
     /// As [`ContactSheet::fit`].
@@ -186,7 +186,8 @@ impl ContactSheet {
         Ok((fits, summary))
     }
 
-    /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s`, times what each parameter does to the node's conductance.
+    /// Channels x parameters, row-major: `dV/dg_p = -w_m w_s`, times what each parameter does to the node's
+    /// conductance.
     pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
         let (size, stimulations) = (OF_PATCH * patches.len(), self.stimulations);
         let measuring = self.patterns() - stimulations;

@@ -2,7 +2,7 @@
 //! differences, and fits and searches on patches that are known.
 
 use super::*;
-use crate::eit::{Drive, Driven, Measure, Order, Pattern, Protocol, ProtocolSpec};
+use crate::eit::{Drive, Driven, EitError, ForwardModel, Measure, Order, Pattern, Protocol, ProtocolSpec};
 use crate::mesh::{Contact, Direction, Electrode, ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
 
 const SHEET_S: f64 = 5e-3;

@@ -5,18 +5,19 @@ use super::form::{Form, GRID, choose_form, forward_examples};
 use super::fusion::{Cells, Fusion};
 use super::inverse::{Guess, LeftOutPlaces, Memory, Regression};
 use super::live::unit_length;
+use super::model::FusedLocator;
 use super::prior::Sister;
 use super::report::{Accuracy, FusedReport};
 use super::state::{FUSED_VERSION, FusedState};
-use super::{FusedLocator, FusedOptions};
 use crate::locator::data::{Examples, LeaveOneOut, LeftOut, MIN_EXAMPLES, SignatureMap};
 use crate::locator::design::{Design, Prior, basis, nearest};
 use crate::locator::error::{LocatorError, check_length};
+use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, evenly, prepare};
 use crate::locator::load::LoadLaw;
+use crate::locator::model::Locator;
 use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile, spacing};
 use crate::locator::regression::{FittedMap, example_noise};
 use crate::locator::state::LocatorState;
-use crate::locator::{Fitting, Judged, Locator, SECTORS, by_direction, evenly, prepare};
 
 /// Principal components of the features that the inverse expert sees.
 pub(super) const PLAIN_RANK: usize = 64;
@@ -38,8 +39,51 @@ const REFIT_AT_MOST: usize = 1000;
 /// From so many examples x and y have factors on sigma of their own.
 const OWN_FACTORS: usize = 100;
 
+/// Options of [`FusedLocator::fit`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FusedOptions {
+    /// Up to so many examples every one is used by both experts. Time grows with its cube, memory with its square.
+    pub exact_examples: usize,
+    /// With more examples than that, so many evenly drawn ones make the forward expert's map and are the inverse
+    /// expert's landmarks; all still teach the inverse expert.
+    pub landmarks: usize,
+    /// Examples that the others contradict are left out and reported.
+    pub leave_out_doubtful: bool,
+}
+
+impl Default for FusedOptions {
+    fn default() -> Self {
+        Self { exact_examples: 3000, landmarks: 2000, leave_out_doubtful: true }
+    }
+}
+
+impl FusedLocator {
+    /// Fits to pokes. `map` holds the positions among which touches are looked for, with what physics predicts there,
+    /// or zeros.
+    ///
+    /// # Errors
+    /// As [`Locator::fit`](Locator::fit); options out of range.
+    pub fn fit(examples: &Examples, map: &SignatureMap, options: &FusedOptions) -> Result<Self, LocatorError> {
+        fit(examples, map, options, None)
+    }
+
+    /// [`FusedLocator::fit`] with a calibration of a skin of the same outline and electrodes to start from.
+    ///
+    /// # Errors
+    /// As [`FusedLocator::fit`]; a prior with another number of channels.
+    pub fn fit_with_prior(
+        examples: &Examples,
+        map: &SignatureMap,
+        options: &FusedOptions,
+        sister: &FusedLocator,
+    ) -> Result<Self, LocatorError> {
+        check_length("channels of the prior", examples.channels(), sister.channels())?;
+        fit(examples, map, options, Some(&Sister::new(sister)?))
+    }
+}
+
 /// Fits; a second time without the examples that the others contradict.
-pub(super) fn fit(
+fn fit(
     examples: &Examples,
     map: &SignatureMap,
     options: &FusedOptions,
@@ -330,8 +374,8 @@ struct Far<'a> {
 }
 
 impl Far<'_> {
-    /// Some of the examples as those of the other sectors locate them, by both experts and by the forward one; none when
-    /// too few would be left.
+    /// Some of the examples as those of the other sectors locate them, by both experts and by the forward one; none
+    /// when too few would be left.
     fn trials(
         &self,
         design: &Design,

@@ -9,9 +9,9 @@ use super::report::PriorUse;
 use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
 use crate::locator::design::basis;
 use crate::locator::error::LocatorError;
+use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
 use crate::locator::posterior::{extent, spacing};
 use crate::locator::regression::ChannelPrior;
-use crate::locator::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =

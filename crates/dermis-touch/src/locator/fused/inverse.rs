@@ -11,7 +11,7 @@ use faer::linalg::solvers::{DenseSolveCore, Solve};
 use faer::{Mat, Side};
 
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::locator::evenly;
+use crate::locator::fit::evenly;
 use crate::locator::posterior::quantile;
 use crate::locator::regression::median;
 use crate::locator::rows::{dot, matern52, matern52_of, products};

@@ -1,8 +1,8 @@
 //! Locating one frame with both experts, without allocating.
 
-use super::FusedLocator;
 use super::features::Features;
 use super::inverse::{Guess, Memory};
+use super::model::FusedLocator;
 use crate::locator::data::{LoadEstimate, Located};
 use crate::locator::design::squared_distance;
 use crate::locator::error::{LocatorError, check_length};

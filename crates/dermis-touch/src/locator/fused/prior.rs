@@ -4,7 +4,7 @@ use faer::linalg::solvers::Solve;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, Side};
 
-use super::FusedLocator;
+use super::model::FusedLocator;
 use crate::locator::data::SignatureMap;
 use crate::locator::design::nearest;
 use crate::locator::error::LocatorError;

@@ -1,8 +1,7 @@
 //! What a fused locator keeps, as plain arrays that can be stored and are checked when read back.
 
-use super::FusedLocator;
 use super::features::Features;
-use super::fusion::{Cells, Fusion};
+use super::fusion::Fusion;
 use super::inverse::Regression;
 use super::report::FusedReport;
 use crate::locator::Locator;
@@ -11,7 +10,7 @@ use crate::locator::error::{LocatorError, check_first, check_length, check_posit
 /// Version of the stored form; a fused locator of another version is refused.
 pub const FUSED_VERSION: u32 = 1;
 
-/// The stored form of a [`FusedLocator`].
+/// The stored form of a [`FusedLocator`](super::FusedLocator).
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FusedState {
@@ -36,7 +35,7 @@ pub(super) struct FusedState {
 }
 
 impl FusedState {
-    fn check(&self) -> Result<(), LocatorError> {
+    pub(super) fn check(&self) -> Result<(), LocatorError> {
         if self.version != FUSED_VERSION {
             return Err(LocatorError::Version { expected: FUSED_VERSION, got: self.version });
         }
@@ -60,22 +59,5 @@ impl FusedState {
         check_first("fusion", values.into_iter(), not_negative, "a finite number, zero or above")?;
         let above = |v: f64| v.is_finite() && v > 0.0;
         check_first("sigma_factors", self.sigma_factors.into_iter(), above, "a finite number above zero")
-    }
-}
-
-impl TryFrom<FusedState> for FusedLocator {
-    type Error = LocatorError;
-
-    fn try_from(state: FusedState) -> Result<Self, LocatorError> {
-        state.check()?;
-        let forward = &state.forward.state;
-        let cells = Cells::new(&forward.positions_m, forward.spacing_m);
-        Ok(Self { state, cells })
-    }
-}
-
-impl From<FusedLocator> for FusedState {
-    fn from(locator: FusedLocator) -> Self {
-        locator.state
     }
 }

@@ -4,7 +4,8 @@ use crate::page::{BaselineRow, DamageRow, DamageView, ProposalView};
 use dermis::live::stages::damage::DamageView as Known;
 use dermis_touch::ReferenceOrigin;
 
-use super::MM;
+/// Millimetres of a metre.
+const MM: f64 = 1e3;
 
 /// Refills what the page shows of damage; `None` where it is not looked for.
 pub(super) fn take(known: &Known<'_>, shown: &mut Option<DamageView>) {

@@ -1,10 +1,4 @@
-//! A twin behind the real wire: on a socket or a pseudo-terminal it answers and streams as an instrument with firmware does, so
-//! that everything between port and picture is tried without hardware. Up to eight hosts at a time, one that says nothing is
-//! sent away; frames that a slow host does not take are skipped and show in its sequence numbers.
-
-mod background;
-mod commands;
-mod listener;
+//! Serving a twin to its hosts.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -14,14 +8,10 @@ use dermis_device::{Frame, HostStamp, Source, SourceEvent};
 use dermis_twin::instrument::Fault;
 use dermis_wire::Status;
 
+use super::listener::{Door, Host};
 use crate::Error;
 use crate::twin_source::TwinSource;
 use dermis_skin::{Reads, Skin};
-
-pub use background::Background;
-pub use commands::{WORDS, command_of};
-pub use listener::Door;
-use listener::Host;
 
 /// Time between two looks at the port.
 const NAP: Duration = Duration::from_millis(2);
@@ -79,10 +69,10 @@ struct Guest {
     overrun: bool,
 }
 
-/// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a host
-/// first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it goes on,
-/// host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument, to an impedance
-/// check with the impedances of its electrodes' contacts, NaN where one is open.
+/// Serves a twin until `stop` is set or, if given, `most` frames have been taken. The twin begins to measure when a
+/// host first asks for frames (at once where `most` is given), so that this host sees it untouched; from then on it
+/// goes on, host or not, as an instrument does. To a self-test it answers with the number of faults in its instrument,
+/// to an impedance check with the impedances of its electrodes' contacts, NaN where one is open.
 ///
 /// # Errors
 /// When the twin cannot go on, or the door fails.

@@ -54,7 +54,8 @@ fn spots_without_noise_are_recovered_together() {
     let starts = [[0.016, -0.016], [-0.021, 0.01]];
     let outcome = model.fit(&frame(&jacobian, &positions, &truth), &starts, &mut scratch).unwrap();
     for (spot, (place, radius, amplitude)) in scratch.spots().iter().zip(&truth) {
-        // The cubics' error between tabulated places (5 mm steps, spots of 11 mm and more) and radii (half as large again).
+        // The cubics' error between tabulated places (5 mm steps, spots of 11 mm and more) and radii (half as large
+        // again).
         assert!((spot.position_m[0] - place[0]).hypot(spot.position_m[1] - place[1]) < 1e-4, "{spot:?} {outcome:?}");
         assert!((spot.radius_m / radius - 1.0).abs() < 0.03 && (spot.amplitude / amplitude - 1.0).abs() < 0.03);
     }

@@ -1,0 +1,308 @@
+//! What is shown and recorded of a run, and what pages ask of it.
+
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, ServerHandle};
+use crossbeam_channel::Receiver;
+use dermis::device::acquire::{Acquisition, AcquisitionCounters};
+use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
+use dermis::live::clock::FrameAnomalies;
+use dermis::live::output::Output;
+use dermis::live::pipeline::Pipeline;
+use dermis::live::stages::health::{HealthChange, HealthWatch};
+use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
+use dermis::twin::from_skin::treatment_of;
+use dermis_device::Frame;
+
+use super::page_feed::{self, PageFeed};
+use crate::exit::{Outcome, UsageError};
+use crate::interrupt;
+
+/// Requests of pages that may wait for the next frame; of one kind, the last counts.
+const MOST_REQUESTS: usize = 256;
+
+/// The run in progress: what is shown and recorded of its frames, and what pages ask of it.
+pub(in crate::commands) struct Running {
+    twin: Option<dermis::source::TwinControl>,
+    recorder: Option<LiveRecording>,
+    not_recorded: u64,
+    recording_failed: bool,
+    head: RecordingHead,
+    health: HealthWatch,
+    hub: Hub,
+    feed: PageFeed,
+}
+
+impl Running {
+    /// Of a pipeline that has not seen a frame, without a page.
+    pub(in crate::commands) fn new(
+        twin: Option<dermis::source::TwinControl>,
+        head: RecordingHead,
+        pipeline: &Pipeline,
+    ) -> Self {
+        let mut feed = PageFeed::new(pipeline);
+        feed.demonstrate(twin.is_some());
+        Self {
+            twin,
+            recorder: None,
+            not_recorded: 0,
+            recording_failed: false,
+            head,
+            health: HealthWatch::new(&pipeline.prepared().skin),
+            hub: Hub::new(),
+            feed,
+        }
+    }
+
+    /// Serves its page; what pages ask comes by the channel.
+    pub(in crate::commands) fn serve(
+        &self,
+        address: SocketAddr,
+        options: PageOptions,
+        pipeline: &Pipeline,
+    ) -> anyhow::Result<(ServerHandle, Receiver<Request>)> {
+        let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
+        let scene = page_feed::scene(pipeline.prepared(), self.twin.as_ref().map(|twin| twin.press));
+        Ok((page::serve(address, options, self.hub.clone(), scene, commands)?, requests))
+    }
+
+    /// Does what pages have asked for, before the next frame.
+    pub(in crate::commands) fn answer_all(&mut self, requests: &Receiver<Request>, pipeline: &mut Pipeline) {
+        for request in page::coalesced(requests.try_iter().take(MOST_REQUESTS)) {
+            self.answer(request, pipeline);
+        }
+    }
+
+    /// No frame came.
+    pub(in crate::commands) fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
+        if self.feed.wait(acquisition.problem()) {
+            self.hub.publish(self.feed.update())?;
+        }
+        Ok(())
+    }
+
+    /// Raw is on its way to the disk before anything is made of it.
+    pub(in crate::commands) fn record(&mut self, frame: &Frame) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.frame(frame);
+        }
+    }
+
+    /// After a frame that was shown; `renewed`: its time, where a new baseline stands since.
+    pub(in crate::commands) fn after(
+        &mut self,
+        acquisition: &Acquisition,
+        pipeline: &Pipeline,
+        renewed: Option<u64>,
+    ) -> anyhow::Result<()> {
+        self.publish(acquisition, pipeline)?;
+        if let Some(wall_ns) = renewed {
+            self.new_baseline(pipeline, wall_ns);
+        }
+        self.notice_failure();
+        Ok(())
+    }
+
+    /// One line for the terminal.
+    pub(in crate::commands) fn status(&self) -> String {
+        self.feed.status()
+    }
+
+    /// What a run with these losses came to.
+    pub(in crate::commands) fn outcome(&self, counters: AcquisitionCounters) -> Outcome {
+        Outcome::of_frames(counters, self.not_recorded, self.recording_failed)
+    }
+
+    /// There will be no more frames.
+    pub(in crate::commands) fn end(&mut self) -> anyhow::Result<()> {
+        self.feed.end();
+        Ok(self.hub.publish(self.feed.update())?)
+    }
+
+    /// Hands the results of a frame to the recording and the page, and says what has happened.
+    pub(in crate::commands) fn show(&mut self, output: &Output<'_>) {
+        if let Some(recorder) = &mut self.recorder {
+            recorder.results(output);
+        }
+        self.feed.show(output);
+        for event in output.damage.events {
+            let text = dermis::live::stages::damage::describe(event);
+            tracing::warn!(frame = output.sequence, "{text}");
+            self.hub.announce(Level::Warning, text);
+        }
+        for HealthChange { detail, is_fault, .. } in self.health.changes(output.health) {
+            tracing::warn!(frame = output.sequence, "{detail}");
+            self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
+        }
+        let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
+        if clock_jump_ns != 0 || renumbered {
+            let jump_s = clock_jump_ns as f64 * 1e-9;
+            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
+            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
+            tracing::warn!(frame = output.sequence, "{text}");
+            self.hub.announce(Level::Warning, text);
+        }
+    }
+
+    /// Brings the page up to date.
+    fn publish(&mut self, acquisition: &Acquisition, pipeline: &Pipeline) -> anyhow::Result<()> {
+        self.feed
+            .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
+        self.feed.describe(pipeline);
+        self.hub.publish(self.feed.update())?;
+        for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
+            if let Some(recorder) = &self.recorder {
+                recorder.event("notice", &text, &[]);
+            }
+            self.hub.announce(Level::Warning, text);
+        }
+        Ok(())
+    }
+
+    /// A recording that has stopped is said at once; the stream goes on.
+    fn notice_failure(&mut self) {
+        if let Some(error) = self.recorder.as_mut().and_then(LiveRecording::new_failure) {
+            tracing::error!("the recording has stopped: {error}");
+            self.hub.announce(Level::Error, format!("the recording has stopped: {error}"));
+        }
+    }
+
+    fn new_baseline(&mut self, pipeline: &Pipeline, wall_ns: u64) {
+        let (_, noise) = pipeline.baseline();
+        self.hub.publish_noise(&noise.iter().map(|v| *v as f32).collect::<Vec<_>>());
+        if let Some(recorder) = &self.recorder {
+            recorder.baseline(pipeline, wall_ns);
+        }
+        if let Some(reference) = pipeline.reference() {
+            let correlation = reference.order.correlation;
+            tracing::info!(correlation, "baseline taken");
+            if let Some(better) = &reference.order.better {
+                let text = format!(
+                    "the channels may be in another order: \"{}\" correlates {:.3} with the model, the stated order {:.3}; \
+                     `dermis order` writes the lines of the skin file that say so",
+                    better.description, better.correlation, correlation
+                );
+                tracing::warn!("{text}");
+                self.hub.announce(Level::Warning, text);
+            }
+        }
+    }
+
+    fn answer(&mut self, request: Request, pipeline: &mut Pipeline) {
+        let reply = request.reply;
+        match request.command {
+            Command::Tare { force } => self.tare(force, reply, pipeline),
+            Command::RecordStart => {
+                let path = PathBuf::from(format!("{}.mcap", timestamp()));
+                match self.start_recording(&path, pipeline) {
+                    Ok(()) => reply.accept(format!("recording to {}", path.display())),
+                    Err(error) => reply.refuse(format!("not recording: {error}")),
+                }
+            }
+            Command::RecordStop => match self.stop_recording() {
+                Some(RecordingEnd { error: Some(error), lost, .. }) => {
+                    reply.refuse(format!("the recording failed, {lost} frames are not in it: {error}"));
+                }
+                Some(RecordingEnd { path, frames, lost, .. }) => {
+                    reply.accept(format!("{}: {frames} frames, {lost} dropped", path.display()));
+                }
+                None => reply.refuse("nothing is being recorded"),
+            },
+            Command::Hyperparameter(value) => match pipeline.set_hyperparameter(value) {
+                Ok(()) => {
+                    if let Some(recorder) = &self.recorder {
+                        recorder.hyperparameter(value);
+                    }
+                    reply.accept(format!("hyperparameter {value:.3e}"));
+                }
+                Err(error) => reply.refuse(format!("hyperparameter refused: {error}")),
+            },
+            Command::Press(press) | Command::Move(press) => {
+                let press = TwinCommand::Press {
+                    pointer: press.pointer_id,
+                    position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
+                    radius_m: press.radius_mm * 1e-3,
+                    pressure_pa: press.pressure_kpa * 1e3,
+                };
+                self.ask_twin(press, reply);
+            }
+            Command::Treat(action) => {
+                self.feed.demonstrate(false);
+                self.ask_twin(TwinCommand::Treat(treatment_of(action)), reply);
+            }
+            Command::Demonstrate(wanted) => match self.command_twin(TwinCommand::Demonstrate(wanted)) {
+                Ok(()) => {
+                    self.feed.demonstrate(wanted);
+                    reply.accept(if wanted {
+                        "the twin shows touches by itself"
+                    } else {
+                        "nothing but you presses the twin"
+                    });
+                }
+                Err(refused) => reply.refuse(format!("refused: {refused}")),
+            },
+            Command::Release { pointer_id } => self.ask_twin(TwinCommand::Release { pointer: pointer_id }, reply),
+            // Every channel is published; the page chooses among them.
+            Command::ChooseChannels(_) => {}
+        }
+    }
+
+    fn tare(&mut self, force: bool, reply: Reply, pipeline: &mut Pipeline) {
+        const REASON: &str = "asked for in the page";
+        let asked = pipeline.tare(force, REASON);
+        match (asked, &self.recorder) {
+            (Ok(frames), recorder) => {
+                if let Some(recorder) = recorder {
+                    recorder.tare(force, REASON);
+                }
+                reply.accept(format!("taring over {frames} frames"));
+            }
+            (Err(error), recorder) => {
+                if let Some(recorder) = recorder {
+                    recorder.event("tare-refused", &error.to_string(), &[]);
+                }
+                reply.refuse(format!("tare refused: {error}"));
+            }
+        }
+    }
+
+    fn command_twin(&self, command: TwinCommand) -> Result<(), CommandRefused> {
+        self.twin.as_ref().map_or(Ok(()), |twin| twin.commands.send(command))
+    }
+
+    /// Hands a command to the twin, and says so only where it is refused.
+    fn ask_twin(&self, command: TwinCommand, reply: Reply) {
+        if let Err(refused) = self.command_twin(command) {
+            reply.refuse(format!("refused: {refused}"));
+        }
+    }
+
+    /// Records from here on.
+    pub(in crate::commands) fn start_recording(&mut self, path: &Path, pipeline: &Pipeline) -> anyhow::Result<()> {
+        if let Some(recorder) = &self.recorder {
+            return Err(UsageError(format!("already recording to {}", recorder.path().display())).into());
+        }
+        let recorder = LiveRecording::start(path, &self.head, pipeline, SkinView::IMAGES_PER_S)?;
+        interrupt::protect(recorder.stop());
+        self.recorder = Some(recorder);
+        Ok(())
+    }
+
+    /// Ends the recording, where there is one.
+    pub(in crate::commands) fn stop_recording(&mut self) -> Option<RecordingEnd> {
+        let end = self.recorder.take().map(LiveRecording::finish)?;
+        self.not_recorded += end.lost;
+        if let Some(error) = &end.error {
+            self.recording_failed = true;
+            tracing::error!(frames = end.frames, lost = end.lost, "the recording is not whole: {error}");
+        }
+        Some(end)
+    }
+}
+
+/// A name for a recording: seconds since 1970, which sorts by time.
+fn timestamp() -> String {
+    let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    format!("dermis-{seconds}")
+}

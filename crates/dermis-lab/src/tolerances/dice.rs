@@ -1,0 +1,40 @@
+//! Random numbers of errors.
+
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+
+/// Errors beyond so many deviations are noticed and made good.
+const CUT_OFF: f64 = 3.0;
+
+/// Random numbers of one purpose in one sample.
+pub(super) struct Dice(StdRng);
+
+impl Dice {
+    pub fn new(seed: u64, sample: u64, purpose: u64) -> Self {
+        let mut mixed = [seed, sample, purpose].into_iter().fold(0x5eed_u64, |hash, value| {
+            // The finaliser of splitmix64.
+            let mut z = (hash ^ value).wrapping_add(0x9e37_79b9_7f4a_7c15);
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            z ^ (z >> 31)
+        });
+        mixed ^= mixed >> 32;
+        Self(StdRng::seed_from_u64(mixed))
+    }
+
+    /// Normal, cut off.
+    pub fn normal(&mut self) -> f64 {
+        let value: f64 = StandardNormal.sample(&mut self.0);
+        value.clamp(-CUT_OFF, CUT_OFF)
+    }
+
+    /// One of 0 to `count` - 1.
+    pub fn below(&mut self, count: usize) -> usize {
+        self.0.random_range(0..count.max(1) as u64) as usize
+    }
+
+    pub fn seed(&mut self) -> u64 {
+        self.0.random_range(0..=i64::MAX as u64)
+    }
+}

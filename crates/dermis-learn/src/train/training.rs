@@ -1,0 +1,59 @@
+//! What is trained, and what it begins with.
+
+use std::path::Path;
+
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+
+use super::TrainOptions;
+use super::initial::initial;
+use super::split::{Split, input_scale};
+use crate::LearnError;
+use crate::shape::UNetShape;
+use crate::shards::TrainingSet;
+use crate::weights::Tensors;
+
+/// What is trained, and where it is kept meanwhile.
+pub struct Training<'a> {
+    /// The samples.
+    pub set: &'a TrainingSet,
+    /// How.
+    pub options: &'a TrainOptions,
+    /// Folder of the checkpoint; training goes on from what is there.
+    pub checkpoint: &'a Path,
+    /// The command, for the card.
+    pub command: &'a str,
+    /// Weights to begin with; random ones where `None`.
+    pub start: Option<&'a Tensors>,
+    /// Factors that the input images are multiplied by; where `None`, those that bring each to a root mean square of 1.
+    pub input_scale: Option<&'a [f32]>,
+}
+
+impl Training<'_> {
+    pub(super) fn input_scale(&self, split: &Split) -> Result<Vec<f32>, LearnError> {
+        let Some(scale) = self.input_scale else { return input_scale(self.set, split) };
+        let (expected, got) = (self.set.manifest().inputs.len(), scale.len());
+        if got != expected {
+            return Err(LearnError::Size { what: "factors of the input images", expected, got });
+        }
+        if let Some(factor) = scale.iter().find(|factor| !(factor.is_finite() && **factor > 0.0)) {
+            let (what, value) = ("factor of an input image", factor.to_string());
+            return Err(LearnError::Value { what, value, expected: "a positive and finite one".into() });
+        }
+        Ok(scale.to_vec())
+    }
+
+    pub(super) fn first_weights(&self, shape: &UNetShape) -> Result<Tensors, LearnError> {
+        let Some(start) = self.start else {
+            return initial(shape, &mut StdRng::seed_from_u64(self.options.seed));
+        };
+        start.check(shape, Path::new("weights to begin with"))?;
+        // What is beside them, a novelty score, is of another training.
+        let mut tensors = Tensors::default();
+        for spec in shape.tensors() {
+            let values = start.get(&spec.name).map(|(_, values)| values.to_vec()).unwrap_or_default();
+            tensors.insert(spec.name, spec.dims, values)?;
+        }
+        Ok(tensors)
+    }
+}

@@ -1,0 +1,89 @@
+//! [`PyGrid`]: the pixels of images over a mesh.
+
+use std::sync::Arc;
+
+use dermis::tomo::mesh::PixelMap;
+use numpy::PyArray2;
+use pyo3::prelude::*;
+
+use crate::arrays::{Doubles, array2, array3};
+use crate::errors::Fault;
+
+/// The pixels of images over a mesh.
+#[pyclass(frozen, module = "dermis", name = "Grid")]
+pub struct PyGrid {
+    /// Elements to pixels.
+    pub map: Arc<PixelMap>,
+}
+
+#[pymethods]
+impl PyGrid {
+    /// Rows.
+    #[getter]
+    fn rows(&self) -> usize {
+        self.map.grid().rows
+    }
+
+    /// Columns.
+    #[getter]
+    fn columns(&self) -> usize {
+        self.map.grid().columns
+    }
+
+    /// Rows and columns.
+    #[getter]
+    fn shape(&self) -> (usize, usize) {
+        (self.rows(), self.columns())
+    }
+
+    /// Side of a pixel, metres.
+    #[getter]
+    fn pixel_m(&self) -> f64 {
+        self.map.grid().pixel_m
+    }
+
+    /// Left, right, bottom and top, millimetres, as matplotlib's ``imshow`` takes them.
+    #[getter]
+    fn extent_mm(&self) -> [f64; 4] {
+        let grid = self.map.grid();
+        let (left, top) = (1e3 * grid.left_m, 1e3 * grid.top_m);
+        let pixel = 1e3 * grid.pixel_m;
+        [left, left + pixel * grid.columns as f64, top - pixel * grid.rows as f64, top]
+    }
+
+    /// Which pixels have a value, shape (rows, columns).
+    #[getter]
+    fn inside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<bool>>> {
+        array2(py, self.map.inside_mask(), self.rows(), self.columns())
+    }
+
+    /// Middles of the pixels, shape (rows, columns, 2), metres.
+    #[getter]
+    fn centres_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        let centres = self.map.grid().centres_m();
+        let shape = [self.rows(), self.columns(), 2];
+        Ok(array3(py, centres.as_flattened().to_vec(), shape)?.into_any())
+    }
+
+    /// Values of elements as an image, by area of overlap; NaN outside.
+    ///
+    /// Parameters
+    /// ----------
+    /// values : array_like
+    ///     Shape (m,).
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     Shape (rows, columns).
+    fn to_pixels<'py>(&self, py: Python<'py>, values: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let elements = self.map.element_count();
+        let values = Doubles::vector("values", values, elements, "one value an element")?;
+        let image = self.map.to_pixels(values.values()?).map_err(Fault::from)?;
+        array2(py, image, self.rows(), self.columns())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<dermis.Grid: {} x {} pixels of {} mm>", self.rows(), self.columns(), 1e3 * self.pixel_m())
+    }
+}

@@ -1,0 +1,40 @@
+//! [`PySkin`], and what Python may give in its place.
+
+use std::path::PathBuf;
+
+use dermis::skin::Skin;
+use pyo3::prelude::*;
+
+use crate::errors::Fault;
+
+/// A skin as its file says.
+///
+/// Parameters
+/// ----------
+/// source : Skin, str or os.PathLike
+///     A skin, the name of a built-in one, the path of a skin file, or its text.
+///
+/// Raises
+/// ------
+/// SkinError
+///     A skin that there is none of, or a file that makes no sense, with the key, the value and what was expected.
+#[pyclass(frozen, module = "dermis", name = "Skin")]
+pub struct PySkin {
+    /// The file.
+    pub skin: Skin,
+}
+
+/// A skin from what Python calls one: the object, a name, a path, or the text of a file.
+pub fn skin_of(value: &Bound<'_, PyAny>) -> PyResult<Skin> {
+    if let Ok(skin) = value.cast::<PySkin>() {
+        return Ok(skin.get().skin.clone());
+    }
+    let path: PathBuf = value.extract().map_err(|_| {
+        let expected = "a dermis.Skin, the name of a built-in skin, a path, or the text of a skin file";
+        Fault::input("skin", expected, crate::arrays::type_name(value))
+    })?;
+    let text = path.to_string_lossy().into_owned();
+    // No path has a line break, and no skin file has none.
+    let skin = if text.contains('\n') { Skin::parse(&text, "skin") } else { Skin::open(&text) };
+    Ok(skin.map_err(Fault::from)?)
+}

@@ -1,0 +1,57 @@
+//! A fitted locator of two experts.
+
+use super::fusion::Cells;
+use super::report::FusedReport;
+use super::state::FusedState;
+use crate::locator::data::SuggestedPoke;
+use crate::locator::error::LocatorError;
+
+/// A fitted locator of two experts. Serialisable; reading one back checks its version, lengths and values.
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "FusedState", into = "FusedState")]
+pub struct FusedLocator {
+    pub(super) state: FusedState,
+    pub(super) cells: Cells,
+}
+
+impl FusedLocator {
+    /// How good it is, and what it makes use of.
+    pub fn report(&self) -> &FusedReport {
+        &self.state.report
+    }
+
+    /// Number of channels a frame must have.
+    pub fn channels(&self) -> usize {
+        self.state.features.weights.len()
+    }
+
+    /// The positions among which touches are looked for, metres.
+    pub fn positions_m(&self) -> &[[f64; 2]] {
+        self.state.forward.positions_m()
+    }
+
+    /// Where more pokes would help most; see [`Locator::suggest_pokes`](crate::locator::Locator::suggest_pokes).
+    ///
+    /// # Errors
+    /// As there.
+    pub fn suggest_pokes(&self, count: usize) -> Result<Vec<SuggestedPoke>, LocatorError> {
+        self.state.forward.suggest_pokes(count)
+    }
+}
+
+impl TryFrom<FusedState> for FusedLocator {
+    type Error = LocatorError;
+
+    fn try_from(state: FusedState) -> Result<Self, LocatorError> {
+        state.check()?;
+        let forward = &state.forward.state;
+        let cells = Cells::new(&forward.positions_m, forward.spacing_m);
+        Ok(Self { state, cells })
+    }
+}
+
+impl From<FusedLocator> for FusedState {
+    fn from(locator: FusedLocator) -> Self {
+        locator.state
+    }
+}

@@ -1,0 +1,1 @@
+"""What scripts/attack does to the built command."""

@@ -1,0 +1,114 @@
+"""Work that people ask of a twin, in bursts: through the page, and on standard input of a served one."""
+
+import signal
+import time
+
+from .tools import Page, attack, check, connect
+from .wire import Host
+
+CUT = {"cut": {"from_mm": [0, 0], "to_mm": [20, 0]}}
+# Longest time without a frame at 25 frames a second, on a machine that does other things too.
+LONGEST_GAP_S = 1.0
+
+
+def cut(k, length_mm=20.0):
+    return {"cut": {"from_mm": [-length_mm / 2, -30 + k], "to_mm": [length_mm / 2, -30 + k]}}
+
+
+def heal(k):
+    return {"heal": {"at_mm": [k % 40 - 20, k // 40], "radius_mm": 15, "temperature_c": 90, "hours": 2}}
+
+
+BURSTS = {
+    "3 equal cuts": ([{"treat": CUT}] * 3, ["cut 0 0 20 0"] * 3),
+    "60 cuts": ([{"treat": cut(k)} for k in range(60)], [f"cut -10 {-30 + k} 10 {-30 + k}" for k in range(60)]),
+    "cuts of 100 m": (
+        [{"treat": cut(k, 1e5)} for k in range(8)],
+        [f"cut -50000 {-30 + k} 50000 {-30 + k}" for k in range(8)],
+    ),
+    "300 heals": (
+        [{"treat": heal(k)} for k in range(300)],
+        [f"heal {k % 40 - 20} {k // 40} 15 90 2" for k in range(300)],
+    ),
+}
+
+
+@attack("page-bursts", "cuts, heals and hyperparameters in bursts through the page; 3 SIGINT meanwhile")
+def page_bursts(ground):
+    command = ground.start("run", "healing-square", "--no-open", "--port", 0)
+    page = Page(command.url())
+    page.runs()
+    page.ask({"demonstrate": False})
+    # What the machine does to a twin that nobody asks for anything.
+    begun = time.monotonic()
+    time.sleep(5)
+    quiet = page.gap(begun)
+    for what, (commands, _) in BURSTS.items():
+        burst(ground, command, page, what, commands, quiet)
+        page.ask({"treat": "renew"})
+        time.sleep(2)
+    hyperparameters = [{"hyperparameter": 0.001 * 1.01**k} for k in range(300)]
+    burst(ground, command, page, "300 hyperparameters", hyperparameters, quiet)
+    value = page.states[-1][1]["state"]["hyperparameter"]
+    check(abs(value - 0.001 * 1.01**299) < 1e-9, f"the last hyperparameter is not in use, but {value}")
+    for commands, _ in BURSTS.values():
+        for command_ in commands:
+            page.ask(command_)
+    three_signals(ground, command)
+
+
+def burst(ground, command, page, what, commands, quiet):
+    answers = len(page.answers)
+    begun = time.monotonic()
+    for one in commands:
+        page.ask(one)
+    time.sleep(8)
+    gap, losses = page.gap(begun), page.losses()
+    refused = sum(not answer["ok"] for answer in page.answers[answers:])
+    ground.say(
+        f"{what}: longest time without a frame {gap:.2f} s (quiet {quiet:.2f} s), {refused} refused, losses {losses}"
+    )
+    check(command.poll() is None, f"the command ended with {command.code}: {command.err()[-600:]}")
+    check(gap < LONGEST_GAP_S + quiet, f"{what}: no frame for {gap:.2f} s")
+    check(not any(losses.values()), f"{what}: frames were lost: {losses}")
+
+
+def three_signals(ground, command):
+    for _ in range(3):
+        command.signal(signal.SIGINT)
+        asked = time.monotonic()
+        time.sleep(0.1)
+    command.wait(5)
+    took = time.monotonic() - asked
+    ground.say(f"3 SIGINT 0.1 s apart: ended with {command.code}, {took:.2f} s after the last")
+    check(command.code in (0, 130), f"ended with {command.code}: {command.err()[-600:]}")
+    check(took < 1.0, f"the command went on for {took:.2f} s after the last signal")
+
+
+@attack("stdin-bursts", "the same on standard input of a served twin, read by a host")
+def stdin_bursts(ground):
+    served = ground.start("twin", "serve", "healing-square", "--no-demo", "--tcp", "127.0.0.1:0", stdin=True)
+    host = Host(connect(served.port()))
+    host.start()
+    host.wait_for_frames(25)
+    begun = time.monotonic()
+    time.sleep(5)
+    quiet = host.gap(begun)
+    for what, (_, lines) in BURSTS.items():
+        begun = time.monotonic()
+        served.type("".join(line + "\n" for line in lines))
+        time.sleep(8)
+        gap = host.gap(begun)
+        refused = served.err().count("refused:")
+        ground.say(f"{what}: longest time without a frame {gap:.2f} s (quiet {quiet:.2f} s), {refused} refused by now")
+        check(served.poll() is None, f"the twin ended with {served.code}: {served.err()[-600:]}")
+        check(gap < LONGEST_GAP_S + quiet, f"{what}: no frame for {gap:.2f} s")
+        check(host.missing == 0, f"{what}: {host.missing} frames are missing")
+        served.type("renew\n")
+        time.sleep(2)
+    served.type("x" * 3_000_000 + "\n" + "\x1b[31mcut\n" + "press nan nan 1\n" + "\0" * 1000 + "\n")
+    time.sleep(1)
+    check(served.poll() is None, f"hostile lines ended the twin with {served.code}: {served.err()[-600:]}")
+    for _, lines in BURSTS.values():
+        served.type("".join(line + "\n" for line in lines))
+    three_signals(ground, served)
