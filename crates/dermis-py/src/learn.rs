@@ -1,6 +1,6 @@
 //! Training sets, shard by shard, and the check of networks trained elsewhere.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use dermis::lab::learning::train_set::{Simulator, TrainSetRequest};
 use dermis::learn::{Model, TrainingSet};
@@ -36,6 +36,13 @@ fn request_of(skin: &Bound<'_, PyAny>, samples: usize, shard_samples: usize, see
     Ok(request)
 }
 
+/// The prepared skin of a training set, and the set in its folder, made or found.
+fn set_of(request: &TrainSetRequest, folder: &Path) -> Result<(Prepared, TrainingSet), Fault> {
+    let prepared = Prepared::new(request.skin.clone())?;
+    let set = TrainingSet::create(folder, request.checked_manifest(prepared.map.grid())?)?;
+    Ok((prepared, set))
+}
+
 /// Makes the folder of a training set, or finds it, and returns the numbers of the shards that it lacks.
 #[pyfunction]
 #[pyo3(signature = (skin, folder, samples, *, shard_samples=250, seed=1))]
@@ -48,11 +55,7 @@ pub fn create_train_set(
     seed: u64,
 ) -> PyResult<Vec<usize>> {
     let request = request_of(skin, samples, shard_samples, seed)?;
-    run_interruptibly(py, "training set", move || {
-        let prepared = Prepared::new(request.skin.clone())?;
-        let set = TrainingSet::create(&folder, request.checked_manifest(prepared.map.grid())?)?;
-        Ok(set.missing())
-    })
+    run_interruptibly(py, "training set", move || Ok(set_of(&request, &folder)?.1.missing()))
 }
 
 /// Simulates one shard of a training set into its folder. It depends on the seed and its number alone, and appears under its
@@ -70,8 +73,7 @@ pub fn write_shard(
 ) -> PyResult<usize> {
     let request = request_of(skin, samples, shard_samples, seed)?;
     run_interruptibly(py, "shard", move || {
-        let prepared = Prepared::new(request.skin.clone())?;
-        let set = TrainingSet::create(&folder, request.checked_manifest(prepared.map.grid())?)?;
+        let (prepared, set) = set_of(&request, &folder)?;
         if shard >= set.manifest().shards() {
             return Err(Fault::input("shard", format!("0 to {}", set.manifest().shards().saturating_sub(1)), shard));
         }

@@ -9,7 +9,7 @@ use dermis::lab::twin_source::TwinCommand;
 use dermis::live::pipeline::Pipeline;
 use dermis::record::RecordingHead;
 use dermis::skin::Skin;
-use dermis::twin::mechanics::Load;
+use dermis::twin::mechanics::{Indenter, Shape};
 use dermis_cli::LivePage;
 use dermis_cli::sources::{Opened, SourceOptions, TwinControl, open_of};
 use pyo3::prelude::*;
@@ -19,7 +19,7 @@ use crate::errors::{Fault, Kind};
 use crate::pipeline::extent_mm;
 use crate::result::PyFrameResult;
 use crate::skin::{PySkin, skin_of};
-use crate::twin::load;
+use crate::twin::radius_and_load;
 use crate::work::{lock, run, run_interruptibly};
 
 /// Frames that may wait between source and pipeline, as in `dermis run`.
@@ -364,15 +364,12 @@ impl PySession {
     ) -> PyResult<()> {
         run(py, || {
             let range = self.with(|running| Ok(running.twin.as_ref().map(|twin| twin.press)))?;
-            let usual_radius_m = range.map_or(5e-3, |range| range.initial_radius_m);
-            let radius_m = radius_mm.map_or(usual_radius_m, |mm| 1e-3 * mm);
-            let usual_pa = range.map_or(5e4, |range| range.initial_pressure_pa);
-            let pressure_pa = match load(force_n, pressure_kpa.map(|kpa| 1e3 * kpa), usual_pa)? {
-                Load::ForceN(force_n) => force_n / (std::f64::consts::PI * radius_m * radius_m),
-                Load::PressurePa(pressure_pa) => pressure_pa,
-            };
+            let usual = range.map_or((5e-3, 5e4), |range| (range.initial_radius_m, range.initial_pressure_pa));
+            let (radius_m, load) = radius_and_load(radius_mm, force_n, pressure_kpa, usual)?;
+            let position_m = [1e-3 * x_mm, 1e-3 * y_mm];
+            let pressure_pa = Indenter { centre_m: position_m, shape: Shape::Disc { radius_m }, load }.pressure_pa();
             // The twin's thread has no one to tell that a press makes no sense.
-            if !self.skin.outline().contains([1e-3 * x_mm, 1e-3 * y_mm]) {
+            if !self.skin.outline().contains(position_m) {
                 return Err(Fault::input("press", "a place on the skin", format!("({x_mm}, {y_mm}) mm")));
             }
             if !(radius_m > 0.0 && radius_m.is_finite()) {
@@ -381,7 +378,7 @@ impl PySession {
             if !(pressure_pa >= 0.0 && pressure_pa.is_finite()) {
                 return Err(Fault::input("press", "a pressure or force of 0 or above", format!("{pressure_pa} Pa")));
             }
-            self.command(TwinCommand::Press { pointer, position_m: [1e-3 * x_mm, 1e-3 * y_mm], radius_m, pressure_pa })
+            self.command(TwinCommand::Press { pointer, position_m, radius_m, pressure_pa })
         })
     }
 

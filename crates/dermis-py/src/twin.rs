@@ -42,14 +42,19 @@ pub struct PyTwin {
     running: Mutex<Running>,
 }
 
-/// One pressure or force.
-pub fn load(force_n: Option<f64>, pressure_pa: Option<f64>, usual_pa: f64) -> Result<Load, Fault> {
-    match (force_n, pressure_pa) {
-        (Some(force_n), None) => Ok(Load::ForceN(force_n)),
-        (None, Some(pressure_pa)) => Ok(Load::PressurePa(pressure_pa)),
-        (None, None) => Ok(Load::PressurePa(usual_pa)),
-        (Some(_), Some(_)) => Err(Fault::new(Kind::Input, "press: expected force_n or pressure_kpa, got both")),
-    }
+/// Radius (metres) of a disc that presses, and its one force or pressure; the usual ones, in metres and pascals, where left out.
+pub fn radius_and_load(
+    radius_mm: Option<f64>,
+    force_n: Option<f64>,
+    pressure_kpa: Option<f64>,
+    (usual_m, usual_pa): (f64, f64),
+) -> Result<(f64, Load), Fault> {
+    let load = match (force_n, pressure_kpa) {
+        (Some(force_n), None) => Load::ForceN(force_n),
+        (None, pressure_kpa) => Load::PressurePa(pressure_kpa.map_or(usual_pa, |kpa| 1e3 * kpa)),
+        (Some(_), Some(_)) => return Err(Fault::new(Kind::Input, "press: expected force_n or pressure_kpa, got both")),
+    };
+    Ok((radius_mm.map_or(usual_m, |mm| 1e-3 * mm), load))
 }
 
 #[pymethods]
@@ -116,8 +121,8 @@ impl PyTwin {
         pressure_kpa: Option<f64>,
         pointer: u64,
     ) -> PyResult<()> {
-        let radius_m = radius_mm.map_or(self.press.initial_radius_m, |mm| 1e-3 * mm);
-        let load = load(force_n, pressure_kpa.map(|kpa| 1e3 * kpa), self.press.initial_pressure_pa)?;
+        let usual = (self.press.initial_radius_m, self.press.initial_pressure_pa);
+        let (radius_m, load) = radius_and_load(radius_mm, force_n, pressure_kpa, usual)?;
         let indenter = Indenter { centre_m: [1e-3 * x_mm, 1e-3 * y_mm], shape: Shape::Disc { radius_m }, load };
         run(py, || {
             let mut running = lock(&self.running);

@@ -1,6 +1,6 @@
 //! Forward models: mesh, electrodes and protocol made ready to solve.
 
-use dermis::tomo::eit::ForwardModel;
+use dermis::tomo::eit::{ForwardModel, Solution};
 use dermis::tomo::mesh::ElectrodedMesh;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -83,6 +83,18 @@ impl PyForwardModel {
 
     fn sigma<'py>(&self, sigma: &Bound<'py, PyAny>) -> PyResult<Doubles<'py>> {
         Doubles::vector("sigma", sigma, self.elements(), "one conductivity an element")
+    }
+
+    /// What follows from the solution at a conductivity.
+    fn solved<T: Send>(
+        &self,
+        py: Python<'_>,
+        sigma: &Bound<'_, PyAny>,
+        read: impl FnOnce(Solution<'_>) -> Result<T, Fault> + Send,
+    ) -> PyResult<T> {
+        let sigma = self.sigma(sigma)?;
+        let sigma = sigma.values()?;
+        run(py, || read(self.model.solve(sigma)?))
     }
 
     fn stimulation(&self, stimulation: usize) -> Result<usize, Fault> {
@@ -183,9 +195,7 @@ impl PyForwardModel {
     /// numpy.ndarray
     ///     Shape (k, m), dv/dsigma.
     fn jacobian<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let sigma = self.sigma(sigma)?;
-        let sigma = sigma.values()?;
-        let jacobian = run(py, || Ok(self.model.solve(sigma)?.jacobian()))?;
+        let jacobian = self.solved(py, sigma, |solution| Ok(solution.jacobian()))?;
         array2(py, jacobian.values, jacobian.rows, jacobian.columns)
     }
 
@@ -208,11 +218,10 @@ impl PyForwardModel {
         sigma: &Bound<'py, PyAny>,
         cotangent: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let sigma = self.sigma(sigma)?;
         let cotangent = Doubles::vector("cotangent", cotangent, self.channels(), "one weight a channel")?;
-        let (sigma, cotangent) = (sigma.values()?, cotangent.finite("cotangent")?);
+        let cotangent = cotangent.finite("cotangent")?;
         let cotangent = cotangent.values()?;
-        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.vjp(cotangent)?))?))
+        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.vjp(cotangent)?))?))
     }
 
     /// Potentials of all nodes during a stimulation.
@@ -234,9 +243,8 @@ impl PyForwardModel {
         sigma: &Bound<'py, PyAny>,
         stimulation: usize,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let (sigma, stimulation) = (self.sigma(sigma)?, self.stimulation(stimulation)?);
-        let sigma = sigma.values()?;
-        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.node_potentials(stimulation)))?))
+        let stimulation = self.stimulation(stimulation)?;
+        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.node_potentials(stimulation)))?))
     }
 
     /// Potentials of the electrodes during a stimulation.
@@ -258,9 +266,8 @@ impl PyForwardModel {
         sigma: &Bound<'py, PyAny>,
         stimulation: usize,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let (sigma, stimulation) = (self.sigma(sigma)?, self.stimulation(stimulation)?);
-        let sigma = sigma.values()?;
-        Ok(array1(py, run(py, || Ok(self.model.solve(sigma)?.electrode_potentials(stimulation)))?))
+        let stimulation = self.stimulation(stimulation)?;
+        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.electrode_potentials(stimulation)))?))
     }
 
     /// Potentials of the electrodes for currents into them.
@@ -279,10 +286,7 @@ impl PyForwardModel {
         py: Python<'py>,
         sigma: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        let sigma = self.sigma(sigma)?;
-        let sigma = sigma.values()?;
-        let (values, size) = run(py, || {
-            let solution = self.model.solve(sigma)?;
+        let (values, size) = self.solved(py, sigma, |solution| {
             let impedance = solution.transfer_impedance();
             let size = impedance.nrows();
             let values = (0..size * size).map(|at| impedance[(at / size, at % size)]).collect::<Vec<f64>>();

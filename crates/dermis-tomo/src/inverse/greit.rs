@@ -4,6 +4,7 @@
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
+use super::check::positive;
 use super::{DataPrecision, ImageBasis, InverseError, LinearProblem, Operator};
 
 /// How the training targets look and how much noise is allowed through.
@@ -39,9 +40,7 @@ impl GreitSpec {
             ("desired radius (m)", self.desired_radius_m),
             ("noise figure", self.noise_figure),
         ] {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(InverseError::Value { what, index: None, value, expected: "positive and finite" });
-            }
+            positive(what, value)?;
         }
         if basis.len() != problem.unknowns() {
             return Err(InverseError::Size { what: "image basis", expected: problem.unknowns(), got: basis.len() });

@@ -2,6 +2,7 @@
 
 use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
 
+use super::check::positive;
 use super::{InverseError, Weighting};
 use crate::mesh::Mesh;
 use crate::sparse::{Ordering, SpdStructure};
@@ -158,14 +159,7 @@ fn laplace(basis: &ImageBasis) -> PriorMatrix {
 }
 
 fn gaussian(basis: &ImageBasis, length: f64, scale: Option<&[f64]>) -> Result<Mat<f64>, InverseError> {
-    if !(length > 0.0 && length.is_finite()) {
-        return Err(InverseError::Value {
-            what: "correlation length (m)",
-            index: None,
-            value: length,
-            expected: "positive and finite",
-        });
-    }
+    positive("correlation length (m)", length)?;
     let scale_of = |k: usize| scale.map_or(1.0, |scale| scale[k]);
     let factor = -0.5 / (length * length);
     let mut matrix = Mat::zeros(basis.len(), basis.len());

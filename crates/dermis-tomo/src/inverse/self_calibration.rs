@@ -15,6 +15,7 @@ pub use templates::TouchTemplates;
 use faer::{Mat, MatRef, Side};
 use templates::square_distance;
 
+use super::check::positive;
 use super::{InverseError, Weighting, check_finite};
 
 /// Fewest frames to calibrate on. With 20 position errors are about a third larger than with hundreds; with 10 they
@@ -62,17 +63,10 @@ impl Default for CalibrationOptions {
 
 impl CalibrationOptions {
     fn validate(&self) -> Result<(), InverseError> {
-        let values = [
-            ("noise_floor", self.noise_floor),
-            ("centroid_band", self.centroid_band),
-            ("centroid_radius_m", self.centroid_radius_m),
-        ];
-        match values.into_iter().find(|(_, value)| !(*value > 0.0 && value.is_finite())) {
-            Some((what, value)) => {
-                Err(InverseError::Value { what, index: None, value, expected: "positive and finite" })
-            }
-            None => Ok(()),
-        }
+        positive("noise_floor", self.noise_floor)?;
+        positive("centroid_band", self.centroid_band)?;
+        positive("centroid_radius_m", self.centroid_radius_m)?;
+        Ok(())
     }
 }
 

@@ -2,6 +2,7 @@
 
 use faer::{Mat, MatMut, MatRef, Side};
 
+use super::check::positive;
 use super::{InverseError, check_finite};
 
 /// How much each channel counts.
@@ -78,14 +79,7 @@ impl Weighting {
                 got: partner.len(),
             });
         }
-        if !(floor > 0.0 && floor.is_finite()) {
-            return Err(InverseError::Value {
-                what: "floor of the reciprocity error",
-                index: None,
-                value: floor,
-                expected: "positive and finite",
-            });
-        }
+        positive("floor of the reciprocity error", floor)?;
         let error = |channel: usize| {
             let (other, ratio) = partner[channel]?;
             let difference = (voltages[channel] - ratio * voltages[other as usize]).abs();

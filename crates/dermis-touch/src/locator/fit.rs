@@ -3,8 +3,7 @@
 use faer::Mat;
 
 use super::data::{
-    Examples, Hyperparameters, LeaveOneOut, LeftOut, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES, Selection,
-    SignatureMap,
+    Examples, Hyperparameters, LeaveOneOut, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES, Selection, SignatureMap,
 };
 use super::design::{Design, Prior, basis};
 use super::error::{LocatorError, check_length};
@@ -258,32 +257,14 @@ impl Fitting<'_> {
         spread: Spread,
         load: Option<&LoadLaw>,
     ) -> LeaveOneOut {
-        let usual = quantile(&judged.misfits, 0.95);
-        let near = self.near_trials(design, judged);
-        let example = |(i, trial): (usize, &Trial)| {
-            let position_m = design.positions_m[i];
-            LeftOut {
-                position_m,
-                located_m: [0, 1].map(|axis| position_m[axis] + trial.error_m[axis]),
-                sigma_m: trial.variance_m2.map(|v| spread.variance_m2(v, trial.unexplained).sqrt()),
-                error_m: trial.error_m[0].hypot(trial.error_m[1]),
-                novelty: judged.misfits[i] / usual,
-            }
-        };
-        let examples: Vec<LeftOut> = near.iter().enumerate().map(example).collect();
-        let errors: Vec<f64> = examples.iter().map(|e| e.error_m).collect();
-        let within = |axis: usize| {
-            let inside = |e: &&LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
-            examples.iter().filter(inside).count() as f64 / examples.len() as f64
-        };
-        LeaveOneOut {
-            median_error_m: median(&errors),
-            p90_error_m: quantile(&errors, 0.9),
-            coverage: [within(0), within(1)],
-            physics_cosine: prior.cosine,
-            load_error: load.map(|law| law.relative_error),
-            examples,
-        }
+        LeaveOneOut::of(
+            &design.positions_m,
+            &self.near_trials(design, judged),
+            |trial| trial.variance_m2.map(|v| spread.variance_m2(v, trial.unexplained).sqrt()),
+            &judged.misfits,
+            prior.cosine,
+            load.map(|law| law.relative_error),
+        )
     }
 }
 

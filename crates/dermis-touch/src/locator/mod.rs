@@ -20,6 +20,7 @@ mod design;
 mod error;
 mod fit;
 mod fused;
+mod left_out;
 mod live;
 mod load;
 mod model;

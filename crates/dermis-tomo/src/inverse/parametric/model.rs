@@ -7,6 +7,7 @@ use super::SpotOptions;
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;
+use crate::inverse::check::positive;
 
 /// Most combinations of channels kept.
 const MOST_COMBINATIONS: usize = 128;
@@ -195,13 +196,6 @@ fn check(
         let (expected, got) = (response.ncols(), positions_m.len());
         return Err(InverseError::Size { what: "positions of pixels", expected, got });
     }
-    let positive = |what: &'static str, value: f64| {
-        let expected = "positive and finite";
-        if value > 0.0 && value.is_finite() {
-            return Ok(());
-        }
-        Err(InverseError::Value { what, index: None, value, expected })
-    };
     positive("side of a pixel (m)", pixel_m)?;
     positive("smallest radius of a spot (m)", options.smallest_radius_m)?;
     positive(

@@ -3,6 +3,7 @@
 
 use faer::{Mat, MatRef};
 
+use super::super::check::positive;
 use super::super::{InverseError, check_finite};
 
 /// Voltage changes by a touch of unit conductivity change at each of a list of places.
@@ -49,14 +50,7 @@ impl TouchTemplates {
             let (expected, got) = (jacobian.ncols(), pixels_m.len());
             return Err(InverseError::Size { what: "pixel positions", expected, got });
         }
-        if !(touch_sigma_m > 0.0 && touch_sigma_m.is_finite()) {
-            return Err(InverseError::Value {
-                what: "touch_sigma_m",
-                index: None,
-                value: touch_sigma_m,
-                expected: "positive and finite",
-            });
-        }
+        positive("touch_sigma_m", touch_sigma_m)?;
         let touch = Mat::from_fn(pixels_m.len(), places_m.len(), |pixel, place| {
             (-square_distance(pixels_m[pixel], places_m[place]) / (2.0 * touch_sigma_m * touch_sigma_m)).exp()
         });

@@ -275,7 +275,9 @@ fn fit_all(
     let (hyper, load_error) = (form.hyper, load.as_ref().map(|law| law.relative_error));
     let state = LocatorState::assemble(&design, &prior, &fitting, &judged, forward_spread, hyper, load);
     let spreads = sigma_factors.map(|factor| Spread { factor, extrapolation_m: both.extrapolation_m });
-    let left_out = leave_one_out(&near, &spreads, &design.positions_m, &judged, prior.cosine, load_error);
+    let sigma_m =
+        |trial: &Trial| [0, 1].map(|a: usize| spreads[a].variance_m2(trial.variance_m2[a], trial.unexplained).sqrt());
+    let left_out = LeaveOneOut::of(&design.positions_m, &near, sigma_m, &judged.misfits, prior.cosine, load_error);
     let doubtful = doubtful(&left_out).into_iter().map(|i| rows[i]).collect();
     let found = |trials: &[Trial]| {
         let places: Vec<[f64; 2]> =
@@ -420,38 +422,6 @@ impl Far<'_> {
             }
         }
         Ok((fused, forward))
-    }
-}
-
-fn leave_one_out(
-    near: &[Trial],
-    spreads: &[Spread; 2],
-    truth: &[[f64; 2]],
-    judged: &Judged,
-    physics_cosine: f64,
-    load_error: Option<f64>,
-) -> LeaveOneOut {
-    let usual = quantile(&judged.misfits, 0.95);
-    let example = |(i, trial): (usize, &Trial)| LeftOut {
-        position_m: truth[i],
-        located_m: [0, 1].map(|axis| truth[i][axis] + trial.error_m[axis]),
-        sigma_m: [0, 1].map(|a: usize| spreads[a].variance_m2(trial.variance_m2[a], trial.unexplained).sqrt()),
-        error_m: trial.error_m[0].hypot(trial.error_m[1]),
-        novelty: judged.misfits[i] / usual,
-    };
-    let examples: Vec<LeftOut> = near.iter().enumerate().map(example).collect();
-    let errors: Vec<f64> = examples.iter().map(|e| e.error_m).collect();
-    let within = |axis: usize| {
-        let inside = |e: &&LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
-        examples.iter().filter(inside).count() as f64 / examples.len() as f64
-    };
-    LeaveOneOut {
-        median_error_m: quantile(&errors, 0.5),
-        p90_error_m: quantile(&errors, 0.9),
-        coverage: [within(0), within(1)],
-        physics_cosine,
-        load_error,
-        examples,
     }
 }
 
