@@ -1,5 +1,5 @@
-//! A board of one's own behind the engine of the firmware, run on a computer: eight electrodes in a ring of resistors, a
-//! converter that this file makes up, and a host that asks for ten frames.
+//! A board of one's own behind the engine of the firmware, run on a computer: eight electrodes in a ring of resistors,
+//! a converter that this file makes up, and a host that asks for ten frames.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -26,8 +26,8 @@ const CURRENT_A: f32 = 1e-4;
 const SCALE_V: f32 = 1e-5;
 
 impl RingBoard {
-    /// On a real board: multiplexers and the converter. Here: potentials in a ring of eight equal resistors, into which the
-    /// current enters at one electrode and which it leaves at another.
+    /// On a real board: multiplexers and the converter. Here: potentials in a ring of eight equal resistors, into which
+    /// the current enters at one electrode and which it leaves at another.
     fn potential_v(source: u8, sink: u8, at: u8) -> f32 {
         let steps = |from: u8, to: u8| f32::from((to + 8 - from) % 8);
         let (along, other_way) = (steps(sink, source), 8.0 - steps(sink, source));

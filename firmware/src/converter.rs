@@ -1,5 +1,6 @@
 //! The converter of both boards, an ADS1115 on I2C, read once for each measurement through the driver crate `ads1x1x`.
-//! Ranges, in volts to either side, and the time of a conversion are those of its data sheet (Texas Instruments, SBAS444).
+//! Ranges, in volts to either side, and the time of a conversion are those of its data sheet (Texas Instruments,
+//! SBAS444).
 
 use ads1x1x::{Ads1x1x, DataRate16Bit, FullScaleRange, TargetAddr, channel, ic, mode};
 use dermis_wire::Status;
@@ -12,7 +13,8 @@ use crate::board::{Failure, Reading};
 pub const RANGES_V: [f32; 6] = [6.144, 4.096, 2.048, 1.024, 0.512, 0.256];
 /// Conversions a second at its fastest.
 pub const CONVERSIONS_PER_S: f32 = 860.0;
-/// Readings a second that are left of them with a bus of 400 kHz: each takes a start, at least two looks and the result.
+/// Readings a second that are left of them with a bus of 400 kHz: each takes a start, at least two looks and the
+/// result.
 pub const READINGS_PER_S: f32 = 600.0;
 /// Looks at the converter, 50 us apart, before it is given up.
 const MOST_LOOKS: u32 = 200;

@@ -1,6 +1,6 @@
-//! The scan engine: listens, answers, measures and sends, a little with every call of [`Engine::poll`], so that a host is
-//! heard between two readings. Its memory is fixed: one part of a frame, one packet each way; that of the list of measurements
-//! is lent, so that the engine itself can be made on a small stack.
+//! The scan engine: listens, answers, measures and sends, a little with every call of [`Engine::poll`], so that a host
+//! is heard between two readings. Its memory is fixed: one part of a frame, one packet each way; that of the list of
+//! measurements is lent, so that the engine itself can be made on a small stack.
 
 use dermis_wire::{
     Command, Decoder, Describe, Element, Features, Frame, List, Message, Numbers, Part, Reply, ReplyStatus, Status,
@@ -44,7 +44,8 @@ pub trait Clock {
 pub struct Identity {
     /// Serial number, at most 32 bytes.
     pub serial: &'static str,
-    /// Differs with every start of the board (a count kept in flash, or random bits); 0 where there is nothing of the kind.
+    /// Differs with every start of the board (a count kept in flash, or random bits); 0 where there is nothing of the
+    /// kind.
     pub boot: u32,
 }
 
@@ -76,8 +77,8 @@ pub struct Engine<'l, B, P, C> {
 }
 
 impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
-    /// An engine that waits for a host; the first poll says what it is. `list` is memory for a list of measurements that a
-    /// host sends, four bytes each; protocols that follow from a rule need none.
+    /// An engine that waits for a host; the first poll says what it is. `list` is memory for a list of measurements
+    /// that a host sends, four bytes each; protocols that follow from a rule need none.
     pub fn new(board: B, port: P, clock: C, identity: Identity, list: &'l mut [[u8; 4]]) -> Self {
         let facts = board.facts();
         let named = facts.protocols.first().copied().unwrap_or(Named::AdjacentSink);
@@ -105,7 +106,8 @@ impl<'l, B: Board, P: Read + ReadReady + Write, C: Clock> Engine<'l, B, P, C> {
     /// Hears and answers what has come, and goes on with the scan by at most one step of a reading.
     ///
     /// # Errors
-    /// What the port says. The engine can be polled again; what it was sending is lost, and the host knows by the numbers.
+    /// What the port says. The engine can be polled again; what it was sending is lost, and the host knows by the
+    /// numbers.
     pub fn poll(&mut self) -> Result<(), P::Error> {
         self.listen()?;
         if self.changed && (self.scan.is_between() || !self.is_scanning()) {

@@ -1,10 +1,11 @@
-//! The induction backend of paper E: a synthesiser makes the sine, a programmable amplifier sets the current in the sending coil
-//! and another one the gain behind the receiving coil; a precision rectifier and a filter make its mean, which a converter
-//! reads. Banks of relays behind line decoders choose the coils, so that a reading is the magnitude of one pair's coupling.
+//! The induction backend of paper E: a synthesiser makes the sine, a programmable amplifier sets the current in the
+//! sending coil and another one the gain behind the receiving coil; a precision rectifier and a filter make its mean,
+//! which a converter reads. Banks of relays behind line decoders choose the coils, so that a reading is the magnitude
+//! of one pair's coupling.
 //!
-//! The paper gives the chain and no chips. Chosen here: an AD9833 (driver crate `ad983x`), two amplifiers of the MCP6S2x
-//! family, whose two bytes on SPI are those of their data sheet (Microchip, DS21117), an ADS1115, and decoders with four
-//! address lines each.
+//! The paper gives the chain and no chips. Chosen here: an AD9833 (driver crate `ad983x`), two amplifiers of the
+//! MCP6S2x family, whose two bytes on SPI are those of their data sheet (Microchip, DS21117), an ADS1115, and decoders
+//! with four address lines each.
 
 use ad983x::marker::Ad9833Ad9837;
 use ad983x::{Ad983x, FrequencyRegister};
@@ -258,8 +259,8 @@ impl<G: SpiDevice, T: SpiDevice, R: SpiDevice, I: I2c, P: OutputPin, Q: OutputPi
         self.synthesiser.disable().map_err(|_| Failure::Bus)
     }
 
-    /// Voltage at coil 2 with the synthesiser off, then with coil 1 sending at the present amplitude, volts; and the ratio of
-    /// the readings at gains 2 and 1 of the sending amplifier, 2 where the chain is linear.
+    /// Voltage at coil 2 with the synthesiser off, then with coil 1 sending at the present amplitude, volts; and the
+    /// ratio of the readings at gains 2 and 1 of the sending amplifier, 2 where the chain is linear.
     fn self_test(&mut self, out: &mut [f32]) -> Result<usize, Failure> {
         let before = self.sending_gain;
         self.quiet()?;

@@ -1,6 +1,7 @@
-//! The resistance backend of paper P (Sánchez-Delgado et al., Intelligent Service Robotics 17, 2024): a 64-channel analogue
-//! multiplexer with a current source on chip, on SPI, and a 16-bit converter on I2C. Four of the 64 electrodes at a time are
-//! connected: to the source, to its ground, and to the two analogue outputs, which go to the converter's inputs 0 and 1.
+//! The resistance backend of paper P (Sánchez-Delgado et al., Intelligent Service Robotics 17, 2024): a 64-channel
+//! analogue multiplexer with a current source on chip, on SPI, and a 16-bit converter on I2C. Four of the 64 electrodes
+//! at a time are connected: to the source, to its ground, and to the two analogue outputs, which go to the converter's
+//! inputs 0 and 1.
 //!
 //! The paper names the chip (swmux of IMS CHIPS) and gives its facts, but no register map. The five bytes that
 //! [`Selection::bytes`] makes are therefore an assumption, and the only place to change for another chip.
@@ -43,8 +44,8 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// What goes over SPI, and acts when the chip is deselected: the steps of current, then for source, ground, output 0 and
-    /// output 1 a byte with the electrode and bit 7 where the line is closed.
+    /// What goes over SPI, and acts when the chip is deselected: the steps of current, then for source, ground, output
+    /// 0 and output 1 a byte with the electrode and bit 7 where the line is closed.
     pub fn bytes(self) -> [u8; 5] {
         let line = |electrode: u8| if electrode == NO_ELECTRODE { 0 } else { 0x80 | (electrode & 0x3f) };
         let [source, sink, positive, negative] = self.lines.map(line);
@@ -64,12 +65,12 @@ pub struct Mux64<S, I, D> {
 }
 
 impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
-    /// A board with so many electrodes, at most [`MOST_ELECTRODES`]. The current is at its highest step, the range the widest
-    /// but one.
+    /// A board with so many electrodes, at most [`MOST_ELECTRODES`]. The current is at its highest step, the range the
+    /// widest but one.
     ///
     /// # Errors
-    /// [`Failure::BadArgument`] for fewer than 2 or more than 64 electrodes; [`Failure::Bus`] where the converter does not
-    /// answer.
+    /// [`Failure::BadArgument`] for fewer than 2 or more than 64 electrodes; [`Failure::Bus`] where the converter does
+    /// not answer.
     pub fn new(spi: S, i2c: I, delay: D, electrodes: u8) -> Result<Self, Failure> {
         if !(2..=MOST_ELECTRODES).contains(&electrodes) {
             return Err(Failure::BadArgument);
@@ -127,8 +128,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Mux64<S, I, D> {
         Ok([sum / f32::from(self.electrodes), most])
     }
 
-    /// Voltage between a driven electrode and one without current, by the current; NaN where the source reaches its limit
-    /// whichever of two electrodes sinks.
+    /// Voltage between a driven electrode and one without current, by the current; NaN where the source reaches its
+    /// limit whichever of two electrodes sinks.
     fn contact_ohm(&mut self, electrode: u8) -> Result<f32, Failure> {
         let after = |step: u8| ((u16::from(electrode) + u16::from(step)) % u16::from(self.electrodes)) as u8;
         let (sinks, quiet) = ([after(1), after(2)], after(3));
@@ -214,8 +215,8 @@ impl<S: SpiDevice, I: I2c, D: DelayNs> Board for Mux64<S, I, D> {
         self.select(0, [NO_ELECTRODE; 4])
     }
 
-    /// Offset of the converter and its noise from peak to peak, volts; mean and largest resistance of the multiplexer's ground
-    /// switches, ohm.
+    /// Offset of the converter and its noise from peak to peak, volts; mean and largest resistance of the multiplexer's
+    /// ground switches, ohm.
     fn self_test(&mut self, out: &mut [f32]) -> Result<usize, Failure> {
         let found = self.in_range(FINE, |board| {
             let ([offset, noise], [mean, most]) = (board.noise_v()?, board.switches_ohm()?);

@@ -1,5 +1,5 @@
-//! Which measurements a frame has, in which order: one of the lists that follow from a rule and take no memory, or a list that
-//! the host sent.
+//! Which measurements a frame has, in which order: one of the lists that follow from a rule and take no memory, or a
+//! list that the host sent.
 
 use dermis_wire::{List, NO_ELECTRODE};
 
@@ -14,7 +14,8 @@ pub enum Named {
     AdjacentSink,
     /// The same against ground: what a converter without a second input reads.
     AdjacentGround,
-    /// Neighbours drive, neighbours without a driven electrode are read, beginning after the drive: n (n - 3) measurements.
+    /// Neighbours drive, neighbours without a driven electrode are read, beginning after the drive: n (n - 3)
+    /// measurements.
     Adjacent,
     /// Each coil drives, and every coil of a higher number is read: n (n - 1) / 2 measurements.
     HigherCoils,
@@ -143,8 +144,8 @@ impl<'l> Protocol<'l> {
         (self.set, self.coming) = (Set::Named(named), (0, 0));
     }
 
-    /// Takes a part of a list. Parts come in order, and the list is set with its last one; until then, where a list was set
-    /// before, `fallback` is.
+    /// Takes a part of a list. Parts come in order, and the list is set with its last one; until then, where a list was
+    /// set before, `fallback` is.
     pub fn take(&mut self, first: u16, total: u16, part: List<'_, [u8; 4]>, fallback: Named) -> Taken {
         let continues = first == 0 || (first, total) == self.coming;
         let fits = total > 0 && usize::from(total) <= self.list.len() && !part.is_empty();

@@ -11,8 +11,8 @@ use embedded_hal_mock::eh1::spi::{Mock as Spi, Transaction as Words};
 
 const ADC: u8 = 0x48;
 
-/// From the power-on state of 2.048 V and 128 a second to 860, then to 4.096 V: single conversions, comparator off. The chip's
-/// driver starts a conversion with each setting, whose result nobody reads.
+/// From the power-on state of 2.048 V and 128 a second to 860, then to 4.096 V: single conversions, comparator off. The
+/// chip's driver starts a conversion with each setting, whose result nobody reads.
 fn set_up() -> Vec<Wires> {
     vec![Wires::write(ADC, vec![0x01, 0x85, 0xe3]), Wires::write(ADC, vec![0x01, 0x83, 0xe3])]
 }

@@ -24,8 +24,8 @@ struct Ring {
     open: Option<u8>,
 }
 
-/// Potential of node `at` against the mean of all, for 1 A into `source` and out of `sink`: between two nodes d apart lie
-/// d (n - d) / n resistors, and a ring's potential is half of the difference of two such.
+/// Potential of node `at` against the mean of all, for 1 A into `source` and out of `sink`: between two nodes d apart
+/// lie d (n - d) / n resistors, and a ring's potential is half of the difference of two such.
 fn ring_ohm(at: u8, source: u8, sink: u8) -> f64 {
     let n = f64::from(ELECTRODES);
     let between = |a: u8, b: u8| {
@@ -81,7 +81,8 @@ fn board(chips: &Shared<Ring>) -> Board {
 /// Readings of the adjacent protocol in volts: each pair of neighbours but those of the drive spans 1/n of a resistor.
 fn check_adjacent(values: &[f64], current_a: f64, tolerance_v: f64) {
     assert_eq!(values.len(), 16 * 13);
-    // The potential falls from source to sink over the fifteen resistors of the long way, pairs run from sink to source.
+    // The potential falls from source to sink over the fifteen resistors of the long way, pairs run from sink to
+    // source.
     let expected_v = -current_a * RING_OHM / 16.0;
     for (channel, value) in values.iter().enumerate() {
         assert!((value - expected_v).abs() <= tolerance_v, "channel {channel}: {value} V, expected {expected_v} V");

@@ -1,5 +1,5 @@
-//! The induction backend before sixteen coils: synthesiser, amplifiers, decoders and rectifier as they stand in its chain, and a
-//! host that hears the coils' mutual inductances as magnitudes.
+//! The induction backend before sixteen coils: synthesiser, amplifiers, decoders and rectifier as they stand in its
+//! chain, and a host that hears the coils' mutual inductances as magnitudes.
 
 mod bench;
 
@@ -19,7 +19,8 @@ use embedded_hal::spi::{ErrorType as SpiErrorType, Operation, SpiDevice};
 const CLOCK_HZ: f64 = 25e6;
 const CURRENT_A: f64 = 0.05;
 
-/// Mutual inductance of two coils on a 4 x 4 grid of 75 mm pitch, as of two magnetic dipoles side by side, henry: negative.
+/// Mutual inductance of two coils on a 4 x 4 grid of 75 mm pitch, as of two magnetic dipoles side by side, henry:
+/// negative.
 fn mutual_h(a: u8, b: u8) -> f64 {
     let place = |coil: u8| [f64::from(coil % 4) * 0.075, f64::from(coil / 4) * 0.075];
     let ([ax, ay], [bx, by]) = (place(a), place(b));

@@ -1,5 +1,5 @@
-//! The resistance backend before the physics of paper P's disc: the firmware's own bytes, through the host's own decoder and the
-//! whole pipeline, give the touch where the skin is pressed.
+//! The resistance backend before the physics of paper P's disc: the firmware's own bytes, through the host's own
+//! decoder and the whole pipeline, give the touch where the skin is pressed.
 
 mod bench;
 

@@ -1,9 +1,9 @@
 //! Where the tests of dermis find reference values and measured data, and how they say that these are missing.
 //!
-//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measured data of
-//! others are not; [`set`] finds those that are here, in the folder that `DERMIS_DATA` names or else in
-//! `tests/data/measured` and `../shared/data`. A test without its data calls [`skip`] (as [`set`] does), returns, and is
-//! counted as skipped by `scripts/test`:
+//! Reference values are part of the repository (`tests/data/oracle`): a test that cannot read them fails. Measured data
+//! of others are not; [`set`] finds those that are here, in the folder that `DERMIS_DATA` names or else in
+//! `tests/data/measured` and `../shared/data`. A test without its data calls [`skip`] (as [`set`] does), returns, and
+//! is counted as skipped by `scripts/test`:
 //!
 //! ```ignore
 //! let Some(folder) = dermis_testdata::set("hydrogel") else { return };
@@ -53,8 +53,8 @@ pub fn eit_cases() -> Vec<PathBuf> {
     cases
 }
 
-/// The stored Jacobian of a case of [`eit_cases`] for the conductivity `name` ("hom" or "wave"): row-major, a row for each
-/// measurement, a column for each element.
+/// The stored Jacobian of a case of [`eit_cases`] for the conductivity `name` ("hom" or "wave"): row-major, a row for
+/// each measurement, a column for each element.
 ///
 /// # Panics
 /// If the file is missing or broken.
@@ -64,8 +64,8 @@ pub fn stored_jacobian(case: &Path, name: &str) -> Vec<f64> {
     from_planes(&bytes).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Numbers whose bytes are stored in eight planes, that of the most significant bytes first, and compressed by Zstandard.
-/// Signs and exponents of neighbours are alike, so that planes are smaller than numbers.
+/// Numbers whose bytes are stored in eight planes, that of the most significant bytes first, and compressed by
+/// Zstandard. Signs and exponents of neighbours are alike, so that planes are smaller than numbers.
 fn from_planes(compressed: &[u8]) -> Result<Vec<f64>, String> {
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;
     let mut planes = Vec::new();

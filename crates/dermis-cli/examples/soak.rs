@@ -1,10 +1,10 @@
-//! The whole of `dermis run` under load for as long as asked: an instrument on a socket sends 208 channels at a fixed rate;
-//! image, touches, recording and page follow, with three viewers, one of which never reads.
+//! The whole of `dermis run` under load for as long as asked: an instrument on a socket sends 208 channels at a fixed
+//! rate; image, touches, recording and page follow, with three viewers, one of which never reads.
 //!
 //! `cargo run --release -p dermis-cli --example soak -- [--seconds 3600] [--rate 1000] [--cut SECONDS]` after
-//! `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end; it fails if a frame was
-//! lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut` the skin is cut after
-//! so many seconds, and left alone for six, in which it becomes known.
+//! `cargo build --release -p dermis-cli` prints a line every ten seconds and the figures at the end; it fails if a
+//! frame was lost without being counted, or if memory grew by more than a tenth after the first minute. With `--cut`
+//! the skin is cut after so many seconds, and left alone for six, in which it becomes known.
 
 use std::error::Error;
 use std::io::{Read, Write};

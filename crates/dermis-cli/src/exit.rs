@@ -27,8 +27,8 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Data lost if any frame was, which is said with the counts: by the source, on the way, or by a recording, which may
-    /// also have failed without losing one.
+    /// Data lost if any frame was, which is said with the counts: by the source, on the way, or by a recording, which
+    /// may also have failed without losing one.
     pub fn of_frames(counters: AcquisitionCounters, not_recorded: u64, recording_failed: bool) -> Self {
         if counters.repeated > 0 {
             tracing::warn!(repeated = counters.repeated, "copies of frames were left out");

@@ -1,6 +1,6 @@
-//! Signals that ask the command to end. Until something is under way that has to be finished, the first one ends the process
-//! at once; from then on the first lets it finish, and the second ends it within a second: recordings are made whole even if
-//! the rest of the process is busy or stuck.
+//! Signals that ask the command to end. Until something is under way that has to be finished, the first one ends the
+//! process at once; from then on the first lets it finish, and the second ends it within a second: recordings are made
+//! whole even if the rest of the process is busy or stuck.
 
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, Once, PoisonError};
@@ -26,8 +26,8 @@ pub fn reset() {
     SIGNALS.store(0, Ordering::SeqCst);
 }
 
-/// From here on the first signal is a wish, which the caller looks for in what is returned. Commands that never come here
-/// leave the signals to the process. Where the system refuses them, they end the process as they always do.
+/// From here on the first signal is a wish, which the caller looks for in what is returned. Commands that never come
+/// here leave the signals to the process. Where the system refuses them, they end the process as they always do.
 pub fn begin() -> &'static AtomicBool {
     IS_UNDER_WAY.store(true, Ordering::SeqCst);
     INSTALLED.call_once(|| {

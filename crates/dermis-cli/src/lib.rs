@@ -1,7 +1,7 @@
-//! The `dermis` command as a library: [`run_command`] parses arguments and hands them to one module per command, so that the
-//! binary and the Python package run the same. Beside it the live page, kept apart from the commands so that it can be tested
-//! and demonstrated without a skin, and what opens the sources that `--source` names. Programs of your own build on the crate
-//! `dermis`; this one is for those who want its page.
+//! The `dermis` command as a library: [`run_command`] parses arguments and hands them to one module per command, so
+//! that the binary and the Python package run the same. Beside it the live page, kept apart from the commands so that
+//! it can be tested and demonstrated without a skin, and what opens the sources that `--source` names. Programs of your
+//! own build on the crate `dermis`; this one is for those who want its page.
 //!
 //! ```
 //! use dermis_cli::page::{Hub, PageOptions, Scene, Update, serve};
@@ -45,23 +45,23 @@ struct Cli {
     /// Say more on stderr; twice for details.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
-    /// Memory that preparing a skin may use, such as 8GB, however long that takes; three quarters of the machine's where left
-    /// out.
+    /// Memory that preparing a skin may use, such as 8GB, however long that takes; three quarters of the machine's
+    /// where left out.
     #[arg(long, global = true, value_name = "SIZE", value_parser = dermis::skin::budget::parse_bytes)]
     memory: Option<u64>,
     #[command(subcommand)]
     command: Command,
 }
 
-/// Runs a command line, the program's name first, and returns its exit code: 0 done, 1 failed, 2 bad usage or bad file, 3
-/// finished but data was lost. Results go to stdout, messages to stderr.
+/// Runs a command line, the program's name first, and returns its exit code: 0 done, 1 failed, 2 bad usage or bad file,
+/// 3 finished but data was lost. Results go to stdout, messages to stderr.
 pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let arguments: Vec<OsString> = arguments.into_iter().collect();
     let cli = match Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(error) => {
-            // Where even the message cannot be written, the code is all that is left. A message with what was typed in it
-            // commands no terminal; colours are for those that hold nothing of the kind.
+            // Where even the message cannot be written, the code is all that is left. A message with what was typed in
+            // it commands no terminal; colours are for those that hold nothing of the kind.
             let text = error.render().to_string();
             let said = terminal::plain(&text);
             let _ = match (said == text, error.use_stderr()) {

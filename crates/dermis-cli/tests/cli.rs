@@ -1,5 +1,5 @@
-//! The command as a user's script sees it: exit codes, messages, files. Reference values are worked out by hand, or come
-//! from EIDORS (`tests/data/oracle/eit`).
+//! The command as a user's script sees it: exit codes, messages, files. Reference values are worked out by hand, or
+//! come from EIDORS (`tests/data/oracle/eit`).
 
 #[path = "cli/newcomer.rs"]
 mod newcomer;
@@ -12,9 +12,9 @@ use dermis_device::instruments::npy;
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The unit square as four triangles round its middle, electrodes along its left and right sides, 1 A from left to right:
-/// the potential is linear, so that all values are known. With conductivity s and contact impedance z,
-/// v = 1/s + 2 z and dv/ds = -1/(4 s^2) for each element.
+/// The unit square as four triangles round its middle, electrodes along its left and right sides, 1 A from left to
+/// right: the potential is linear, so that all values are known. With conductivity s and contact impedance z, v = 1/s +
+/// 2 z and dv/ds = -1/(4 s^2) for each element.
 const SQUARE: &str = r#"{
     "dim": 2, "n_nodes": 5, "n_elems": 4, "n_elec": 2, "n_meas": 1, "made_by": "hand",
     "nodes": [[0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]],
@@ -172,8 +172,8 @@ fn point_electrodes_need_no_contact_impedance() {
     let case = SQUARE.replace(left, &point(0)).replace(right, &point(2));
     let desk = Desk::with(&[("case.json", &case)]);
     desk.done(&["solve", "case.json", "--sigma", "hom", "--voltages", "v.npy"]);
-    // By symmetry nodes 1, 3 and the middle lie half-way. Right angles lie opposite the sides of the square, so only the
-    // spokes conduct, with cot(45 deg) s = 2 S each: corner - middle - corner is 1/2 + 1/2 ohm.
+    // By symmetry nodes 1, 3 and the middle lie half-way. Right angles lie opposite the sides of the square, so only
+    // the spokes conduct, with cot(45 deg) s = 2 S each: corner - middle - corner is 1/2 + 1/2 ohm.
     assert!((desk.array("v.npy").values[0] - 1.0).abs() < 1e-14);
 }
 

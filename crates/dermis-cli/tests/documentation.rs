@@ -1,4 +1,5 @@
-//! The documentation says what is: its links lead somewhere, its skin file is one, and every key of a skin file is in it.
+//! The documentation says what is: its links lead somewhere, its skin file is one, and every key of a skin file is in
+//! it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,5 @@
-//! The live page's server as strangers and slow pages meet it: who is let in, what is refused and how, what is lost when
-//! somebody does not keep up, and that a press never stays on the skin after its page is gone.
+//! The live page's server as strangers and slow pages meet it: who is let in, what is refused and how, what is lost
+//! when somebody does not keep up, and that a press never stays on the skin after its page is gone.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};

@@ -45,8 +45,8 @@ fn a_replay_prints_what_the_run_printed() {
     let found = info(desk.path(), "a.mcap");
     assert_eq!((&found["frames"], &found["whole"], &found["dropped"]), (&120.into(), &true.into(), &0.into()));
     assert_eq!(found["skin"], "healing-square");
-    // At 25 frames/s and at most 10 images/s every third frame of the 88 after the baseline has one. A machine that is too
-    // busy leaves some out.
+    // At 25 frames/s and at most 10 images/s every third frame of the 88 after the baseline has one. A machine that is
+    // too busy leaves some out.
     let images = found["messages"]["/dermis/image"].as_u64().expect("a count");
     assert!((1..=30).contains(&images), "{images} images");
 
@@ -89,7 +89,8 @@ impl Drop for Running {
     }
 }
 
-/// Runs and records the twin at its own pace, kills it once it has printed `lines` lines, and returns the last one's number.
+/// Runs and records the twin at its own pace, kills it once it has printed `lines` lines, and returns the last one's
+/// number.
 fn killed(directory: &Path, lines: usize) -> u64 {
     let child = Command::new(env!("CARGO_BIN_EXE_dermis"))
         .args(["run", "--headless", "--record", "k.mcap"])
@@ -108,7 +109,8 @@ fn killed(directory: &Path, lines: usize) -> u64 {
 
 #[test]
 fn a_run_that_is_killed_loses_at_most_its_last_second() {
-    // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame; `DERMIS_KILLS` adds some.
+    // Moments spread over more than two flushes, at 25 frames/s: 1.0 to 2.5 s after the first frame; `DERMIS_KILLS`
+    // adds some.
     let more: usize = std::env::var("DERMIS_KILLS").ok().and_then(|text| text.parse().ok()).unwrap_or(0);
     let anywhere = (0..more).map(|k| 26 + (k * 37) % 60);
     for lines in [26, 35, 44, 60].into_iter().chain(anywhere) {

@@ -35,8 +35,9 @@ fn assert_done(output: &Output) {
     }
 }
 
-/// The same touches in the same frames. A replay at the recorded pace stamps frames with its own clock, by which drift is
-/// followed and touches are predicted: positions may differ by less than half a millimetre, which is a third of a pixel.
+/// The same touches in the same frames. A replay at the recorded pace stamps frames with its own clock, by which drift
+/// is followed and touches are predicted: positions may differ by less than half a millimetre, which is a third of a
+/// pixel.
 fn assert_same_touches(replay: &[Value], live: &[Value]) {
     assert_eq!(replay.len(), live.len());
     for (replay, live) in replay.iter().zip(live) {
@@ -117,7 +118,8 @@ fn a_twin_that_is_served_is_run_from_its_address() {
     let lines = lines(&live);
     assert_eq!(lines.len(), 220);
     let touched = lines.iter().filter(|line| line["touches"].as_array().is_some_and(|list| !list.is_empty())).count();
-    // As with the twin inside the command: a host sees it untouched at first, for as long as it needs to get ready, and then the demonstration.
+    // As with the twin inside the command: a host sees it untouched at first, for as long as it needs to get ready, and
+    // then the demonstration.
     assert!(touched > 20, "only {touched} of 220 lines have touches");
 }
 

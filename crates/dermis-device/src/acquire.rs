@@ -1,6 +1,6 @@
-//! Acquisition: a thread that reads a source into a bounded queue. When the pipeline is too slow, frames are dropped and
-//! counted, never queued without bound; copies of a frame, which have its number, are left out and counted; a source that
-//! fails ends the queue with its error.
+//! Acquisition: a thread that reads a source into a bounded queue. When the pipeline is too slow, frames are dropped
+//! and counted, never queued without bound; copies of a frame, which have its number, are left out and counted; a
+//! source that fails ends the queue with its error.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -74,8 +74,8 @@ pub enum Next {
 }
 
 impl Acquisition {
-    /// Starts reading into a queue of `capacity` frames. With `wait` a full queue holds the source up instead of dropping
-    /// frames: right for recordings, wrong for instruments.
+    /// Starts reading into a queue of `capacity` frames. With `wait` a full queue holds the source up instead of
+    /// dropping frames: right for recordings, wrong for instruments.
     pub fn spawn(mut source: Box<dyn Source>, capacity: usize, wait: bool) -> Self {
         let capacity = capacity.max(2);
         let (filled, frames) = bounded(capacity);

@@ -10,10 +10,10 @@ use crate::place::{Place, followed};
 
 /// Writes a file through `fill` so that `path` never holds a part of it.
 ///
-/// The bytes go to a temporary file in the same directory, are synchronised to disk and renamed to `path`. What stood there
-/// from the beginning is replaced; what appeared or changed there meanwhile is not, and the error names the finished
-/// file. When `fill` fails, the temporary file is removed and whatever stood at `path` stays. Links are followed; a `path` that
-/// exists and is no regular file (a pipe, a terminal) is written directly.
+/// The bytes go to a temporary file in the same directory, are synchronised to disk and renamed to `path`. What stood
+/// there from the beginning is replaced; what appeared or changed there meanwhile is not, and the error names the
+/// finished file. When `fill` fails, the temporary file is removed and whatever stood at `path` stays. Links are
+/// followed; a `path` that exists and is no regular file (a pipe, a terminal) is written directly.
 ///
 /// # Errors
 /// [`DeviceError::Io`] naming `path` and the step that failed, `fill` included.

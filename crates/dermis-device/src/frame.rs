@@ -23,8 +23,8 @@ pub struct Frame {
     pub imaginary: Vec<f64>,
     /// What the instrument says happened while the frame was taken; nothing for those that do not say.
     pub status: Status,
-    /// The instrument's own code of the gain, where it states one; of several, the first. Information only: readings are
-    /// volts.
+    /// The instrument's own code of the gain, where it states one; of several, the first. Information only: readings
+    /// are volts.
     pub gain: Option<u8>,
     /// Time of each reading after `device_time_ns`, nanoseconds; empty for instruments that state none.
     pub channel_times_ns: Vec<u64>,

@@ -10,8 +10,8 @@ use crate::{DeviceError, SerialName};
 /// Opens a live instrument: `tcp:` and `serial:` selectors.
 ///
 /// # Errors
-/// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and twins,
-/// and for serial ports where they were left out when dermis was built.
+/// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and
+/// twins, and for serial ports where they were left out when dermis was built.
 pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<StreamSource, DeviceError> {
     let name = selector.to_string();
     match selector {
@@ -25,8 +25,8 @@ pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<
     }
 }
 
-/// Opens an instrument on the wire, set by `setup` with every connection (settings that it does not have are left out), and
-/// what calls it. Without `start` frames flow only after [`Order::Start`] or [`Order::SingleShot`].
+/// Opens an instrument on the wire, set by `setup` with every connection (settings that it does not have are left out),
+/// and what calls it. Without `start` frames flow only after [`Order::Start`] or [`Order::SingleShot`].
 ///
 /// # Errors
 /// As [`open_stream`]; [`DeviceError::Selector`] also where the selector names another kind of instrument.

@@ -1,4 +1,5 @@
-//! The last step of writing a file: it takes its name, and what appeared or changed under that name meanwhile is not replaced.
+//! The last step of writing a file: it takes its name, and what appeared or changed under that name meanwhile is not
+//! replaced.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -38,8 +39,8 @@ impl Identity {
 static BEFORE: Mutex<BTreeMap<PathBuf, Option<Identity>>> = Mutex::new(BTreeMap::new());
 
 /// Notes what stands under these names now: a file that appears or changes there from now on is not replaced by what is
-/// written there first, however long the work before it takes. Names noted earlier are forgotten. Names that are no paths do
-/// no harm.
+/// written there first, however long the work before it takes. Names noted earlier are forgotten. Names that are no
+/// paths do no harm.
 pub fn remember(names: impl IntoIterator<Item = PathBuf>) {
     let found = |name: PathBuf| {
         let target = followed(&name);
@@ -54,8 +55,8 @@ pub(crate) fn followed(path: &Path) -> PathBuf {
 }
 
 impl Place {
-    /// A place for what was asked for under a name: links are followed, and what counts as standing there is what did when
-    /// [`remember`] was told of the name, or what does now.
+    /// A place for what was asked for under a name: links are followed, and what counts as standing there is what did
+    /// when [`remember`] was told of the name, or what does now.
     pub fn named(name: &Path) -> Self {
         let noted = std::path::absolute(name)
             .ok()
@@ -79,12 +80,12 @@ impl Place {
         &self.target
     }
 
-    /// Gives the finished file at `from` its name. What stood there when the writing began is replaced; what appeared or
-    /// changed since is not.
+    /// Gives the finished file at `from` its name. What stood there when the writing began is replaced; what appeared
+    /// or changed since is not.
     ///
     /// # Errors
-    /// What the system says; [`ErrorKind::AlreadyExists`] with a message that names `from`, which stays, where another file
-    /// has the name.
+    /// What the system says; [`ErrorKind::AlreadyExists`] with a message that names `from`, which stays, where another
+    /// file has the name.
     pub fn put(&self, from: &Path) -> io::Result<()> {
         let taken = || {
             let text = format!(

@@ -78,7 +78,8 @@ pub enum SourceSelector {
 pub enum SerialName {
     /// Path or name, `/dev/ttyACM0` or `COM3`.
     Path(String),
-    /// `VID:PID` or `VID:PID:SERIAL`, the numbers as four hexadecimal digits; the first such device where several are there.
+    /// `VID:PID` or `VID:PID:SERIAL`, the numbers as four hexadecimal digits; the first such device where several are
+    /// there.
     Usb {
         /// Vendor.
         vendor: u16,

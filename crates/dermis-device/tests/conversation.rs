@@ -1,5 +1,5 @@
-//! The host's and the device's side of the wire talking to each other in memory: what is delivered, what is counted, and what
-//! ends a conversation.
+//! The host's and the device's side of the wire talking to each other in memory: what is delivered, what is counted,
+//! and what ends a conversation.
 
 use std::sync::mpsc::Receiver;
 use std::time::Duration;

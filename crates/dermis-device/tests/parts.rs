@@ -1,5 +1,5 @@
-//! Frames that come in parts: joined, with their times; a frame of which a part is missing or damaged is lost and counted, and
-//! no frame is made up of parts of two.
+//! Frames that come in parts: joined, with their times; a frame of which a part is missing or damaged is lost and
+//! counted, and no frame is made up of parts of two.
 
 use std::sync::mpsc::Receiver;
 

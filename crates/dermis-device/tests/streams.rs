@@ -237,7 +237,8 @@ fn a_device_that_is_not_there_or_says_nothing_is_an_error_with_its_reason() {
     drop(listener);
 }
 
-/// Why a device cannot be opened. A machine that is busy may not have tried within a short patience: then with a longer one.
+/// Why a device cannot be opened. A machine that is busy may not have tried within a short patience: then with a longer
+/// one.
 fn refusal(selector: &str, is_expected: impl Fn(&str) -> bool) -> String {
     let mut message = String::new();
     for patience_s in [0.3, 3.0, 30.0] {

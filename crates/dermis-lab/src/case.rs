@@ -1,6 +1,7 @@
-//! The exchange format of EIT problems, `case.json`: a mesh, electrodes, stimulation and measurement as explicit lists, and
-//! conductivities by name. Signs and units are those of EIDORS (current counted into the body, SI, 2D of thickness 1);
-//! indices count from zero. Keys that are not used here are passed over, since other tools write results beside the problem.
+//! The exchange format of EIT problems, `case.json`: a mesh, electrodes, stimulation and measurement as explicit lists,
+//! and conductivities by name. Signs and units are those of EIDORS (current counted into the body, SI, 2D of thickness 1);
+//! indices count from zero. Keys that are not used here are passed over, since other tools write results beside the
+//! problem.
 //!
 //! | key | holds |
 //! |---|---|
@@ -74,7 +75,8 @@ impl Case {
     /// # Errors
     /// A file that cannot be read, that is no JSON, that lacks a key, or that holds a value that makes no sense: counts
     /// that disagree, indices out of range, values that are not finite, meshes and electrodes that [`Mesh::new`] and
-    /// [`ElectrodedMesh::new`] refuse, stimulations that do not add to zero. The message names file, key, index and value.
+    /// [`ElectrodedMesh::new`] refuse, stimulations that do not add to zero. The message names file, key, index and
+    /// value.
     pub fn open(file: &Path) -> Result<Self, Error> {
         Self::parse(&read_bytes(file)?, file)
     }

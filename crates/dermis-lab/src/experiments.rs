@@ -1,5 +1,5 @@
-//! The experiments of the published skins, replayed on their twins: what was pressed where, what the paper read off, and
-//! what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
+//! The experiments of the published skins, replayed on their twins: what was pressed where, what the paper read off,
+//! and what comes out here, side by side. Twins, noise and repeats are seeded, so that a replay is the same every time.
 
 pub mod em;
 pub mod healing;

@@ -48,8 +48,8 @@ impl PressPlan {
     }
 }
 
-/// Presses the twin of a skin in the middle and on two rings around it (nine places), and reads the strongest touch of each
-/// image. Presses that are not seen are left out. `progress` gets presses done and presses in all.
+/// Presses the twin of a skin in the middle and on two rings around it (nine places), and reads the strongest touch of
+/// each image. Presses that are not seen are left out. `progress` gets presses done and presses in all.
 ///
 /// # Errors
 /// A skin without twin, forces or an indenter that make no sense, presses none of which is seen.

@@ -25,8 +25,8 @@ use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 pub struct Request {
     /// The skin.
     pub skin: Skin,
-    /// Baseline frames: one or more, or as many as there are frames (then each frame has its own, and frames have nothing
-    /// to do with each other). `None`: the frames are differences from the untouched skin already.
+    /// Baseline frames: one or more, or as many as there are frames (then each frame has its own, and frames have
+    /// nothing to do with each other). `None`: the frames are differences from the untouched skin already.
     pub baseline: Option<FileSpec>,
     /// The frames.
     pub frames: FileSpec,
@@ -126,7 +126,8 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         CalibratedImager::new(&prepared, calibration.as_ref(), reference, &data)?;
     // A calibration may have scaled the channels anew.
     let differences = differences_to(&reference);
-    let refinement = prepared.skin.imaging.refinement.filter(|_| calibration.is_none());
+    let by_pokes = calibration.as_ref().is_some_and(|calibration| calibration.correction().is_none());
+    let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
     let refined = match &refinement {
         Some(refinement) => {
             let (mut done, all) = (0, refinement.steps * frames.len());
@@ -138,7 +139,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         None => Vec::new(),
     };
     let hyperparameter = imager.hyperparameter();
-    let is_refined = Refinement::is_wanted(&prepared, calibration.is_some());
+    let is_refined = Refinement::is_wanted(&prepared, calibration.as_ref());
     let refinement_of_touches =
         if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;

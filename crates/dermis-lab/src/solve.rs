@@ -42,13 +42,13 @@ impl Case {
     }
 }
 
-/// The change of conductivity, per element, that explains the difference between the model's voltages at `reference` and
-/// at `changed`, linearised at `reference`. Exact for every prior and size: the Laplace prior's constants, which it does
-/// not weigh, are solved for apart.
+/// The change of conductivity, per element, that explains the difference between the model's voltages at `reference`
+/// and at `changed`, linearised at `reference`. Exact for every prior and size: the Laplace prior's constants, which it
+/// does not weigh, are solved for apart.
 ///
 /// # Errors
-/// Conductivities that the model refuses, a reference voltage of zero where differences are normalised, a hyperparameter
-/// that is not positive and finite, or a system that is singular.
+/// Conductivities that the model refuses, a reference voltage of zero where differences are normalised, a
+/// hyperparameter that is not positive and finite, or a system that is singular.
 pub fn difference_image(
     model: &ForwardModel,
     reference: &[f64],

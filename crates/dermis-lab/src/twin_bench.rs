@@ -77,7 +77,7 @@ impl Rig {
         let reference = Reference::of(&prepared, &rest)?;
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = Imager::new(&prepared, &reference, &data)?;
-        let is_refined = Refinement::is_wanted(&prepared, false);
+        let is_refined = Refinement::is_wanted(&prepared, None);
         let refinement = if is_refined { Refinement::new(&prepared, &reference.noise)? } else { Refinement::none() };
         let reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
         Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
@@ -151,7 +151,8 @@ impl Rig {
         self.reference = reference;
     }
 
-    /// How far from a place an image has its values: root mean square distance weighted with their squares, millimetres.
+    /// How far from a place an image has its values: root mean square distance weighted with their squares,
+    /// millimetres.
     pub fn spread_mm(&self, image: &[f32], [x, y]: [f64; 2]) -> f64 {
         let columns = self.columns();
         let finite = image.iter().enumerate().filter(|(_, value)| value.is_finite());

@@ -1,5 +1,6 @@
-//! Commands on their way to a running twin: one bounded queue for pages, standard input and whoever else commands it. What
-//! a later command makes pointless leaves the queue, equal commands are one, and what does not fit is refused with the reason.
+//! Commands on their way to a running twin: one bounded queue for pages, standard input and whoever else commands it.
+//! What a later command makes pointless leaves the queue, equal commands are one, and what does not fit is refused with
+//! the reason.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};

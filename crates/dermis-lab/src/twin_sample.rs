@@ -1,8 +1,8 @@
-//! Labelled data of a skin that need not exist: its twin is pressed as a table says, and its frames are written as files that
-//! `dermis reconstruct` and `dermis calibrate` read, with the instrument's noise.
+//! Labelled data of a skin that need not exist: its twin is pressed as a table says, and its frames are written as
+//! files that `dermis reconstruct` and `dermis calibrate` read, with the instrument's noise.
 //!
-//! Each press is made on a rested skin and held for a second before its frames are taken, so that a viscoelastic layer answers
-//! as in a press of a second, whatever was pressed before.
+//! Each press is made on a rested skin and held for a second before its frames are taken, so that a viscoelastic layer
+//! answers as in a press of a second, whatever was pressed before.
 
 use std::collections::BTreeMap;
 use std::io::Write;
@@ -70,8 +70,8 @@ pub struct Sampled {
     pub outside_validity: usize,
 }
 
-/// Reads a table of presses: columns x_mm, y_mm, one of force_n and pressure_kpa, and, where given, radius_mm (else the skin's
-/// usual one) and group: rows of the same group press together.
+/// Reads a table of presses: columns x_mm, y_mm, one of force_n and pressure_kpa, and, where given, radius_mm (else the
+/// skin's usual one) and group: rows of the same group press together.
 ///
 /// # Errors
 /// A file that is no such table, values that are missing or make no sense, with the row.
@@ -139,8 +139,8 @@ pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>
     Ok(presses)
 }
 
-/// So many single presses at random places within 85 % of the outline, of the skin's usual radius and pressure. Where an outline
-/// is so thin that hardly any place is that far from its rim, places nearer to the rim count as well.
+/// So many single presses at random places within 85 % of the outline, of the skin's usual radius and pressure. Where
+/// an outline is so thin that hardly any place is that far from its rim, places nearer to the rim count as well.
 ///
 /// # Errors
 /// An outline with hardly any inside.

@@ -72,8 +72,8 @@ const READY: Duration = Duration::from_secs(5);
 const REST_FRAMES: u64 = dermis_live::pipeline::TARE_FRAMES as u64 + 4;
 
 impl TwinSource {
-    /// The twin of a skin, at the skin file's frame rate (50 frames/s where it gives none), with its demonstration script.
-    /// Commands go through the sender; while someone presses, the script waits.
+    /// The twin of a skin, at the skin file's frame rate (50 frames/s where it gives none), with its demonstration
+    /// script. Commands go through the sender; while someone presses, the script waits.
     ///
     /// # Errors
     /// A skin without twin, or one that cannot be made.
@@ -116,8 +116,8 @@ impl TwinSource {
         Self { demo: None, ..self }
     }
 
-    /// Somebody new looks: the demonstration stops for as long as a host takes to get ready and to take a baseline, and then
-    /// begins again.
+    /// Somebody new looks: the demonstration stops for as long as a host takes to get ready and to take a baseline, and
+    /// then begins again.
     ///
     /// # Errors
     /// None of a twin that could be made.
@@ -129,7 +129,8 @@ impl TwinSource {
         Ok(())
     }
 
-    /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps up.
+    /// The same as fast as frames are asked for; times and numbers are those of the paced one on a machine that keeps
+    /// up.
     pub fn unpaced(self) -> Self {
         Self { paced: false, ..self }
     }
@@ -282,8 +283,8 @@ impl TwinSource {
         self.twin.step(time_s, &mut self.values).map(|truth| (truth.sequence, truth.fate))
     }
 
-    /// Presses, or says why not: a press that makes no sense must not end the source. A pointer that slides off the skin
-    /// lets go without a word, and presses again where it comes back.
+    /// Presses, or says why not: a press that makes no sense must not end the source. A pointer that slides off the
+    /// skin lets go without a word, and presses again where it comes back.
     fn press(&mut self, pointer: u64, [x_m, y_m]: [f64; 2], radius_m: f64, pressure_pa: f64) {
         if self.pressing.len() >= MOST_POINTERS && !self.pressing.contains(&pointer) {
             if self.refused.len() < MOST_POINTERS && self.refused.insert(pointer) {

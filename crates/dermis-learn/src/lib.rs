@@ -1,6 +1,7 @@
-//! Segmentation of tactile images by a U-Net (second step of two-step imaging): every pixel is compressed, background or
-//! damaged, with probabilities. Inference and training on the processor need no machine-learning framework, and inference
-//! allocates nothing per frame. On graphics processors networks are trained by PyTorch, from the same training sets.
+//! Segmentation of tactile images by a U-Net (second step of two-step imaging): every pixel is compressed, background
+//! or damaged, with probabilities. Inference and training on the processor need no machine-learning framework, and
+//! inference allocates nothing per frame. On graphics processors networks are trained by PyTorch, from the same
+//! training sets.
 //!
 //! ```
 //! use dermis_learn::metrics::{Confusion, most_likely};

@@ -75,9 +75,9 @@ pub fn most_likely(values: &[f32], classes: usize, labels: &mut [u8]) {
     }
 }
 
-/// Expected calibration error, gathered frame by frame: pixels are put into bins by the probability of their most likely
-/// class; the error is the mean over pixels of `|share right - mean probability|` of their bin (Guo et al., ICML 2017,
-/// eq. 3).
+/// Expected calibration error, gathered frame by frame: pixels are put into bins by the probability of their most
+/// likely class; the error is the mean over pixels of `|share right - mean probability|` of their bin (Guo et al., ICML
+/// 2017, eq. 3).
 #[derive(Clone, Debug)]
 pub struct Calibration {
     /// Pixels, pixels right, sum of probabilities.

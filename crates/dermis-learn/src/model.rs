@@ -1,6 +1,6 @@
-//! A trained model: the weights (safetensors) and beside them the model card (JSON) that says what they are for, how they
-//! were made and how good they are. The card holds the weights' size and SHA-256, which are checked before anything of the
-//! weights is parsed.
+//! A trained model: the weights (safetensors) and beside them the model card (JSON) that says what they are for, how
+//! they were made and how good they are. The card holds the weights' size and SHA-256, which are checked before
+//! anything of the weights is parsed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -104,8 +104,8 @@ impl Model {
     /// Reads a model card and the weights that it names.
     ///
     /// # Errors
-    /// Files that cannot be read; a card with unknown keys or values that make no sense; weights of another size or hash
-    /// than the card says, of another architecture, or with values that are not finite.
+    /// Files that cannot be read; a card with unknown keys or values that make no sense; weights of another size or
+    /// hash than the card says, of another architecture, or with values that are not finite.
     pub fn load(card_file: &Path) -> Result<Self, LearnError> {
         let content = read_bounded(card_file, LARGEST_CARD_BYTES)?;
         let card: ModelCard = serde_json::from_slice(&content)

@@ -1,5 +1,5 @@
-//! The forward pass, one frame at a time. Images lie channel by channel with a border of zeros (see [`crate::kernels`]);
-//! batch norms are folded into the convolutions before them. All memory is allocated once.
+//! The forward pass, one frame at a time. Images lie channel by channel with a border of zeros (see
+//! [`crate::kernels`]); batch norms are folded into the convolutions before them. All memory is allocated once.
 
 use pulp::Arch;
 
@@ -26,7 +26,8 @@ pub struct Network {
     entrances: Vec<Plane>,
     /// Between the two blocks of a level.
     middles: Vec<Plane>,
-    /// Coarser image repeated, then the level's own: what the way up starts from. The coarsest level's own output alone.
+    /// Coarser image repeated, then the level's own: what the way up starts from. The coarsest level's own output
+    /// alone.
     joined: Vec<Plane>,
     /// What the way up ends in at each level.
     risen: Vec<Plane>,
@@ -76,7 +77,8 @@ impl Stage {
 }
 
 impl Convolution {
-    /// Takes `PREFIX.convN` and folds `PREFIX.normN` in: `gain = weight / sqrt(var + eps)`, `offset = bias - gain mean`.
+    /// Takes `PREFIX.convN` and folds `PREFIX.normN` in: `gain = weight / sqrt(var + eps)`,
+    /// `offset = bias - gain mean`.
     fn folded(
         tensors: &Tensors,
         prefix: &str,
@@ -155,8 +157,8 @@ impl Network {
         (self.rows, self.columns)
     }
 
-    /// Logits of one frame. `input` is inputs x rows x columns, values that are not finite (outside the skin) count as 0;
-    /// `logits` is classes x rows x columns.
+    /// Logits of one frame. `input` is inputs x rows x columns, values that are not finite (outside the skin) count as
+    /// 0; `logits` is classes x rows x columns.
     ///
     /// # Errors
     /// Lengths that do not fit.

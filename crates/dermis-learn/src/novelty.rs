@@ -1,7 +1,7 @@
 //! Is a frame like those that the network was trained on? The means over the image of the coarsest level's channels are
-//! compared with those of the training set by their Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian for
-//! all). A score above 1 is farther out than all but a thousandth of held-out frames: then the first-step image is to be
-//! used instead.
+//! compared with those of the training set by their Mahalanobis distance (Lee et al., NeurIPS 2018, with one Gaussian
+//! for all). A score above 1 is farther out than all but a thousandth of held-out frames: then the first-step image is
+//! to be used instead.
 
 use crate::LearnError;
 use crate::weights::Tensors;

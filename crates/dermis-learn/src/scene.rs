@@ -248,7 +248,8 @@ impl Painter<'_> {
     /// A line, an arc or a hole.
     fn cut(&self, random: &mut StdRng) -> Inclusion {
         let start = self.place(0.85, random);
-        // What is labelled: a network is asked where a cut is to within a few pixels, not for a line thinner than images resolve.
+        // What is labelled: a network is asked where a cut is to within a few pixels, not for a line thinner than
+        // images resolve.
         let width = (self.size_m * LABELLED_CUT).max(self.finest_m) * random.random_range(1.0..1.4);
         let length = self.size_m * random.random_range(0.2..0.7);
         let direction = random.random_range(0.0..TAU);

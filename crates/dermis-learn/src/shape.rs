@@ -1,11 +1,11 @@
 //! The architecture: which tensors a U-Net of given inputs, classes, width and levels has. Names and layouts are those
 //! of a PyTorch `state_dict`, so that weights travel both ways.
 //!
-//! Level 0 works on the whole image with `width` channels; every further level on half the rows and columns with twice the
-//! channels. On the way down each level is two blocks (3x3 convolution, batch norm, Softsign), levels joined by max-pooling
-//! of 2; on the way up the coarser image is repeated to twice the size (nearest neighbour), put before the level's own
-//! from the way down, and passed through two blocks. A 1x1 convolution gives the logits
-//! (Ronneberger, Fischer & Brox, MICCAI 2015, with Softsign in place of ReLU and without cropping).
+//! Level 0 works on the whole image with `width` channels; every further level on half the rows and columns with twice
+//! the channels. On the way down each level is two blocks (3x3 convolution, batch norm, Softsign), levels joined by
+//! max-pooling of 2; on the way up the coarser image is repeated to twice the size (nearest neighbour), put before the
+//! level's own from the way down, and passed through two blocks. A 1x1 convolution gives the logits (Ronneberger,
+//! Fischer & Brox, MICCAI 2015, with Softsign in place of ReLU and without cropping).
 
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
-//! Training sets on disk: a folder with `manifest.json` (what was simulated, how, from which seed) and shards of samples
-//! (`shard-00000.safetensors`: `inputs`, samples x images x rows x columns, F32; `labels`, samples x rows x columns, U8).
-//! Every shard is determined by the manifest and its number alone, so that an interrupted set is continued by making the
-//! shards that are missing; none is ever half-written under its name.
+//! Training sets on disk: a folder with `manifest.json` (what was simulated, how, from which seed) and shards of
+//! samples (`shard-00000.safetensors`: `inputs`, samples x images x rows x columns, F32; `labels`, samples x rows x
+//! columns, U8). Every shard is determined by the manifest and its number alone, so that an interrupted set is
+//! continued by making the shards that are missing; none is ever half-written under its name.
 
 use std::path::{Path, PathBuf};
 

@@ -40,8 +40,8 @@ impl Tensors {
         self.entries.iter().map(|(name, (dims, values))| (name.as_str(), dims.as_slice(), values.as_slice()))
     }
 
-    /// Reads safetensors; all tensors must be 32-bit and finite. PyTorch's counters of batches (`num_batches_tracked`), which no
-    /// network needs, are passed over. `file` is for messages.
+    /// Reads safetensors; all tensors must be 32-bit and finite. PyTorch's counters of batches (`num_batches_tracked`),
+    /// which no network needs, are passed over. `file` is for messages.
     ///
     /// # Errors
     /// Bytes that are no safetensors, other types, values that are not finite.

@@ -12,9 +12,10 @@ mod pokes;
 mod self_calibrated;
 
 pub use calibrated_imager::CalibratedImager;
-pub(crate) use calibrated_imager::check_wiring;
+pub(crate) use calibrated_imager::{check_wiring, learnt_finder};
 pub use circuit_search::{CircuitFit, TRUSTED_SCORE, find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
+pub(crate) use poke_calibration::differences_of;
 pub use poke_calibration::{Calibration, CalibrationOptions, PokeFrames, PokeReview};
 pub use pokes::{LoadQuantity, Pokes, read_pokes};

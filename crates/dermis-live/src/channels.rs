@@ -157,8 +157,8 @@ fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
 
 /// Turns an instrument's frames into channels of a protocol, as real numbers.
 ///
-/// Complex readings become their component along one common phase, that of the first frame read (the instrument's phase,
-/// not the body's), so that baselines and frames must go through the same reader, baseline first.
+/// Complex readings become their component along one common phase, that of the first frame read (the instrument's
+/// phase, not the body's), so that baselines and frames must go through the same reader, baseline first.
 #[derive(Clone, Debug)]
 pub struct ChannelReader {
     layout: ChannelLayout,
@@ -219,8 +219,8 @@ impl ChannelReader {
     }
 }
 
-/// Direction (cos, sin) of the principal axis of complex channels, toward positive real parts: half the angle of the sum
-/// of squares.
+/// Direction (cos, sin) of the principal axis of complex channels, toward positive real parts: half the angle of the
+/// sum of squares.
 fn common_phase(real: &[f64], imaginary: &[f64]) -> (f64, f64) {
     let finite = || real.iter().zip(imaginary).filter(|(re, im)| re.is_finite() && im.is_finite());
     let sum_real: f64 = finite().map(|(re, im)| re * re - im * im).sum();

@@ -1,6 +1,6 @@
-//! The time and the numbers of frames, where they are not what they should be: clocks that jump or start anew, numbers that
-//! skip, wrap or begin again. Time goes on at the pace it had, so that touches neither freeze nor tear off, and what
-//! happened is marked. It follows from the frames alone, so that a replay anomalies the same.
+//! The time and the numbers of frames, where they are not what they should be: clocks that jump or start anew, numbers
+//! that skip, wrap or begin again. Time goes on at the pace it had, so that touches neither freeze nor tear off, and
+//! what happened is marked. It follows from the frames alone, so that a replay anomalies the same.
 
 use dermis_device::Frame;
 

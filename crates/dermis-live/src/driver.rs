@@ -1,5 +1,5 @@
-//! The one loop over frames: what comes from a feed, a recording, an instrument or a list, goes through a pipeline; commands
-//! are carried out between frames, and an observer is shown what came of them.
+//! The one loop over frames: what comes from a feed, a recording, an instrument or a list, goes through a pipeline;
+//! commands are carried out between frames, and an observer is shown what came of them.
 
 use std::ops::ControlFlow;
 
@@ -134,8 +134,8 @@ impl<'a> Driver<'a> {
     /// Runs what a feed has until it ends or the observer breaks off.
     ///
     /// # Errors
-    /// Those of the feed, the pipeline and the observer. Commands that are refused are counted, but for baselines that cannot
-    /// be restored.
+    /// Those of the feed, the pipeline and the observer. Commands that are refused are counted, but for baselines that
+    /// cannot be restored.
     pub fn run<F: Feed>(&mut self, feed: &mut F, observer: &mut impl Observer<F>) -> Result<Progress, F::Error> {
         while observer.between(self.pipeline)? {
             let (flow, renewed) = match feed.next()? {

@@ -1,9 +1,9 @@
 //! The noise of channels from frames of which nobody says whether the skin is touched in them.
 //!
 //! Two estimates are made, and the smaller is believed. Successive frames d = x_(t+1) - x_t differ by noise alone while
-//! nothing moves: of the quieter half of the pairs, sigma = 1.4826 median |d| / sqrt 2. Where every frame is another touch
-//! no pair is quiet; but touches of one skin are alike and noise is not, so what is left of frames without their leading
-//! principal components is noise too.
+//! nothing moves: of the quieter half of the pairs, sigma = 1.4826 median |d| / sqrt 2. Where every frame is another
+//! touch no pair is quiet; but touches of one skin are alike and noise is not, so what is left of frames without their
+//! leading principal components is noise too.
 
 use faer::{Mat, Side};
 

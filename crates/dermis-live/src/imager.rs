@@ -165,8 +165,8 @@ impl Imager {
         self.elements.as_ref().and_then(ElementImager::fit)
     }
 
-    /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise that
-    /// goes with it. Frames are to have `NaN` there. An empty list takes all channels back.
+    /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise
+    /// that goes with it. Frames are to have `NaN` there. An empty list takes all channels back.
     ///
     /// # Errors
     /// A channel that does not exist, or all of them.
@@ -228,8 +228,8 @@ impl Imager {
         Ok(())
     }
 
-    /// Fills in the missing channels of difference data (model volts, `NaN` where missing) with what the others let expect.
-    /// Allocates only when the set of missing channels changes.
+    /// Fills in the missing channels of difference data (model volts, `NaN` where missing) with what the others let
+    /// expect. Allocates only when the set of missing channels changes.
     ///
     /// # Errors
     /// All channels missing.

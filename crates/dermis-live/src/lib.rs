@@ -32,8 +32,9 @@
 //! | [`imager`], [`reconstructor`] | differences to images; images to touches |
 //! | [`pipeline`], [`stages`], [`output`] | all of it for every frame, in memory that does not grow; what it says |
 //! | [`driver`], [`clock`], [`latency`] | the loop over frames; their times; how long they took |
-//! | [`calibration`], [`forces`], [`network`] | what pokes, presses and training have taught |
+//! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | what pokes, presses and training have taught |
 
+pub mod calibrate;
 pub mod calibration;
 pub mod channels;
 pub mod clock;

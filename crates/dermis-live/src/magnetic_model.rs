@@ -1,6 +1,6 @@
-//! The model of the readings of a skin of magnetic induction at rest, and of their change with the elements' heights. Of
-//! each element the model keeps the dipole alone, without its neighbours' excitation: simple, and some per cent off at the
-//! usual heights.
+//! The model of the readings of a skin of magnetic induction at rest, and of their change with the elements' heights.
+//! Of each element the model keeps the dipole alone, without its neighbours' excitation: simple, and some per cent off
+//! at the usual heights.
 
 use dermis_mit::{Coil, CoilArray, Complex, HARMONICS, MU0, Polarizability, Sphere};
 use dermis_skin::{Element, Elements, Skin};

@@ -31,18 +31,19 @@ pub struct Prepared {
     pub map: PixelMap,
     /// Voltages of the resting skin, volts, signed.
     pub voltages: Vec<f64>,
-    /// Channels x inside pixels: volts per relative change of conductivity; of magnetic induction, of readings per share of
-    /// the elements' full travel.
+    /// Channels x inside pixels: volts per relative change of conductivity; of magnetic induction, of readings per
+    /// share of the elements' full travel.
     pub jacobian: Jacobian,
     /// The inside pixels as unknowns.
     pub basis: ImageBasis,
-    /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and imagers
-    /// that differ in lambda alone share it.
+    /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and
+    /// imagers that differ in lambda alone share it.
     problem: OnceLock<Arc<LinearProblem>>,
 }
 
 impl Prepared {
-    /// Meshes the skin and solves it at rest, provided that its sizes let that be done with the memory that may be used.
+    /// Meshes the skin and solves it at rest, provided that its sizes let that be done with the memory that may be
+    /// used.
     ///
     /// # Errors
     /// Shapes, electrodes or patterns that do not work out; see [`Error`].
@@ -79,8 +80,8 @@ impl Prepared {
         Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() })
     }
 
-    /// The same skin with other settings of its images: neither mesh nor fields are computed anew. The grid and the number
-    /// of elements stay as they are.
+    /// The same skin with other settings of its images: neither mesh nor fields are computed anew. The grid and the
+    /// number of elements stay as they are.
     ///
     /// # Errors
     /// Settings that a skin file could not have.
@@ -104,8 +105,8 @@ impl Prepared {
         self.voltages.len()
     }
 
-    /// Pixels that the skin covers only a little of, which images leave out, each with the inside pixel nearest to it (both
-    /// row-major): an image that is to have a value wherever there is skin takes it from there.
+    /// Pixels that the skin covers only a little of, which images leave out, each with the inside pixel nearest to it
+    /// (both row-major): an image that is to have a value wherever there is skin takes it from there.
     pub fn rim_pixels(&self) -> Vec<(usize, usize)> {
         let grid = self.map.grid();
         let distance = |a: usize, b: usize| {
@@ -135,8 +136,8 @@ impl Prepared {
         0.5 * (high[0] - low[0]).min(high[1] - low[1])
     }
 
-    /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data in
-    /// model volts for a relative change of 1 at the middle, polarity included.
+    /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data
+    /// in model volts for a relative change of 1 at the middle, polarity included.
     pub fn signatures(&self, positions_m: &[[f64; 2]]) -> Vec<f64> {
         let sigma = self.skin.touch.relative_size * self.half_width_m();
         let polarity = self.skin.imaging.polarity.sign();

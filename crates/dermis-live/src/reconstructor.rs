@@ -55,17 +55,23 @@ impl Reconstructor {
         self.placement.as_mut().map_or(Ok(None), |finder| finder.place(difference))
     }
 
-    /// Follows the touches of an image of the frame imaged last.
+    /// Follows the touches of an image of the frame imaged last. Where a calibration leaves places to the model,
+    /// `placement` lends a single touch its load, and what the calibration knows of the model's errors corrects all.
     ///
     /// # Errors
     /// An image of another size, a time before the last one, or a sheet with new cuts that cannot be solved.
     pub fn follow_touches(&mut self, time_ns: u64, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
-        self.touches.find_contacts(image, placement)?;
-        if let (None, Some(elements), Some(fit)) = (placement, &mut self.elements, self.imager.heights()) {
+        let correction = self.placement.as_ref().and_then(PlacementFinder::correction);
+        let imposed = placement.filter(|_| correction.is_none());
+        self.touches.find_contacts(image, imposed)?;
+        if let (None, Some(elements), Some(fit)) = (imposed, &mut self.elements, self.imager.heights()) {
             elements.place(fit, self.touches.contacts_mut());
         }
-        if placement.is_none() {
+        if imposed.is_none() {
             self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;
+        }
+        if let Some(correction) = correction {
+            self.touches.correct_contacts(correction, placement.and_then(|placement| placement.load));
         }
         self.touches.track_contacts(time_ns)
     }

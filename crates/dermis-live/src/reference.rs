@@ -60,8 +60,8 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Makes a reference from baseline frames (channels in the protocol's order). Several frames are averaged; from 8 on,
-    /// their scatter from frame to frame is taken as the noise.
+    /// Makes a reference from baseline frames (channels in the protocol's order). Several frames are averaged; from 8
+    /// on, their scatter from frame to frame is taken as the noise.
     ///
     /// # Errors
     /// No frames, frames of the wrong length, or a baseline that is zero everywhere.
@@ -89,8 +89,9 @@ impl Reference {
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order })
     }
 
-    /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the signs
-    /// that rectified readings have lost. The noise is that of [`noise_of_frames`], where there are frames enough.
+    /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the
+    /// signs that rectified readings have lost. The noise is that of [`noise_of_frames`], where there are frames
+    /// enough.
     ///
     /// # Errors
     /// No frames, frames of the wrong length, or frames that are zero everywhere.
@@ -120,8 +121,8 @@ impl Reference {
         Ok(reference)
     }
 
-    /// Where the noise is only assumed, takes that of [`noise_of_frames`] of these difference data, if there are enough;
-    /// never less than a small part of what was assumed, so that frames without noise are no certainty.
+    /// Where the noise is only assumed, takes that of [`noise_of_frames`] of these difference data, if there are
+    /// enough; never less than a small part of what was assumed, so that frames without noise are no certainty.
     pub fn estimate_noise(&mut self, differences: &[Vec<f64>]) {
         if self.noise_source != NoiseSource::Assumed {
             return;

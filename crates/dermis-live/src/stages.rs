@@ -1,5 +1,5 @@
-//! The stages of the live pipeline between difference data and touches. None knows another: what one finds out is handed on
-//! by the pipeline.
+//! The stages of the live pipeline between difference data and touches. None knows another: what one finds out is
+//! handed on by the pipeline.
 
 pub mod classes;
 pub mod damage;

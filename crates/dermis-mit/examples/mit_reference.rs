@@ -1,5 +1,5 @@
-//! Edge elements against reference values: the cylinder and the plate over a pair of coils, and a coil over a large plate,
-//! with sizes and times. Reads the reference files' folder from the command line.
+//! Edge elements against reference values: the cylinder and the plate over a pair of coils, and a coil over a large
+//! plate, with sizes and times. Reads the reference files' folder from the command line.
 
 use std::error::Error;
 use std::time::Instant;

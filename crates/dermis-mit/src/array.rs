@@ -32,7 +32,8 @@ pub struct CoilOutline {
 }
 
 impl CoilArray {
-    /// Equal coils with their middles at these places, metres, numbered in this order. [`crate::CoilGrid`] makes places.
+    /// Equal coils with their middles at these places, metres, numbered in this order. [`crate::CoilGrid`] makes
+    /// places.
     ///
     /// # Errors
     /// As [`CoilSpec::coil`] and [`CoilArray::of_coils`].
@@ -44,8 +45,8 @@ impl CoilArray {
     /// Coils of any kind.
     ///
     /// # Errors
-    /// Fewer than 2 coils or more than [`MOST_COILS`], places that are not finite, coils that reach into each other: coils
-    /// may lie over each other only where their heights differ by the sum of their half heights at least.
+    /// Fewer than 2 coils or more than [`MOST_COILS`], places that are not finite, coils that reach into each other:
+    /// coils may lie over each other only where their heights differ by the sum of their half heights at least.
     pub fn of_coils(coils: Vec<Coil>) -> Result<Self, MitError> {
         for (k, coil) in coils.iter().enumerate() {
             if let Some(value) = coil.centre_m.into_iter().find(|x| !x.is_finite()) {
@@ -107,8 +108,8 @@ impl CoilArray {
         (0..count).flat_map(|a| (a + 1..count).map(move |b| [a, b])).collect()
     }
 
-    /// Mutual inductance of every pair without bodies, henries. Pairs of equal coils that lie alike share one computation: a
-    /// grid of 4 x 4 coils has 120 pairs and 24 displacements.
+    /// Mutual inductance of every pair without bodies, henries. Pairs of equal coils that lie alike share one
+    /// computation: a grid of 4 x 4 coils has 120 pairs and 24 displacements.
     pub fn mutuals_h(&self) -> Vec<f64> {
         let pairs = self.pairs();
         let kinds: Vec<usize> = (0..self.coils.len())
@@ -129,8 +130,8 @@ impl CoilArray {
         places.into_iter().map(|place| values[place]).collect()
     }
 
-    /// What the mutual inductance of a pair follows from: the kinds of both coils and how far they are apart, in steps far
-    /// below what changes it. A shield is at one distance below all coils of a kind.
+    /// What the mutual inductance of a pair follows from: the kinds of both coils and how far they are apart, in steps
+    /// far below what changes it. A shield is at one distance below all coils of a kind.
     fn how_they_lie(&self, [a, b]: [usize; 2], kinds: &[usize]) -> [i64; 5] {
         let steps = subtract(self.coils[b].centre_m, self.coils[a].centre_m).map(|m| (m / SAME_M).round() as i64);
         let ([from, to], [x, y, z]) = ([kinds[a], kinds[b]].map(|kind| kind as i64), steps);

@@ -1,6 +1,6 @@
 //! The bodies that elements of magnetic induction skins are for the fields: their multipole matrices tau come from edge
-//! elements once for a shape, a material and a frequency (seconds), and are kept: those of the built-in skins in the program,
-//! all others in a directory of the user's.
+//! elements once for a shape, a material and a frequency (seconds), and are kept: those of the built-in skins in the
+//! program, all others in a directory of the user's.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -40,17 +40,17 @@ pub struct BodyRecord {
     pub frequency_hz: f64,
     /// Highest degree of the harmonics; those of another are of no use here.
     pub degree: usize,
-    /// Row, column, real and imaginary part of the entries on and above the diagonal that are not zero; harmonics in the order
-    /// of [`crate::regular`], counted from 0; entry (i, j) in H.m^(li + lj).
+    /// Row, column, real and imaginary part of the entries on and above the diagonal that are not zero; harmonics in
+    /// the order of [`crate::regular`], counted from 0; entry (i, j) in H.m^(li + lj).
     pub tau: Vec<Entry>,
 }
 
-/// Its answer at a frequency: closed form for a ball, else from the program's own records, the cache, or edge elements, in
-/// this order; what was computed goes into the cache.
+/// Its answer at a frequency: closed form for a ball, else from the program's own records, the cache, or edge elements,
+/// in this order; what was computed goes into the cache.
 ///
 /// # Errors
-/// Sizes, conductivity or permeability that make no sense, a frequency outside 1 Hz to 1 MHz. A cache that cannot be read
-/// or written is only warned of.
+/// Sizes, conductivity or permeability that make no sense, a frequency outside 1 Hz to 1 MHz. A cache that cannot be
+/// read or written is only warned of.
 pub fn body_of(element: &Element, frequency_hz: f64) -> Result<Polarizability, MitError> {
     body_cached(element, frequency_hz, cache_directory().as_deref())
 }

@@ -1,5 +1,5 @@
-//! Coils as sets of filaments: circular and square spirals by concentric loops, solenoids in layers, annular sheets; with a
-//! calibration to a measured inductance, and images in a shield.
+//! Coils as sets of filaments: circular and square spirals by concentric loops, solenoids in layers, annular sheets;
+//! with a calibration to a measured inductance, and images in a shield.
 
 use crate::error::{MitError, positive};
 use crate::harmonics::{HARMONICS, expansion};
@@ -48,7 +48,8 @@ impl Filament {
         let across = |p: Vector| [p[0], p[1], 2.0 * z_m - p[2]];
         match *self {
             Self::Ring(ring) => Self::Ring(Ring {
-                // An axis is a pseudovector: a loop seen in a mirror turns the same way about the mirrored normal, reversed.
+                // An axis is a pseudovector: a loop seen in a mirror turns the same way about the mirrored normal,
+                // reversed.
                 centre_m: across(ring.centre_m),
                 axis: [-ring.axis[0], -ring.axis[1], ring.axis[2]],
                 ..ring
@@ -147,8 +148,8 @@ pub(crate) struct WindingSection {
 }
 
 impl Coil {
-    /// A flat circular spiral by concentric rings in the middle of each turn's share of the width; round wire that fills 80 %
-    /// of the pitch.
+    /// A flat circular spiral by concentric rings in the middle of each turn's share of the width; round wire that
+    /// fills 80 % of the pitch.
     ///
     /// # Errors
     /// Diameters that are not positive or not in order, no turns.
@@ -190,8 +191,8 @@ impl Coil {
         Self::filled(centre_m, &section)
     }
 
-    /// A coil wound in layers of equal turns: layers from the inner diameter outward, turns along the length below and above
-    /// the centre.
+    /// A coil wound in layers of equal turns: layers from the inner diameter outward, turns along the length below and
+    /// above the centre.
     ///
     /// # Errors
     /// Sizes that are not positive, no turns, no layers.
@@ -262,8 +263,8 @@ impl Coil {
         self
     }
 
-    /// Scales fields and fluxes so that the self inductance is a measured one: real windings have somewhat more turns than
-    /// their model. Returns the coil and the factor on the turns.
+    /// Scales fields and fluxes so that the self inductance is a measured one: real windings have somewhat more turns
+    /// than their model. Returns the coil and the factor on the turns.
     ///
     /// # Errors
     /// An inductance that is not positive.

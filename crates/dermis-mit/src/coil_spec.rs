@@ -1,11 +1,11 @@
-//! Descriptions of coils and of their places: any flat or layered winding of round or square turns, on a grid or at listed
-//! places. A [`crate::CoilArray`] is made of one such description and of places.
+//! Descriptions of coils and of their places: any flat or layered winding of round or square turns, on a grid or at
+//! listed places. A [`crate::CoilArray`] is made of one such description and of places.
 //!
-//! Turns fill the space between inner and outer width evenly, in equal layers around the coil's middle plane; each is one
-//! closed filament in the middle of its share. The conductor enters the self inductance alone, by its geometric mean distance
-//! from itself: `e^(-1/4) d / 2` of round wire, `0.2235 (w + t)` of a track (Grover, Inductance Calculations, 1946, ch. 3).
-//! Windings of more than 128 turns are lumped: one filament stands for several turns, and its geometric mean distance
-//! is that of the rectangle that these fill.
+//! Turns fill the space between inner and outer width evenly, in equal layers around the coil's middle plane; each is
+//! one closed filament in the middle of its share. The conductor enters the self inductance alone, by its geometric
+//! mean distance from itself: `e^(-1/4) d / 2` of round wire, `0.2235 (w + t)` of a track (Grover, Inductance
+//! Calculations, 1946, ch. 3). Windings of more than 128 turns are lumped: one filament stands for several turns, and
+//! its geometric mean distance is that of the rectangle that these fill.
 
 use crate::coil::{Coil, CoilShape, ROUND, WIRE_SHARE, WindingSection};
 use crate::error::{MitError, positive};
@@ -85,8 +85,8 @@ impl CoilSpec {
     /// Checks the numbers.
     ///
     /// # Errors
-    /// Widths that are not positive or not in order, turns outside 1 to [`MOST_TURNS`] or not a multiple of the layers, a
-    /// conductor thicker than the distance of turns or layers, an inductance that is not positive.
+    /// Widths that are not positive or not in order, turns outside 1 to [`MOST_TURNS`] or not a multiple of the layers,
+    /// a conductor thicker than the distance of turns or layers, an inductance that is not positive.
     pub fn check(&self) -> Result<(), MitError> {
         positive("inner_m", self.inner_m)?;
         positive("outer_m", self.outer_m)?;
@@ -139,8 +139,8 @@ impl CoilSpec {
     /// The coil with its middle at a place, metres.
     ///
     /// # Errors
-    /// As [`CoilSpec::check`]; a place that is not finite; a conductor so thick for its turn that the formula of the self
-    /// inductance does not hold.
+    /// As [`CoilSpec::check`]; a place that is not finite; a conductor so thick for its turn that the formula of the
+    /// self inductance does not hold.
     pub fn coil(&self, centre_m: Vector) -> Result<Coil, MitError> {
         self.check()?;
         if let Some(value) = centre_m.into_iter().find(|x| !x.is_finite()) {

@@ -1,10 +1,10 @@
 //! Real solid harmonics, in which fields near a body and around it are expanded.
 //!
-//! Schmidt's semi-normalisation: `h_1 = z, x, y`; the mean of the square of a harmonic of degree l over the unit sphere is
-//! `1 / (2l + 1)`. Order: degree by degree, in each `m = 0`, then cosine and sine of 1, 2, ... l. With `C_m + j S_m = (x + j y)^m`
-//! a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, `N = sqrt(2 (l - m)!/(l + m)!)` (1 for m = 0), with
-//! `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`, whose derivatives are
-//! `(l + m) P_(l-1)^m` by z and `-x P_(l-1)^(m+1)` by x.
+//! Schmidt's semi-normalisation: `h_1 = z, x, y`; the mean of the square of a harmonic of degree l over the unit sphere
+//! is `1 / (2l + 1)`. Order: degree by degree, in each `m = 0`, then cosine and sine of 1, 2, ... l. With
+//! `C_m + j S_m = (x + j y)^m` a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, `N = sqrt(2 (l - m)!/(l + m)!)` (1 for m = 0),
+//! with `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`, whose derivatives
+//! are `(l + m) P_(l-1)^m` by z and `-x P_(l-1)^(m+1)` by x.
 
 use std::sync::LazyLock;
 
@@ -141,10 +141,11 @@ fn sphere_points() -> impl Iterator<Item = (Vector, f64)> {
     })
 }
 
-/// Coefficients c of the scalar potential `h = sum c_i h_i` with `B = -mu0 grad h` around a centre, from the flux density
-/// (tesla) on a sphere of that radius, metres: degree by degree `c = -(2l + 1) <B_r Y> / (mu0 l r^(l-1))`. The quadrature folds degrees
-/// of 12 - l and more in, as `(r/d)^(12-2l)` of the field's size, d the distance of the nearest wire: a fiftieth of d leaves 1e-10 of degree
-/// 3 and below, 2e-7 of degree 4, 4e-4 of degree 5, whose share is small; rounding less.
+/// Coefficients c of the scalar potential `h = sum c_i h_i` with `B = -mu0 grad h` around a centre, from the flux
+/// density (tesla) on a sphere of that radius, metres: degree by degree `c = -(2l + 1) <B_r Y> / (mu0 l r^(l-1))`. The
+/// quadrature folds degrees of 12 - l and more in, as `(r/d)^(12-2l)` of the field's size, d the distance of the
+/// nearest wire: a fiftieth of d leaves 1e-10 of degree 3 and below, 2e-7 of degree 4, 4e-4 of degree 5, whose share is
+/// small; rounding less.
 pub fn expansion(centre_m: Vector, radius_m: f64, flux_density: impl Fn(Vector) -> Vector) -> [f64; HARMONICS] {
     let mut sums = [0.0; HARMONICS];
     for (direction, weight, harmonics) in SPHERE.iter() {
@@ -164,9 +165,10 @@ pub(crate) fn irregular(point_m: Vector) -> [f64; HARMONICS] {
     std::array::from_fn(|i| values[i] / r.powi(2 * DEGREES[i] as i32 + 1))
 }
 
-/// Matrix S up to a degree, row by row (row: regular harmonic about a new centre, column: irregular harmonic about the old), of the re-expansion
-/// `Y_j(p)/r^(l+1) = sum_i S_ij h_i(p - shift)` for points nearer to the new centre than that is to the old. Found
-/// by projection on a small sphere around the new centre, as [`expansion`], from values instead of radial derivatives.
+/// Matrix S up to a degree, row by row (row: regular harmonic about a new centre, column: irregular harmonic about the
+/// old), of the re-expansion `Y_j(p)/r^(l+1) = sum_i S_ij h_i(p - shift)` for points nearer to the new centre than that
+/// is to the old. Found by projection on a small sphere around the new centre, as [`expansion`], from values instead of
+/// radial derivatives.
 pub(crate) fn translation(shift_m: Vector, degree: usize) -> Vec<f64> {
     let count = (degree + 1) * (degree + 1) - 1;
     let radius = 0.03 * norm(shift_m);

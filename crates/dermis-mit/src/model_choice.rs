@@ -1,5 +1,5 @@
-//! One body anywhere near coils, by the model that holds there: its multipoles where all wire lies outside the sphere around
-//! it, edge elements where some does not.
+//! One body anywhere near coils, by the model that holds there: its multipoles where all wire lies outside the sphere
+//! around it, edge elements where some does not.
 
 use crate::array::CoilArray;
 use crate::edge::{Material, Order, Shape, Source, SymmetricBody};
@@ -17,9 +17,9 @@ pub enum BodyModel {
     EdgeElements,
 }
 
-/// Changes of mutual inductance, henries, of all pairs of an array by one body with its middle at `centre_m`, and how they were
-/// computed. `body` is the body's tau at this frequency, of [`crate::edge::body_tau`]; where wire reaches into the sphere around it, the
-/// body is solved anew as `shape` and `material` say.
+/// Changes of mutual inductance, henries, of all pairs of an array by one body with its middle at `centre_m`, and how
+/// they were computed. `body` is the body's tau at this frequency, of [`crate::edge::body_tau`]; where wire reaches
+/// into the sphere around it, the body is solved anew as `shape` and `material` say.
 ///
 /// # Errors
 /// Materials, sizes or frequencies that make no sense. Wire inside the body itself is for the caller to exclude.

@@ -2,10 +2,10 @@
 //! harmonics, and the change of a mutual inductance is `dM_mn = c_m' tau c_n`, c the coils' expansions at the body.
 //! Moving a body changes only c, which is tabulated over its height.
 //!
-//! With harmonics of Schmidt's normalisation and `B = -mu0 grad(sum c_i h_i)`, the scattered potential is `sum d_i Y_i/r^(l+1)`
-//! with `d = -tau c / (4 pi mu0)`, and reciprocity gives `dM_mn = -4 pi mu0 c_m' d_n`; a sphere has
-//! `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)` with the re-expansion S
-//! of one body's irregular harmonics about the other, solved by fixed-point sweeps.
+//! With harmonics of Schmidt's normalisation and `B = -mu0 grad(sum c_i h_i)`, the scattered potential is
+//! `sum d_i Y_i/r^(l+1)` with `d = -tau c / (4 pi mu0)`, and reciprocity gives `dM_mn = -4 pi mu0 c_m' d_n`; a sphere
+//! has `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)` with the
+//! re-expansion S of one body's irregular harmonics about the other, solved by fixed-point sweeps.
 
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -50,7 +50,8 @@ impl CoilTables {
     /// Tabulates all coils at bodies of these places (x, y) between two heights of their centres.
     ///
     /// # Errors
-    /// No bodies, heights that are not in order, wire nearer to a body's centre than `clearance_m` anywhere in the range.
+    /// No bodies, heights that are not in order, wire nearer to a body's centre than `clearance_m` anywhere in the
+    /// range.
     pub fn new(
         array: &CoilArray,
         places_m: &[[f64; 2]],
@@ -160,8 +161,8 @@ impl Symmetry {
 }
 
 impl Fold {
-    /// The table of the place itself. In a mirror through its middle a coil's current turns the other way, and so does the
-    /// field's axial part: the potential is even, and what goes with the sine changes its sign.
+    /// The table of the place itself. In a mirror through its middle a coil's current turns the other way, and so does
+    /// the field's axial part: the potential is even, and what goes with the sine changes its sign.
     fn unfolded(&self, table: &[f64]) -> Vec<f64> {
         let mut out = table.to_vec();
         if self.mirrored {
@@ -255,8 +256,8 @@ impl MultipoleArray {
     /// One body for each place of the tables.
     ///
     /// # Errors
-    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the spheres
-    /// around them.
+    /// Another number of bodies, bodies in each other when side by side, bodies that excite each other from within the
+    /// spheres around them.
     pub fn new(bodies: Vec<Polarizability>, tables: CoilTables, coupling: Option<Coupling>) -> Result<Self, MitError> {
         let count = tables.places_m.len();
         if bodies.len() != count {
@@ -312,8 +313,8 @@ impl MultipoleArray {
         [self.tables.low_m, self.tables.high_m]
     }
 
-    /// Changes of mutual inductance of all pairs of coils, henries, with the bodies' centres at these heights. Allocates only
-    /// for re-expansions.
+    /// Changes of mutual inductance of all pairs of coils, henries, with the bodies' centres at these heights.
+    /// Allocates only for re-expansions.
     ///
     /// # Errors
     /// Another number of heights or of pairs, a height outside the table.

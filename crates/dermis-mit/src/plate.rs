@@ -1,11 +1,11 @@
-//! Round coils over a wide conducting plate or half space, in closed form but for one integral (Dodd and Deeds, Journal of
-//! Applied Physics 39, 1968).
+//! Round coils over a wide conducting plate or half space, in closed form but for one integral (Dodd and Deeds, Journal
+//! of Applied Physics 39, 1968).
 //!
-//! A loop of radius a at height z over the face holds the harmonics `a J1(k a) e^(-k z)` of its axis; each comes back from
-//! the plate multiplied by its reflection `G(k)`, so
-//! `dM_mn = pi mu0 int F_m(k) F_n(k) J0(k p) G(k) dk`, `F = sum a J1(k a) e^(-k z)` over the loops, p between the axes. With
-//! `k1^2 = k^2 + j w mu sigma`, `b = k1/mu_r` and thickness t,
-//! `G = (k^2 - b^2)(1 - e^(-2 k1 t)) / ((k + b)^2 - (k - b)^2 e^(-2 k1 t))`, and `(k - b)/(k + b)` for a half space.
+//! A loop of radius a at height z over the face holds the harmonics `a J1(k a) e^(-k z)` of its axis; each comes back
+//! from the plate multiplied by its reflection `G(k)`, so `dM_mn = pi mu0 int F_m(k) F_n(k) J0(k p) G(k) dk`,
+//! `F = sum a J1(k a) e^(-k z)` over the loops, p between the axes. With `k1^2 = k^2 + j w mu sigma`, `b = k1/mu_r` and
+//! thickness t, `G = (k^2 - b^2)(1 - e^(-2 k1 t)) / ((k + b)^2 - (k - b)^2 e^(-2 k1 t))`, and `(k - b)/(k + b)` for a
+//! half space.
 
 use std::f64::consts::{PI, TAU};
 
@@ -141,12 +141,12 @@ impl RoundWinding {
 }
 
 impl ConductingPlate {
-    /// Change that the plate makes in the mutual inductance of two windings above it, henries; of a winding with itself, in its
-    /// self inductance. Relative accuracy about 1e-13 of the change that a perfect conductor would make.
+    /// Change that the plate makes in the mutual inductance of two windings above it, henries; of a winding with
+    /// itself, in its self inductance. Relative accuracy about 1e-13 of the change that a perfect conductor would make.
     ///
     /// # Errors
-    /// A frequency outside 1 Hz to 1 MHz, a conductivity, permeability or thickness that is not positive, a loop that is not
-    /// above the face.
+    /// A frequency outside 1 Hz to 1 MHz, a conductivity, permeability or thickness that is not positive, a loop that
+    /// is not above the face.
     pub fn change_h(&self, m: &RoundWinding, n: &RoundWinding, frequency_hz: f64) -> Result<Complex, MitError> {
         frequency(frequency_hz)?;
         positive("conductivity_s_per_m", self.conductivity_s_per_m)?;
@@ -162,8 +162,8 @@ impl ConductingPlate {
         let heights = m.lowest_m() + n.lowest_m() - 2.0 * self.face_z_m;
         let rule = gauss_legendre(16);
         let mut sum = Complex::new(0.0, 0.0);
-        // From 1e-6 of what the coils resolve (the integrand goes as k^2), each panel twice the one before, until a panel
-        // is a whole turn of the fastest of the Bessel functions; to where e^(-k z) is 1e-18.
+        // From 1e-6 of what the coils resolve (the integrand goes as k^2), each panel twice the one before, until a
+        // panel is a whole turn of the fastest of the Bessel functions; to where e^(-k z) is 1e-18.
         let (mut k, mut width, last) = (0.0, 1e-6 / reach, 41.0 / heights);
         while k < last {
             for (x, weight) in &rule {

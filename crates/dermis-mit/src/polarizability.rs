@@ -1,5 +1,5 @@
-//! The multipole polarizability of a small body: its answer to the field around it, the complex-symmetric matrix tau over
-//! solid harmonics, for one frequency.
+//! The multipole polarizability of a small body: its answer to the field around it, the complex-symmetric matrix tau
+//! over solid harmonics, for one frequency.
 
 use crate::array::CoilArray;
 use crate::constants::FOUR_PI_MU0;
@@ -8,7 +8,8 @@ use crate::harmonics::{DEGREES, HARMONICS, MOST_DEGREE};
 use crate::sphere::Sphere;
 use crate::vector::Complex;
 
-/// Multipole polarizability of a body: the tensor tau that turns the field around it into its answer, `dM_mn = c_m' tau c_n`.
+/// Multipole polarizability of a body: the tensor tau that turns the field around it into its answer,
+/// `dM_mn = c_m' tau c_n`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Polarizability {
     /// What it is, for people.
@@ -19,7 +20,8 @@ pub struct Polarizability {
     pub(crate) inner_m: f64,
     /// tau, row by row, [`HARMONICS`] squared.
     tau: Vec<Complex>,
-    /// Row, column and value of its entries that are not zero: a tenth for a body of revolution, the diagonal for a sphere.
+    /// Row, column and value of its entries that are not zero: a tenth for a body of revolution, the diagonal for a
+    /// sphere.
     pub(crate) entries: Vec<(usize, usize, Complex)>,
 }
 
@@ -33,8 +35,8 @@ impl Polarizability {
     /// From a matrix made elsewhere, row by row, for one frequency.
     ///
     /// # Errors
-    /// Another number of entries, entries that are not finite, a matrix that is not symmetric to 1e-3 of its largest entry of
-    /// these degrees, a radius that is not positive.
+    /// Another number of entries, entries that are not finite, a matrix that is not symmetric to 1e-3 of its largest
+    /// entry of these degrees, a radius that is not positive.
     pub fn from_tau(label: impl Into<String>, radius_m: f64, tau: Vec<Complex>) -> Result<Self, MitError> {
         positive("radius_m", radius_m)?;
         if tau.len() != HARMONICS * HARMONICS {
@@ -82,8 +84,8 @@ impl Polarizability {
         })
     }
 
-    /// The same body, which is known to hold a sphere of this radius about its middle, metres: two whose spheres reach into
-    /// each other are refused even where they do not excite each other.
+    /// The same body, which is known to hold a sphere of this radius about its middle, metres: two whose spheres reach
+    /// into each other are refused even where they do not excite each other.
     pub fn with_inner_radius(mut self, inner_m: f64) -> Self {
         self.inner_m = inner_m.clamp(0.0, self.radius_m);
         self
@@ -108,15 +110,16 @@ impl Polarizability {
         body
     }
 
-    /// Change of the mutual inductance of two coils of these expansions (see [`crate::expansion`]) at the body alone, henries:
-    /// `c_m' tau c_n`.
+    /// Change of the mutual inductance of two coils of these expansions (see [`crate::expansion`]) at the body alone,
+    /// henries: `c_m' tau c_n`.
     pub fn change_h(&self, c_m: &[f64; HARMONICS], c_n: &[f64; HARMONICS]) -> Complex {
         let mut answer = [Complex::new(0.0, 0.0); HARMONICS];
         self.answer(c_n, &mut answer);
         answer.iter().zip(c_m).map(|(a, c)| *a * *c).sum()
     }
 
-    /// The same for all pairs of an array, with the body's middle at a place. All wire has to be outside the sphere around it.
+    /// The same for all pairs of an array, with the body's middle at a place. All wire has to be outside the sphere
+    /// around it.
     pub fn changes_h(&self, array: &CoilArray, centre_m: [f64; 3]) -> Vec<Complex> {
         let fields: Vec<_> = array.coils().iter().map(|coil| coil.expansion(centre_m)).collect();
         array.pairs().iter().map(|&[m, n]| self.change_h(&fields[m], &fields[n])).collect()

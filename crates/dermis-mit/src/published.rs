@@ -18,8 +18,8 @@ pub struct PublishedArray {
     pub left_out: &'static [usize],
 }
 
-/// Eight hand-wound coils of 40 mm on a 3 x 3 grid of 45 mm whose middle place stays empty; 150 uH each. The grid's pitch and
-/// the winding (six layers of 6 turns of 0.5 mm) are assumed.
+/// Eight hand-wound coils of 40 mm on a 3 x 3 grid of 45 mm whose middle place stays empty; 150 uH each. The grid's
+/// pitch and the winding (six layers of 6 turns of 0.5 mm) are assumed.
 pub const EM_8: PublishedArray = PublishedArray {
     spec: CoilSpec {
         shape: CoilShape::Round,

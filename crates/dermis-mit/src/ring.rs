@@ -98,7 +98,8 @@ impl Ring {
         Local { rho, z, outward }
     }
 
-    /// Azimuthal vector potential per ampere, V.s/(m.A), at a distance from the axis and along it. Infinite on the wire.
+    /// Azimuthal vector potential per ampere, V.s/(m.A), at a distance from the axis and along it. Infinite on the
+    /// wire.
     fn potential_around(&self, rho: f64, z: f64) -> f64 {
         let a = self.radius_m;
         let alpha_squared = (a + rho).powi(2) + z * z;
@@ -130,8 +131,8 @@ impl Ring {
         add(scaled(self.axis, along), scaled(at.outward, away))
     }
 
-    /// Mutual inductance with another loop, henries: closed form for a common axis, else the integral of the potential along
-    /// the other loop by the trapezoidal rule, which converges geometrically, doubled until it stands still.
+    /// Mutual inductance with another loop, henries: closed form for a common axis, else the integral of the potential
+    /// along the other loop by the trapezoidal rule, which converges geometrically, doubled until it stands still.
     pub fn mutual_h(&self, other: &Ring) -> f64 {
         let between = subtract(other.centre_m, self.centre_m);
         let sine = norm(cross(self.axis, other.axis));

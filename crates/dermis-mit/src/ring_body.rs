@@ -1,9 +1,10 @@
-//! Bodies of revolution as coaxial rings of rectangular section that carry a current each: partial elements (Ruehli, IEEE Trans.
-//! Microw. Theory Tech. 22, 1974) for eddy currents around an axis.
+//! Bodies of revolution as coaxial rings of rectangular section that carry a current each: partial elements (Ruehli,
+//! IEEE Trans. Microw. Theory Tech. 22, 1974) for eddy currents around an axis.
 //!
-//! `(R + j w L) I = -j w F_n` with the rings' resistances `2 pi rho / (sigma S)`, the mutual inductances of their sections and the
-//! fluxes F of a source through them; `dM_mn = F_m' I_n`. Only fluxes around the axis count: the result is whole where one of the
-//! two sources is symmetric about the body's axis, since fields of different order do not mix, and else its part of order 0.
+//! `(R + j w L) I = -j w F_n` with the rings' resistances `2 pi rho / (sigma S)`, the mutual inductances of their
+//! sections and the fluxes F of a source through them; `dM_mn = F_m' I_n`. Only fluxes around the axis count: the
+//! result is whole where one of the two sources is symmetric about the body's axis, since fields of different order do
+//! not mix, and else its part of order 0.
 
 use std::f64::consts::{PI, TAU};
 
@@ -73,8 +74,8 @@ impl Section {
     }
 }
 
-/// Mean over a circle of the potential around the axis: the trapezoidal rule, which converges geometrically, doubled until it
-/// stands still.
+/// Mean over a circle of the potential around the axis: the trapezoidal rule, which converges geometrically, doubled
+/// until it stands still.
 fn mean_potential(source: &dyn Source, rho: f64, z: f64) -> f64 {
     let at = |angle: f64| {
         let (sine, cosine) = angle.sin_cos();
@@ -142,8 +143,9 @@ impl RingBody {
         Ok(Self { sections, conductivity_s_per_m, surface_m, inductance })
     }
 
-    /// A cylinder with its middle at the origin, in so many rings from axis to rim and from end to end, those at the surface a
-    /// quarter of a skin depth thick at the given frequency, the others growing inward: 8 x 16 rings leave 0.1 to 0.3 %.
+    /// A cylinder with its middle at the origin, in so many rings from axis to rim and from end to end, those at the
+    /// surface a quarter of a skin depth thick at the given frequency, the others growing inward: 8 x 16 rings leave 0.1
+    /// to 0.3 %.
     ///
     /// # Errors
     /// Sizes or conductivity that are not positive, no rings, a frequency outside 1 Hz to 1 MHz.
@@ -201,9 +203,9 @@ impl RingBody {
         Ok(vec![CoarseMesh { region: 1, height_m: self.surface_m, skin_depth_m, most: MOST_DEPTHS }])
     }
 
-    /// Changes of mutual inductance of any two sources, henries, row by row. They hold where one of the two is symmetric about
-    /// the z axis. Imposing [`crate::edge::Harmonic`] 0, 3 and 8 gives the entries of tau of order 0; that of the first over
-    /// mu0 is the polarizability along the axis, m^3.
+    /// Changes of mutual inductance of any two sources, henries, row by row. They hold where one of the two is
+    /// symmetric about the z axis. Imposing [`crate::edge::Harmonic`] 0, 3 and 8 gives the entries of tau of order 0;
+    /// that of the first over mu0 is the polarizability along the axis, m^3.
     ///
     /// # Errors
     /// A frequency outside 1 Hz to 1 MHz.
@@ -227,8 +229,8 @@ impl RingBody {
     }
 }
 
-/// Distances from a surface of so many layers that fill a thickness, from 0 to it: the first as thick as asked, or less where
-/// equal layers are, each later one thicker by the same factor.
+/// Distances from a surface of so many layers that fill a thickness, from 0 to it: the first as thick as asked, or less
+/// where equal layers are, each later one thicker by the same factor.
 fn layers(thickness_m: f64, count: usize, first_m: f64) -> Vec<f64> {
     let (first, n) = (first_m.min(thickness_m / count as f64), count as i32);
     let total = |ratio: f64| first * (0..n).map(|k| ratio.powi(k)).sum::<f64>();

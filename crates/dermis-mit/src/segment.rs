@@ -41,9 +41,9 @@ impl Segment {
         scaled(cross(a, b), MU0 / (4.0 * PI) * (r1 + r2) / denominator)
     }
 
-    /// Mutual inductance with a segment whose direction is parallel or perpendicular, henries; `least_m` is the distance that
-    /// filaments on one line or in one place are taken to have (the wire's geometric mean distance). Other angles by Gauss
-    /// quadrature of the potential.
+    /// Mutual inductance with a segment whose direction is parallel or perpendicular, henries; `least_m` is the
+    /// distance that filaments on one line or in one place are taken to have (the wire's geometric mean distance).
+    /// Other angles by Gauss quadrature of the potential.
     pub fn mutual_h(&self, other: &Segment, least_m: f64) -> f64 {
         let (t, u) = (self.direction(), other.direction());
         let cosine = dot(t, u);

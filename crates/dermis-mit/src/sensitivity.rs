@@ -1,16 +1,18 @@
-//! How mutual inductances depend on the conductivity and permeability of a layer of voxels near the coils, by reciprocity.
+//! How mutual inductances depend on the conductivity and permeability of a layer of voxels near the coils, by
+//! reciprocity.
 //!
-//! With `e^{+j w t}`, `curl(1/mu curl A) + j w sigma A = J` and both coils' potentials per ampere, the difference of the equations
-//! before and after a change, each multiplied by the other coil's potential, leaves
-//! `dM_mn/dsigma = -j w int A_m.A_n dV` and `dM_mn/dmu = 1/mu^2 int B_m.B_n dV = int H_m.H_n dV`. With `dZ = j w dM` and `E = -j w A`
-//! that is `dZ/dsigma = w^2 int A_m.A_n dV = -int E_m.E_n dV / (I_m I_n)` and
-//! `dZ/dmu = j w int H_m.H_n dV = j w / mu^2 int B_m.B_n dV / (I_m I_n)`. The voltage that a receiver's equation gives as
-//! `-j w int A.J` is minus the current times Z, and has the other sign.
+//! With `e^{+j w t}`, `curl(1/mu curl A) + j w sigma A = J` and both coils' potentials per ampere, the difference of
+//! the equations before and after a change, each multiplied by the other coil's potential, leaves
+//! `dM_mn/dsigma = -j w int A_m.A_n dV` and `dM_mn/dmu = 1/mu^2 int B_m.B_n dV = int H_m.H_n dV`. With `dZ = j w dM`
+//! and `E = -j w A` that is `dZ/dsigma = w^2 int A_m.A_n dV = -int E_m.E_n dV / (I_m I_n)` and
+//! `dZ/dmu = j w int H_m.H_n dV = j w / mu^2 int B_m.B_n dV / (I_m I_n)`. The voltage that a receiver's equation gives
+//! as `-j w int A.J` is minus the current times Z, and has the other sign.
 //!
-//! Here the layer is weak: the fields in it are those of the coils alone, which holds where `w mu0 sigma L^2` is far below 1 for
-//! its size L. Its currents then follow `-j w A` only where nothing drives them against its faces: the windings lie parallel to
-//! it, as all of [`crate::Coil`] do, and the layer goes on beyond the voxels. What metal bodies do is far from this limit: see
-//! [`crate::edge::Fields::sensitivities`] for the derivatives by their materials and [`crate::MultipoleArray::slopes`] by their heights.
+//! Here the layer is weak: the fields in it are those of the coils alone, which holds where `w mu0 sigma L^2` is far
+//! below 1 for its size L. Its currents then follow `-j w A` only where nothing drives them against its faces: the
+//! windings lie parallel to it, as all of [`crate::Coil`] do, and the layer goes on beyond the voxels. What metal
+//! bodies do is far from this limit: see [`crate::edge::Fields::sensitivities`] for the derivatives by their materials
+//! and [`crate::MultipoleArray::slopes`] by their heights.
 
 use std::f64::consts::TAU;
 
@@ -32,8 +34,9 @@ pub struct VoxelLayer {
 }
 
 impl VoxelLayer {
-    /// The box between two corners, cut into so many voxels along x, y and z. Every voxel is integrated over by 2 x 2 x 2 points
-    /// of Gauss and Legendre (exact to degree 3 along each axis) unless [`VoxelLayer::with_points`] says otherwise.
+    /// The box between two corners, cut into so many voxels along x, y and z. Every voxel is integrated over by 2 x 2 x
+    /// 2 points of Gauss and Legendre (exact to degree 3 along each axis) unless [`VoxelLayer::with_points`] says
+    /// otherwise.
     ///
     /// # Errors
     /// Corners that are not in order, no voxels along an axis.
@@ -46,8 +49,8 @@ impl VoxelLayer {
         Ok(Self { low_m, voxel_m, counts, points: 2 })
     }
 
-    /// The same with `points` Gauss points along each side of a voxel: exact to degree `2 points - 1`. The fields' scale is the
-    /// distance d of the wire: what remains is about `(voxel / 2d)^(2 points)`.
+    /// The same with `points` Gauss points along each side of a voxel: exact to degree `2 points - 1`. The fields'
+    /// scale is the distance d of the wire: what remains is about `(voxel / 2d)^(2 points)`.
     ///
     /// # Errors
     /// No points, or more than 16.
@@ -108,11 +111,12 @@ impl VoxelLayer {
         0.5 * widest * norm(self.voxel_m)
     }
 
-    /// Sensitivities of all pairs of an array, voxels in parallel. They hold `16 pairs x voxels` bytes, and as much again while they
-    /// are made; the time is that of `points^3` potentials and fields of every coil for each voxel.
+    /// Sensitivities of all pairs of an array, voxels in parallel. They hold `16 pairs x voxels` bytes, and as much
+    /// again while they are made; the time is that of `points^3` potentials and fields of every coil for each voxel.
     ///
     /// # Errors
-    /// Wire in the layer, or so near that the points do not resolve its field (nearer to one than a voxel's places may be).
+    /// Wire in the layer, or so near that the points do not resolve its field (nearer to one than a voxel's places may
+    /// be).
     pub fn sensitivities(&self, array: &CoilArray) -> Result<Sensitivities, MitError> {
         let (pairs, rule, voxels, least_m) = (array.pairs(), self.rule(), self.voxel_count(), self.spacing_m());
         let of_voxels = (0..voxels)
@@ -187,8 +191,8 @@ impl Sensitivities {
         &self.potentials
     }
 
-    /// `int H_m.H_n dV = dM/dmu`, pair by pair and voxel by voxel, metres (henries per henry per metre); real, and the same at
-    /// every frequency. `dZ/dmu` is `j w` times it.
+    /// `int H_m.H_n dV = dM/dmu`, pair by pair and voxel by voxel, metres (henries per henry per metre); real, and the
+    /// same at every frequency. `dZ/dmu` is `j w` times it.
     pub fn fields(&self) -> &[f64] {
         &self.fields
     }

@@ -1,5 +1,5 @@
-//! A conducting, permeable sphere in an alternating field: its response to each degree, in closed form (Smythe, Static and
-//! Dynamic Electricity, 3rd ed., 10.12; here for every degree).
+//! A conducting, permeable sphere in an alternating field: its response to each degree, in closed form (Smythe, Static
+//! and Dynamic Electricity, 3rd ed., 10.12; here for every degree).
 //!
 //! Outside, the toroidal potential of degree l is `r^l + T_l r^-(l+1)`; with `x = k a`, `k^2 = j w mu sigma` and
 //! `L = 1 + x i_l'(x)/i_l(x)` (i_l the modified spherical Bessel function), continuity of the tangential fields gives
@@ -66,8 +66,8 @@ impl Sphere {
     }
 }
 
-/// `i_l(x)/i_(l-1)(x)` for l = 1 to `most` (index 0 is unused), by the recurrence `i_(l-1) - i_(l+1) = (2l+1)/x i_l` from
-/// far above, where the start is forgotten.
+/// `i_l(x)/i_(l-1)(x)` for l = 1 to `most` (index 0 is unused), by the recurrence `i_(l-1) - i_(l+1) = (2l+1)/x i_l`
+/// from far above, where the start is forgotten.
 fn bessel_ratios(x: Complex, most: usize) -> Vec<Complex> {
     let start = most + 30 + (2.0 * x.norm()) as usize;
     let mut ratios = vec![Complex::new(0.0, 0.0); most + 1];

@@ -32,7 +32,8 @@ fn relative(found: Complex, expected: Complex) -> f64 {
     (found - expected).norm() / expected.norm()
 }
 
-/// `E = (sin(pi y) sin(pi z), 0, 0)` on a box of side L: without tangential part on its surface, `curl curl E = 2 (pi/L)^2 E`.
+/// `E = (sin(pi y) sin(pi z), 0, 0)` on a box of side L: without tangential part on its surface,
+/// `curl curl E = 2 (pi/L)^2 E`.
 struct Mode {
     side_m: f64,
 }
@@ -155,7 +156,8 @@ const CYLINDER: Shape = Shape::Cylinder { radius_m: 0.005, height_m: 0.01 };
 fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
     let file = reference("edge_fem_cylinder.json");
     let grading = CYLINDER.grading(skin_depth_m(3.5e7, 1.0, 1e3).unwrap());
-    // Between the coils, near and less near, and over one of them. The reference is within 0.05 % of an axisymmetric one.
+    // Between the coils, near and less near, and over one of them. The reference is within 0.05 % of an axisymmetric
+    // one.
     let off = pair_errors(&file, &CYLINDER, &Grading { air_growth: 2.5, ..grading }, 1e3, &[0, 1, 6]);
     assert!(off < 0.005, "{off}");
 }
@@ -163,8 +165,8 @@ fn a_cylinder_changes_coil_pairs_as_in_the_reference() {
 #[test]
 fn the_matrix_of_a_cylinder_serves_coil_pairs_at_any_pose() {
     let file = reference("edge_fem_cylinder.json");
-    // What the multipoles leave and what elements of second order do: the reference itself is 1.05 % from an axisymmetric
-    // computation at 100 kHz.
+    // What the multipoles leave and what elements of second order do: the reference itself is 1.05 % from an
+    // axisymmetric computation at 100 kHz.
     for (frequency_hz, most) in [(1e3, 0.003), (1e5, 0.01)] {
         let body = body_tau(&CYLINDER, &ALUMINIUM, frequency_hz).unwrap();
         for pose in poses(&file, frequency_hz) {
@@ -278,8 +280,8 @@ fn the_racetrack_coil_over_a_holed_plate_is_as_measured() {
     }
     let rms = squares.map(|s: f64| (s / (2 * measured.len()) as f64).sqrt());
     println!("rms {rms:?} of a peak of 78");
-    // On the mesh of the example 1.3 and 0.5; a careful computation of third order by others is 1.1-1.2 and 0.3 off, so what
-    // is measured is no better than that. This mesh is coarser for the sake of time.
+    // On the mesh of the example 1.3 and 0.5; a careful computation of third order by others is 1.1-1.2 and 0.3 off, so
+    // what is measured is no better than that. This mesh is coarser for the sake of time.
     assert!(rms[0] < 2.2 && rms[1] < 1.0, "{rms:?}");
 }
 

@@ -33,7 +33,8 @@ fn difference(row: &Value, counts: [usize; 2]) -> f64 {
 fn cylinders_and_discs_in_128_rings_answer_as_in_the_reference() {
     let file = reference("axisymmetric_bodies.json");
     for row in file["rows"].as_array().unwrap() {
-        // The reference's rows of highest order and, of one body computed in two sizes of air, the larger; some frequencies.
+        // The reference's rows of highest order and, of one body computed in two sizes of air, the larger; some
+        // frequencies.
         let frequency_hz = number(&row["f_Hz"]);
         let is_second_air = frequency_hz == 2e4 && number(&row["H"]) == 0.01 && number(&row["Rair"]) < 0.2;
         let is_chosen = row["kind"] != "sphere" && [1e3, 2e4, 1e5].contains(&frequency_hz);

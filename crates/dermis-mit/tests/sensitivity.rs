@@ -24,7 +24,8 @@ fn pair_of_coils() -> CoilArray {
     CoilArray::of_coils(vec![coil(-0.025, 0.04), coil(0.025, 0.046)]).unwrap()
 }
 
-/// A wide layer: voxels around the coils, then around these four strips of a square three times as wide, again and again.
+/// A wide layer: voxels around the coils, then around these four strips of a square three times as wide, again and
+/// again.
 fn wide_layer(array: &CoilArray, low_m: f64, high_m: f64) -> [f64; 2] {
     let mut sums = [0.0; 2];
     let mut add = |x: [f64; 2], y: [f64; 2], counts: [usize; 3]| {

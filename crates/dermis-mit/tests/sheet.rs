@@ -104,7 +104,8 @@ fn plates_far_apart_add_up_and_excite_each_other_as_dipoles() {
     let uniform = Harmonic::new(0).unwrap();
     let change = |mesh: &SheetMesh| Sheet::new(mesh, &ALUMINIUM, 2e4).unwrap().changes_h(&[&uniform])[0];
     let (alone, both) = (change(&one), change(&left.and(&right)));
-    // alpha = dM / mu0 without what tangential fields add; each sees -alpha/(4 pi d^3) of the other's: 2 alpha / (1 + alpha/(4 pi d^3)).
+    // alpha = dM / mu0 without what tangential fields add; each sees -alpha/(4 pi d^3) of the other's: 2 alpha / (1 +
+    // alpha/(4 pi d^3)).
     let alpha = alone / MU0;
     let expected = alone * 2.0 / (alpha / (4.0 * PI * apart.powi(3)) + 1.0);
     let (found, expected) = (both - alone * 2.0, expected - alone * 2.0);

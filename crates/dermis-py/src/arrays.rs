@@ -1,5 +1,5 @@
-//! Arrays in and out. What comes in is taken as it is where it is a C-ordered, aligned array of native doubles, read-only ones
-//! included, and converted by NumPy otherwise; what goes out is owned by its array.
+//! Arrays in and out. What comes in is taken as it is where it is a C-ordered, aligned array of native doubles,
+//! read-only ones included, and converted by NumPy otherwise; what goes out is owned by its array.
 
 use numpy::{
     Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use dermis::live::calibration::{Calibration, LoadQuantity, Pokes};
+use dermis::live::calibrate::calibrate as fit_calibration;
+use dermis::live::calibration::{Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes};
 use dermis::live::prepare::Prepared;
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
@@ -81,8 +82,11 @@ pub fn calibrate(
         None => None,
     };
     let pokes = Pokes { positions_m, loads };
-    let calibration =
-        run_interruptibly(py, "calibrate", move || Ok(Calibration::fit(&prepared, &baselines, &frames, &pokes)?))?;
+    let fit = move || {
+        let measured = PokeFrames::Readings { baselines: &baselines, frames: &frames };
+        Ok(fit_calibration(&prepared, measured, &pokes, &CalibrationOptions::default())?)
+    };
+    let calibration = run_interruptibly(py, "calibrate", fit)?;
     Ok(PyCalibration { calibration })
 }
 
@@ -103,6 +107,13 @@ impl PyCalibration {
     #[getter]
     fn pokes(&self) -> usize {
         self.calibration.pokes()
+    }
+
+    /// Whether the skin's model places touches, corrected by the pokes: where that puts left-out pokes nearer than the
+    /// pokes alone do.
+    #[getter]
+    fn by_model(&self) -> bool {
+        self.calibration.correction().is_some()
     }
 
     /// Median distance of a poke from where the others put it, millimetres.

@@ -108,7 +108,8 @@ impl PyMaps {
         self.map(py, &self.maps.smallest, 1.0)
     }
 
-    /// Cramer-Rao bound on the deviation of a position, the larger axis, shape (rows, columns), millimetres; NaN outside.
+    /// Cramer-Rao bound on the deviation of a position, the larger axis, shape (rows, columns), millimetres; NaN
+    /// outside.
     #[getter]
     fn position_bound_mm<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         self.map(py, &self.maps.position_m, 1e3)

@@ -1,5 +1,6 @@
-//! Errors of dermis as Python exceptions, with the words that the command has: the message, then the causes that it does not
-//! contain already. The classes are Python's own (`dermis/errors.py`), so that they can be kinds of `ValueError` and `OSError`.
+//! Errors of dermis as Python exceptions, with the words that the command has: the message, then the causes that it
+//! does not contain already. The classes are Python's own (`dermis/errors.py`), so that they can be kinds of
+//! `ValueError` and `OSError`.
 
 use std::io;
 

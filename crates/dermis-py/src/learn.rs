@@ -58,8 +58,8 @@ pub fn create_train_set(
     run_interruptibly(py, "training set", move || Ok(set_of(&request, &folder)?.1.missing()))
 }
 
-/// Simulates one shard of a training set into its folder. It depends on the seed and its number alone, and appears under its
-/// name only when it is whole.
+/// Simulates one shard of a training set into its folder. It depends on the seed and its number alone, and appears
+/// under its name only when it is whole.
 #[pyfunction]
 #[pyo3(signature = (skin, folder, shard, samples, *, shard_samples=250, seed=1))]
 pub fn write_shard(

@@ -27,8 +27,8 @@ use pyo3::prelude::*;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// Runs the `dermis` command with these arguments, the program's name first, and returns its exit code. Commands that record
-/// or serve take over the signals of the process for good: they are for a process of their own.
+/// Runs the `dermis` command with these arguments, the program's name first, and returns its exit code. Commands that
+/// record or serve take over the signals of the process for good: they are for a process of their own.
 #[pyfunction]
 fn run_command(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<u8> {
     work::run(py, || Ok(dermis_cli::run_command(arguments)))

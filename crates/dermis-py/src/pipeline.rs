@@ -249,8 +249,8 @@ impl PyPipeline {
     }
 }
 
-/// Seconds that a pipeline takes for so many of some frames, shape (n, k), over and over, where nothing is made of the results:
-/// what :meth:`Pipeline.process` takes beyond it is Python's.
+/// Seconds that a pipeline takes for so many of some frames, shape (n, k), over and over, where nothing is made of the
+/// results: what :meth:`Pipeline.process` takes beyond it is Python's.
 #[pyfunction]
 pub fn _seconds_of_frames(
     py: Python<'_>,

@@ -176,7 +176,8 @@ impl PyRecording {
         Ok((array1(py, frames.times_s), array1(py, frames.wall_ns), array1(py, frames.sequences)))
     }
 
-    /// Touches that were recorded, as a structured array: ``sequence``, ``wall_ns`` and the fields of ``dermis.touch_dtype``.
+    /// Touches that were recorded, as a structured array: ``sequence``, ``wall_ns`` and the fields of
+    /// ``dermis.touch_dtype``.
     fn touches<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let (rows, sequences, times_ns) = run(py, || {
             let mut recording = self.read()?;
@@ -210,7 +211,8 @@ impl PyRecording {
         slf.py().import("dermis._tables")?.getattr("to_xarray")?.call1((slf,))
     }
 
-    /// Baselines that came into use: a dictionary each, of ``wall_ns``, ``reason``, ``values`` and ``noise_std``, shape (k,) both.
+    /// Baselines that came into use: a dictionary each, of ``wall_ns``, ``reason``, ``values`` and ``noise_std``, shape
+    /// (k,) both.
     fn baselines<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let list = PyList::empty(py);
         let found = run(py, || {

@@ -175,8 +175,8 @@ impl PyFrameResult {
     }
 
     /// Touches as a structured array of ``dermis.touch_dtype``: ``id``, ``phase``, ``x_mm``, ``y_mm``, ``force_n``,
-    /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Those that have just gone
-    /// have the phase ``end``.
+    /// ``amplitude``, ``area_mm2``, ``sigma_x_mm``, ``sigma_y_mm``, ``radius_mm``; NaN where unknown. Those that have
+    /// just gone have the phase ``end``.
     #[getter]
     fn touches(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         let make = || Ok::<_, PyErr>(table_of(py, &self.touches)?.unbind());

@@ -24,7 +24,8 @@ use crate::work::{lock, run, run_interruptibly};
 
 /// Frames that may wait between source and pipeline, as in `dermis run`.
 const QUEUE: usize = 64;
-/// The same of a twin that waits for whoever takes its frames, as few as there can be: a press shows a few frames later.
+/// The same of a twin that waits for whoever takes its frames, as few as there can be: a press shows a few frames
+/// later.
 const TWIN_QUEUE: usize = 2;
 /// How long a frame is waited for before Ctrl-C is looked for.
 const PATIENCE: Duration = Duration::from_millis(50);
@@ -235,7 +236,8 @@ impl PySession {
         Ok(false)
     }
 
-    /// Stops reading, ends a recording that was begun on the page, and closes the page; a session that is closed stays so.
+    /// Stops reading, ends a recording that was begun on the page, and closes the page; a session that is closed stays
+    /// so.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         run(py, || {
             if std::process::id() != self.opened_in {
@@ -257,9 +259,9 @@ impl PySession {
 
     /// Opens the live page of this session's own frames in a browser.
     ///
-    /// The page is served by this process and shows every frame that is taken from the session, so that it moves while a
-    /// loop runs over the session. What is asked there (tare, lambda, presses on a twin, recordings) is done before the next
-    /// frame. It goes with the session.
+    /// The page is served by this process and shows every frame that is taken from the session, so that it moves while
+    /// a loop runs over the session. What is asked there (tare, lambda, presses on a twin, recordings) is done before
+    /// the next frame. It goes with the session.
     ///
     /// Parameters
     /// ----------

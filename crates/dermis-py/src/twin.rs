@@ -42,7 +42,8 @@ pub struct PyTwin {
     running: Mutex<Running>,
 }
 
-/// Radius (metres) of a disc that presses, and its one force or pressure; the usual ones, in metres and pascals, where left out.
+/// Radius (metres) of a disc that presses, and its one force or pressure; the usual ones, in metres and pascals, where
+/// left out.
 pub fn radius_and_load(
     radius_mm: Option<f64>,
     force_n: Option<f64>,
@@ -185,7 +186,8 @@ impl PyTwin {
         })
     }
 
-    /// What truly pressed in the last frame: a dictionary each, of ``x_mm``, ``y_mm``, ``radius_mm``, ``pressure_kpa``, ``force_n``.
+    /// What truly pressed in the last frame: a dictionary each, of ``x_mm``, ``y_mm``, ``radius_mm``, ``pressure_kpa``,
+    /// ``force_n``.
     #[getter]
     fn truth<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyList>> {
         let touches = PyList::empty(py);

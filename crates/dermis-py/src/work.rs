@@ -132,7 +132,8 @@ impl Bar {
     }
 }
 
-/// Waits for a thread's result, and looks for Ctrl-C and shows how far it is meanwhile. Called without the interpreter's lock.
+/// Waits for a thread's result, and looks for Ctrl-C and shows how far it is meanwhile. Called without the
+/// interpreter's lock.
 fn wait<T>(receiver: &mpsc::Receiver<Result<T, Fault>>, progress: &Progress, mut bar: Bar) -> PyResult<T> {
     let done = loop {
         match receiver.recv_timeout(SIGNALS) {
@@ -162,8 +163,8 @@ fn no_thread(error: std::io::Error) -> Fault {
     Fault::new(Kind::Other, format!("thread: {error}"))
 }
 
-/// Long work, on a thread of its own, while this one looks for Ctrl-C. What was interrupted runs on to its end behind, and
-/// its result is discarded. `label` names it where its time is shown.
+/// Long work, on a thread of its own, while this one looks for Ctrl-C. What was interrupted runs on to its end behind,
+/// and its result is discarded. `label` names it where its time is shown.
 pub fn run_interruptibly<T: Send + 'static>(
     py: Python<'_>,
     label: &'static str,
@@ -183,8 +184,8 @@ pub fn run_interruptibly<T: Send + 'static>(
     py.detach(|| wait(&lock(&receiver), &Progress::default(), Bar::new(label, None)))
 }
 
-/// Long work of so many equal steps, on so many threads or as many as there are processors. It counts its steps, and ends at
-/// the next one when it is interrupted.
+/// Long work of so many equal steps, on so many threads or as many as there are processors. It counts its steps, and
+/// ends at the next one when it is interrupted.
 pub fn run_steps<T: Send>(
     py: Python<'_>,
     label: &'static str,

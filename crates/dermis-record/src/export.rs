@@ -1,5 +1,5 @@
-//! Parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for the frames'
-//! readings alone. Tables are streamed; a long recording needs no memory.
+//! Parts of a recording as tables for other programs: CSV for spreadsheets, Parquet for data frames, NPY for the
+//! frames' readings alone. Tables are streamed; a long recording needs no memory.
 
 mod parquet;
 mod rows;
@@ -84,7 +84,8 @@ pub struct Exported {
 /// Writes a table of `recording`, from its beginning, to `path`; nothing stands there unless it is whole.
 ///
 /// # Errors
-/// [`Error::Frames`] for anything but frames as NPY and for frames some of which are complex and some not, [`Error::Io`].
+/// [`Error::Frames`] for anything but frames as NPY and for frames some of which are complex and some not,
+/// [`Error::Io`].
 pub fn export<R: Read + Seek>(
     recording: &mut Recording<R>,
     table: Table,

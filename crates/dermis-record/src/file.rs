@@ -1,4 +1,5 @@
-//! Where a recording's bytes go: a file that has another name until it is whole, or a device that stands under the name.
+//! Where a recording's bytes go: a file that has another name until it is whole, or a device that stands under the
+//! name.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
@@ -19,7 +20,8 @@ pub(super) trait Destination: Write + Send {
     /// Makes everything durable and gives it its final name, unless another file has it; then the partial one stays.
     fn complete(self: Box<Self>) -> io::Result<()>;
 
-    /// Ends after an error: what was handed out whole stays, with a note of what happened behind it where there is room.
+    /// Ends after an error: what was handed out whole stays, with a note of what happened behind it where there is
+    /// room.
     fn abandon(self: Box<Self>, _note: &[u8]) {}
 }
 
@@ -32,8 +34,8 @@ pub(super) fn destination(path: &Path) -> Result<Box<dyn Destination>, Error> {
     Ok(Box::new(PartialFile::create(path)?))
 }
 
-/// What a recording is recovered into: a file that appears under its name when it is whole and otherwise not at all, for
-/// the partial name may be that of the broken recording.
+/// What a recording is recovered into: a file that appears under its name when it is whole and otherwise not at all,
+/// for the partial name may be that of the broken recording.
 pub(super) fn whole_file(path: &Path) -> Result<Box<dyn Destination>, Error> {
     refuse_existing(path)?;
     Ok(Box::new(StagedFile::create(path)?))

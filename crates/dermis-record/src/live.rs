@@ -1,5 +1,5 @@
-//! A live pipeline being recorded: what is to be offered to the recorder before and after each frame, so that a replay has
-//! everything that the result depended on.
+//! A live pipeline being recorded: what is to be offered to the recorder before and after each frame, so that a replay
+//! has everything that the result depended on.
 
 use std::path::{Path, PathBuf};
 
@@ -46,8 +46,8 @@ pub struct RecordingEnd {
 }
 
 impl LiveRecording {
-    /// Starts to record to `path`, with at most `images_per_s` images a second (none at 0). If the pipeline has a baseline
-    /// already, the recording begins with it.
+    /// Starts to record to `path`, with at most `images_per_s` images a second (none at 0). If the pipeline has a
+    /// baseline already, the recording begins with it.
     ///
     /// # Errors
     /// As [`Recorder::create`].
@@ -85,8 +85,8 @@ impl LiveRecording {
         self.handle.offer(frame);
     }
 
-    /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first frame,
-    /// what was broken before the recording began.
+    /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first
+    /// frame, what was broken before the recording began.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
         for event in output.damage.events {
@@ -146,8 +146,8 @@ impl LiveRecording {
     }
 }
 
-/// What happened to a damage: the event, the same for people, and id, x, y, length (metres), direction (radians), depth and
-/// share that is left.
+/// What happened to a damage: the event, the same for people, and id, x, y, length (metres), direction (radians), depth
+/// and share that is left.
 fn damage_event(event: &DamageEvent) -> (&'static str, String, [f64; 7]) {
     let damage = event.damage();
     let shape = &damage.shape;

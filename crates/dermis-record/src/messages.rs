@@ -1,5 +1,5 @@
-//! The messages of a recording's own types: frames, baselines, touches and events, to CDR and back ([`super::schema`] has
-//! their definitions).
+//! The messages of a recording's own types: frames, baselines, touches and events, to CDR and back ([`super::schema`]
+//! has their definitions).
 
 use dermis_device::{Frame, Status};
 use dermis_touch::{ReferenceOrigin, ReferenceRecord, Touch, TouchEvent, TouchPhase};

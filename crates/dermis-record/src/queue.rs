@@ -1,5 +1,5 @@
-//! A bounded queue and a thread before a [`Recorder`], so that a slow or full disk never holds up the pipeline: what does
-//! not fit is dropped and counted, and what goes wrong is kept until someone asks.
+//! A bounded queue and a thread before a [`Recorder`], so that a slow or full disk never holds up the pipeline: what
+//! does not fit is dropped and counted, and what goes wrong is kept until someone asks.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -71,8 +71,8 @@ pub struct RecorderHandle {
     thread: Option<JoinHandle<Result<RecordingSummary, Error>>>,
 }
 
-/// Ends a recording from anywhere, also where whoever records is stuck: what is queued is written and the file made whole.
-/// What is offered after that is refused.
+/// Ends a recording from anywhere, also where whoever records is stuck: what is queued is written and the file made
+/// whole. What is offered after that is refused.
 #[derive(Clone, Debug)]
 pub struct RecordingStop {
     ask: Sender<()>,

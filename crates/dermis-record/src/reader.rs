@@ -216,8 +216,8 @@ impl<R: Read + Seek> Recording<R> {
         self.outline.metadata.get(FINISHED)?.get("dropped")?.parse().ok()
     }
 
-    /// What stopped the recording before its end, where that was an error which could still be noted: a full disk, say. A
-    /// recording that was killed has no such note.
+    /// What stopped the recording before its end, where that was an error which could still be noted: a full disk, say.
+    /// A recording that was killed has no such note.
     pub fn stopped(&self) -> Option<&str> {
         self.outline.metadata.get(STOPPED)?.get("reason").map(String::as_str)
     }
@@ -256,7 +256,8 @@ impl<R: Read + Seek> Recording<R> {
         self.counts.clear();
     }
 
-    /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left out.
+    /// Messages read so far, by topic, also of topics that dermis does not know; those that nothing describes are left
+    /// out.
     pub fn counts(&self) -> BTreeMap<&str, u64> {
         let named =
             self.counts.iter().filter_map(|(channel, count)| Some((self.topics.get(channel)?.as_str(), *count)));
@@ -399,8 +400,8 @@ impl<R: Read + Seek> Recording<R> {
     }
 }
 
-/// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is too
-/// large to be one of ours.
+/// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is
+/// too large to be one of ours.
 pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> io::Result<Option<(LinearReader, u64)>> {
     let Some(length) = usize::try_from(place.length).ok().filter(|&length| length <= MOST_BYTES) else {
         return Ok(None);

@@ -1,5 +1,5 @@
-//! A whole recording from what is left of a broken one: every chunk whose checksum holds is copied message by message, also
-//! of topics that dermis does not know, and index and summary are made anew.
+//! A whole recording from what is left of a broken one: every chunk whose checksum holds is copied message by message,
+//! also of topics that dermis does not know, and index and summary are made anew.
 
 use std::collections::BTreeMap;
 use std::io::BufReader;

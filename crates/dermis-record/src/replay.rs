@@ -112,8 +112,8 @@ impl<R: Read + Seek + Send> Replay<R> {
         })
     }
 
-    /// Time between the frame read ahead and the one before it. The first of a repetition follows at the distance of the
-    /// last two.
+    /// Time between the frame read ahead and the one before it. The first of a repetition follows at the distance of
+    /// the last two.
     fn distance(&mut self) -> Duration {
         // Clocks cannot be set arbitrarily far ahead; a day is as good as never. Times that go back count as none.
         const LONGEST: Duration = Duration::from_secs(86_400);

@@ -1,6 +1,6 @@
-//! A recording run through the pipeline again. Frames come with the numbers and times that they had, what was commanded is
-//! commanded again at the same places, and the calibrations are those recorded, so that the results are those of the live
-//! run to the bit; with another skin, prior or lambda they are what that would have given.
+//! A recording run through the pipeline again. Frames come with the numbers and times that they had, what was commanded
+//! is commanded again at the same places, and the calibrations are those recorded, so that the results are those of the
+//! live run to the bit; with another skin, prior or lambda they are what that would have given.
 
 use std::io::{Read, Seek};
 use std::ops::ControlFlow;
@@ -62,8 +62,8 @@ impl RerunReport {
 }
 
 impl RecordingHead {
-    /// The head for recording frames of `layout`, which `source` sends, of a prepared skin. Channels are labelled where the
-    /// frames hold the protocol's channels themselves.
+    /// The head for recording frames of `layout`, which `source` sends, of a prepared skin. Channels are labelled where
+    /// the frames hold the protocol's channels themselves.
     pub fn of(prepared: &Prepared, layout: Layout, source: &str) -> Self {
         let mut head = Self::new(prepared.skin.to_toml(), layout, source);
         if head.layout.channels() == prepared.channels() {
@@ -86,8 +86,9 @@ impl RecordingHead {
     }
 }
 
-/// Runs what is left of `recording` through `pipeline` and hands every result to `each`, until that breaks off, `stop` is
-/// set or the recording ends. A recording that was begun in the middle of a run begins with the baseline then in use.
+/// Runs what is left of `recording` through `pipeline` and hands every result to `each`, until that breaks off, `stop`
+/// is set or the recording ends. A recording that was begun in the middle of a run begins with the baseline then in
+/// use.
 ///
 /// # Errors
 /// Frames that do not fit the pipeline, [`Error::Io`], and those of `each`.

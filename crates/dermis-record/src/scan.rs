@@ -1,5 +1,5 @@
-//! A first pass over a recording that looks at the frame of every record (kind, length) and passes over chunks: where the
-//! chunks are, what the metadata and the summary say, and where the file is cut off.
+//! A first pass over a recording that looks at the frame of every record (kind, length) and passes over chunks: where
+//! the chunks are, what the metadata and the summary say, and where the file is cut off.
 //!
 //! A record is an operation code (u8), a length (u64, little-endian) and that many bytes.
 
@@ -115,8 +115,8 @@ impl Outline {
     }
 }
 
-/// The uncompressed size in a chunk's header, third of its u64 fields, as far as it can be believed; 0 where even that is
-/// cut off.
+/// The uncompressed size in a chunk's header, third of its u64 fields, as far as it can be believed; 0 where even that
+/// is cut off.
 pub(super) fn announced_size(header: &[u8]) -> u64 {
     let size = header.get(16..24).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes);
     if size <= MOST_BYTES as u64 { size } else { 0 }

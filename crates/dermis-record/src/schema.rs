@@ -1,5 +1,5 @@
-//! Topics of a recording and the ROS 2 definitions (`ros2msg`) of what stands at them. With these in the file, readers that
-//! have never heard of dermis decode every message.
+//! Topics of a recording and the ROS 2 definitions (`ros2msg`) of what stands at them. With these in the file, readers
+//! that have never heard of dermis decode every message.
 
 /// Topics.
 pub(super) const FRAMES: &str = "/dermis/frames";

@@ -1,5 +1,5 @@
-//! Where the results of the pipeline go. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per frame and knows nothing of what stands
-//! before it; files appear under their names only when they are whole.
+//! Where the results of the pipeline go. A [`Sink`] takes one [`Output`](dermis_live::output::Output) per frame and
+//! knows nothing of what stands before it; files appear under their names only when they are whole.
 
 mod image_stack;
 mod interface;

@@ -1,5 +1,5 @@
-//! Has the operating system put a recording on the disk every now and then, so that a loss of power costs no more than that.
-//! A thread of its own waits for the disk; who writes never does.
+//! Has the operating system put a recording on the disk every now and then, so that a loss of power costs no more than
+//! that. A thread of its own waits for the disk; who writes never does.
 
 use std::io;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};

@@ -254,8 +254,8 @@ impl Recorder {
         self.write(self.channels.events, wall_ns)
     }
 
-    /// Hands what was written to the operating system, if half a second has passed since that was last done. Writing does
-    /// this by itself; call it when nothing is written for longer.
+    /// Hands what was written to the operating system, if half a second has passed since that was last done. Writing
+    /// does this by itself; call it when nothing is written for longer.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -321,9 +321,9 @@ impl Recorder {
     }
 }
 
-/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk but the
-/// last. They are ended by whoever writes and not by size, so that it is known which messages are out of this process's
-/// hands.
+/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk
+/// but the last. They are ended by whoever writes and not by size, so that it is known which messages are out of this
+/// process's hands.
 pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapError> {
     let options = WriteOptions::new()
         .profile("ros2")

@@ -1,5 +1,6 @@
-//! What a skin will cost before anything of it is built: bytes and operations worked out from the sizes in its file, what
-//! drives them, and the key to change. The counts are upper estimates of the largest things in memory, not of everything.
+//! What a skin will cost before anything of it is built: bytes and operations worked out from the sizes in its file,
+//! what drives them, and the key to change. The counts are upper estimates of the largest things in memory, not of
+//! everything.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};

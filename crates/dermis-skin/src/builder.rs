@@ -33,8 +33,8 @@ impl SheetLayer {
 }
 
 impl Skin {
-    /// A skin of electrodes with this outline and layer, 16 of them round the rim, adjacent drive and measurement of 1 mA.
-    /// [`Skin::checked`] says whether it makes sense.
+    /// A skin of electrodes with this outline and layer, 16 of them round the rim, adjacent drive and measurement of 1
+    /// mA. [`Skin::checked`] says whether it makes sense.
     pub fn new(name: &str, shape: Shape, layer: Layer) -> Self {
         let polarity = layer.polarity();
         let gain = if matches!(layer, Layer::Liquid(_)) { GainMatch::Channel } else { GainMatch::Global };
@@ -76,8 +76,8 @@ impl Skin {
         skin.with_rim_electrodes(16, width_mm.min(10.0))
     }
 
-    /// A skin of which only outline and number of channels are known. Electrodes and pairs stand in for the real ones, so
-    /// that every part of dermis has something to count; what it reads is learnt from pokes.
+    /// A skin of which only outline and number of channels are known. Electrodes and pairs stand in for the real ones,
+    /// so that every part of dermis has something to count; what it reads is learnt from pokes.
     ///
     /// # Errors
     /// No channels, or more than can be listed as pairs.

@@ -1,5 +1,5 @@
-//! Priors and rules for lambda as people write them on a command line: `laplace`, `noser=0.5`, `0.02`, `noise-figure=0.5`,
-//! or the value as it would stand in a skin file.
+//! Priors and rules for lambda as people write them on a command line: `laplace`, `noser=0.5`, `0.02`,
+//! `noise-figure=0.5`, or the value as it would stand in a skin file.
 
 use std::str::FromStr;
 

@@ -1,5 +1,5 @@
-//! What the electronics add to a reading: noise, converter, multiplexer. A preset by name, each number overridable. Twins read
-//! through it; hardware and recordings know nothing of it.
+//! What the electronics add to a reading: noise, converter, multiplexer. A preset by name, each number overridable.
+//! Twins read through it; hardware and recordings know nothing of it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,7 +16,8 @@ pub struct Electronics {
     /// Noise of a reading at 0 V: standard deviation at the skin, microvolts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise_uv: Option<f64>,
-    /// Noise in proportion to the reading: standard deviation over the reading. 10^(-SNR/20) of an amplitude ratio in dB.
+    /// Noise in proportion to the reading: standard deviation over the reading. 10^(-SNR/20) of an amplitude ratio in
+    /// dB.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub noise_share: Option<f64>,
     /// Resolution of the converter over its whole range, both signs; 0: none.
@@ -70,21 +71,21 @@ pub struct Electronics {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// Scaled to the skin: noise and converter relative to its largest resting voltage, as good as the published instrument
-    /// of that kind of layer.
+    /// Scaled to the skin: noise and converter relative to its largest resting voltage, as good as the published
+    /// instrument of that kind of layer.
     #[default]
     Auto,
     /// Adds nothing.
     Ideal,
-    /// A 14-bit converter of 125 mV at the skin, 29 uV of noise and 3e-4 of the reading: through the two ends that the paper
-    /// of the self-healing sandwich gives (22.7 dB at 0.4 mV, 67.0 dB at 87.9 mV).
+    /// A 14-bit converter of 125 mV at the skin, 29 uV of noise and 3e-4 of the reading: through the two ends that the
+    /// paper of the self-healing sandwich gives (22.7 dB at 0.4 mV, 67.0 dB at 87.9 mV).
     RedPitaya,
-    /// An industrial tomograph of 16 frames of 208 channels a second, 59.7 dB as an amplitude ratio: noise of 1.03e-3 of the
-    /// reading.
+    /// An industrial tomograph of 16 frames of 208 channels a second, 59.7 dB as an amplitude ratio: noise of 1.03e-3
+    /// of the reading.
     #[serde(rename = "wastewater-16")]
     Wastewater16,
-    /// A 64-channel multiplexer of 400 ohm, a current source of 2.6 uA steps to 40 uA, a 16-bit converter of 860 samples a
-    /// second in five ranges from 4.096 V, 20 uV of noise and 1e-4 of the reading.
+    /// A 64-channel multiplexer of 400 ohm, a current source of 2.6 uA steps to 40 uA, a 16-bit converter of 860
+    /// samples a second in five ranges from 4.096 V, 20 uV of noise and 1e-4 of the reading.
     #[serde(rename = "multiplexer-64")]
     Multiplexer64,
     /// Ranged channel by channel, 16 bits, 83 dB: the instrument of eight coils.

@@ -97,17 +97,17 @@ pub enum Electrodes {
         count: usize,
         /// Length of each along the rim.
         width_mm: f64,
-        /// Angle of the middle of electrode 1, counter-clockwise from +x. On other outlines than discs: its place along the
-        /// rim in terms of a full turn, from the first vertex (of a rectangle: bottom left) counter-clockwise. Default:
-        /// half the distance of two electrodes.
+        /// Angle of the middle of electrode 1, counter-clockwise from +x. On other outlines than discs: its place along
+        /// the rim in terms of a full turn, from the first vertex (of a rectangle: bottom left) counter-clockwise.
+        /// Default: half the distance of two electrodes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         start_deg: Option<f64>,
         /// Numbered clockwise seen from the toucher.
         #[serde(default)]
         clockwise: bool,
     },
-    /// Square pads under the sheet in a rectangular ring round its middle, `per_side + 1` to a side counting both corners,
-    /// counter-clockwise from the bottom left corner.
+    /// Square pads under the sheet in a rectangular ring round its middle, `per_side + 1` to a side counting both
+    /// corners, counter-clockwise from the bottom left corner.
     RimPads {
         /// Intervals a side, one number or [along x, along y].
         per_side: Pair<usize>,
@@ -118,9 +118,9 @@ pub enum Electrodes {
     },
     /// Listed electrodes on the rim.
     RimList(Vec<RimElectrode>),
-    /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows and
-    /// columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom left,
-    /// so that neighbours in number are neighbours in place.
+    /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows
+    /// and columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom
+    /// left, so that neighbours in number are neighbours in place.
     PadGrid {
         /// Pads in a row and rows, one number or [in a row, rows].
         per_side: Pair<usize>,
@@ -475,8 +475,8 @@ fn pad_grid(outline: &Outline, [columns, rows]: [usize; 2]) -> Vec<[f64; 2]> {
 }
 
 impl Frontend {
-    /// How the sheet lies in space: maps between positions on the sheet laid flat, in which everything else is given, and
-    /// points in space, for drawing. Bending without stretching changes no field, see [`Surface`].
+    /// How the sheet lies in space: maps between positions on the sheet laid flat, in which everything else is given,
+    /// and points in space, for drawing. Bending without stretching changes no field, see [`Surface`].
     pub fn surface(&self) -> Surface {
         match self.bend {
             Some(Bend::Cylinder { diameter_mm }) => Surface::Cylinder { radius_m: 0.5 * diameter_mm * MM },

@@ -39,8 +39,8 @@ impl Skin {
         self.frontend.surface()
     }
 
-    /// Sheet conductance of the resting skin, siemens: conductivity times thickness; of elements, their metal's conductivity
-    /// over a metre, which means nothing.
+    /// Sheet conductance of the resting skin, siemens: conductivity times thickness; of elements, their metal's
+    /// conductivity over a metre, which means nothing.
     pub fn sheet_conductance_s(&self) -> f64 {
         self.frontend.layer.conductivity_s_per_m() * self.frontend.layer.thickness_m().unwrap_or(1.0)
     }
@@ -80,8 +80,8 @@ impl Skin {
         Ok(SkinBody { outline: spec.outline, electrodes: spec.electrodes, mesh })
     }
 
-    /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring some more;
-    /// and which of them could be slit, see [`SheetSpec::build_slit`].
+    /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring
+    /// some more; and which of them could be slit, see [`SheetSpec::build_slit`].
     pub fn slit_mesh(&self, elements: usize, lines: &[[[f64; 2]; 2]]) -> Result<(SlitMesh, Vec<bool>), Error> {
         let spec = self.sheet_spec(elements, self.electrode_shapes())?;
         let impedances: Vec<f64> = self.sheet_contact_impedances(&spec.electrodes).collect();
@@ -99,8 +99,8 @@ impl Skin {
         spec.with_target_elements(elements).map_err(|source| self.not_meshed(source))
     }
 
-    /// Contact impedance of every electrode in the unit that sheet models take: ohm.m^2 for pads under the sheet; ohm.m (the
-    /// specific impedance over the height of the layer that they touch) on the rim.
+    /// Contact impedance of every electrode in the unit that sheet models take: ohm.m^2 for pads under the sheet; ohm.m
+    /// (the specific impedance over the height of the layer that they touch) on the rim.
     pub fn sheet_contact_impedances(&self, electrodes: &[ElectrodeShape]) -> impl Iterator<Item = f64> {
         // Coils touch nothing: they are in the mesh to be drawn.
         let impedance = |shape| if self.modality == Modality::Mit { 1.0 } else { self.sheet_contact_impedance(shape) };
@@ -119,8 +119,8 @@ impl Skin {
         }
     }
 
-    /// Contact impedance of every electrode, ohm: the specific one over the electrode's area, on the rim its length times the
-    /// layer's thickness. 0 for electrodes that are points; empty for coils, which have none.
+    /// Contact impedance of every electrode, ohm: the specific one over the electrode's area, on the rim its length
+    /// times the layer's thickness. 0 for electrodes that are points; empty for coils, which have none.
     pub fn contact_impedances_ohm(&self) -> Vec<f64> {
         if self.modality == Modality::Mit {
             return Vec::new();

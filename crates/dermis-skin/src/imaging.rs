@@ -163,8 +163,8 @@ pub enum GainMatch {
     /// One factor for the whole frame (unknown gain or conductivity).
     #[default]
     Global,
-    /// One factor for the whole frame, found by regression with an intercept: the instrument adds an offset, which cancels
-    /// in differences but would bend the factor.
+    /// One factor for the whole frame, found by regression with an intercept: the instrument adds an offset, which
+    /// cancels in differences but would bend the factor.
     GlobalWithOffset,
     /// One factor a drive (drive amplitudes differ).
     Drive,

@@ -1,4 +1,5 @@
-//! What a skin's layer is made of. The kind decides the physics; each has parameters, units, defaults and sources of its own.
+//! What a skin's layer is made of. The kind decides the physics; each has parameters, units, defaults and sources of
+//! its own.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -32,8 +33,8 @@ pub struct SheetLayer {
     pub thickness_mm: f64,
     /// Conductivity at rest.
     pub conductivity_s_per_m: f64,
-    /// c: relative change of conductance with pressure, percent per kilopascal; above 0 where pressing makes the material
-    /// conduct better (carbon-filled foam).
+    /// c: relative change of conductance with pressure, percent per kilopascal; above 0 where pressing makes the
+    /// material conduct better (carbon-filled foam).
     #[serde(default)]
     pub pressure_percent_per_kpa: f64,
     /// G: relative fall of conductance per compressive strain. 1 where conductance follows the thickness.
@@ -42,8 +43,8 @@ pub struct SheetLayer {
     /// E: compressive modulus of the layer. Gelatin and hydrogels: 10 to 100 kPa.
     #[serde(default = "hundred")]
     pub modulus_kpa: f64,
-    /// Distance over which pressure spreads on its way into the layer: standard deviation of a Gaussian. Left out: half the
-    /// thickness, 0.5 mm at least.
+    /// Distance over which pressure spreads on its way into the layer: standard deviation of a Gaussian. Left out: half
+    /// the thickness, 0.5 mm at least.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub smoothing_mm: Option<f64>,
     /// Viscoelastic memory, where wanted.
@@ -59,8 +60,8 @@ pub struct SandwichLayer {
     pub thickness_mm: f64,
     /// Its conductivity at rest.
     pub conductivity_s_per_m: f64,
-    /// Sheet conductance of the shortcut layer, which covers the whole skin; at least 100 times the sheet's. Default: 35 um of
-    /// copper at 5.8e7 S/m.
+    /// Sheet conductance of the shortcut layer, which covers the whole skin; at least 100 times the sheet's. Default:
+    /// 35 um of copper at 5.8e7 S/m.
     #[serde(default = "SandwichLayer::copper_s")]
     pub shortcut_s: f64,
     /// Contact of the two.
@@ -95,8 +96,8 @@ pub struct PatchesLayer {
     /// Contact of sheet and patches.
     #[serde(default = "ContactLaw::patches")]
     pub contact: ContactLaw,
-    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: evenly over 5.5 mm
-    /// of neoprene to either side, 5.5 / sqrt(3).
+    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: evenly over 5.5
+    /// mm of neoprene to either side, 5.5 / sqrt(3).
     #[serde(default = "PatchesLayer::smoothing")]
     pub smoothing_mm: f64,
     /// Viscoelastic memory, where wanted.
@@ -115,7 +116,8 @@ pub struct LiquidLayer {
     /// Density. Default: water.
     #[serde(default = "LiquidLayer::density")]
     pub density_kg_per_m3: f64,
-    /// Tension of the membrane; 0 is an open tank, into which things are dipped. Default 60, fitted to the published skin.
+    /// Tension of the membrane; 0 is an open tank, into which things are dipped. Default 60, fitted to the published
+    /// skin.
     #[serde(default = "LiquidLayer::tension")]
     pub tension_n_per_m: f64,
     /// Gravity in the skin's frame, z out of the skin. Default: flat, face up.
@@ -135,7 +137,8 @@ pub struct LiquidLayer {
     pub memory: Option<Memory>,
 }
 
-/// Conductors on sponge or springs over coils (the EM-skins). Where they stand and what they are is in `frontend.elements`.
+/// Conductors on sponge or springs over coils (the EM-skins). Where they stand and what they are is in
+/// `frontend.elements`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ElementsLayer {
@@ -374,8 +377,8 @@ impl ElementsLayer {
 }
 
 impl ContactLaw {
-    /// Assumed, not fitted: it puts the 80 kPa of the published presses at about 60 % of saturation, where current turns into
-    /// the copper within 2.4 mm of an indenter's edge.
+    /// Assumed, not fitted: it puts the 80 kPa of the published presses at about 60 % of saturation, where current
+    /// turns into the copper within 2.4 mm of an indenter's edge.
     fn sandwich() -> Self {
         Self { threshold_kpa: 3.0, reference_kpa: 60.0, exponent: 1.5, saturation_s_per_m2: 1500.0 }
     }

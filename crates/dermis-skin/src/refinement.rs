@@ -9,8 +9,8 @@ use crate::error::Error;
 /// More steps than this are a typing error.
 const MOST_STEPS: usize = 50;
 
-/// Gauss-Newton steps in `y = log(sigma / sigma at rest)`, for contrasts too large for one linear step (tanks with metal
-/// and plastic). Refined images show y, not the relative change of conductivity.
+/// Gauss-Newton steps in `y = log(sigma / sigma at rest)`, for contrasts too large for one linear step (tanks with
+/// metal and plastic). Refined images show y, not the relative change of conductivity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Refinement {

@@ -102,8 +102,8 @@ impl Skin {
         }
     }
 
-    /// Parses and checks a skin file's text; `file` names it in errors. Of parts in files of their own, only built-in ones
-    /// are known here: text alone lies in no folder.
+    /// Parses and checks a skin file's text; `file` names it in errors. Of parts in files of their own, only built-in
+    /// ones are known here: text alone lies in no folder.
     ///
     /// # Errors
     /// TOML errors, unknown or missing keys, values that make no sense; each with its place.

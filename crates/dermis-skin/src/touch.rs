@@ -24,13 +24,13 @@ pub struct TouchSettings {
     pub both_signs: bool,
     /// Channel noise assumed where none was measured, as a share of the largest voltage.
     pub assumed_noise_share: f64,
-    /// Size of a touch as calibration and localisation assume it: standard deviation of a Gaussian, relative to half the
-    /// shorter side of the skin.
+    /// Size of a touch as calibration and localisation assume it: standard deviation of a Gaussian, relative to half
+    /// the shorter side of the skin.
     pub relative_size: f64,
     /// Error of positions that noise does not explain, mm.
     pub position_floor_mm: f64,
-    /// Standard deviation of each coordinate by what the model has wrong, mm, which the sigma of every touch holds beside
-    /// its noise; left out, a share of half the shorter side. A calibration by pokes brings its own.
+    /// Standard deviation of each coordinate by what the model has wrong, mm, which the sigma of every touch holds
+    /// beside its noise; left out, a share of half the shorter side. A calibration by pokes brings its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub model_error_mm: Option<f64>,
     /// Contact conductance per area of a typical touch on a sandwich, S/m^2.

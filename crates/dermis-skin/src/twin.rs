@@ -40,8 +40,8 @@ pub struct TwinSettings {
     pub demonstration: Option<Demonstration>,
 }
 
-/// How a material heals: full joining in `hours` at `temperature_c`, faster where it is hotter (Arrhenius). The defaults are
-/// those of the published self-healing composite; the activation energy is assumed.
+/// How a material heals: full joining in `hours` at `temperature_c`, faster where it is hotter (Arrhenius). The
+/// defaults are those of the published self-healing composite; the activation energy is assumed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Healing {

@@ -88,8 +88,8 @@ const ARRAYS: [NamedArray; 3] = [
     },
 ];
 
-/// Rewrites a file of an earlier version. `None` where the text is no TOML or nothing in it has moved; the result may still be
-/// refused for other reasons.
+/// Rewrites a file of an earlier version. `None` where the text is no TOML or nothing in it has moved; the result may
+/// still be refused for other reasons.
 pub fn upgrade(text: &str) -> Option<Upgraded> {
     let mut document: DocumentMut = text.parse().ok()?;
     let mut moved = Vec::new();

@@ -1,14 +1,13 @@
 //! A stretched membrane that closes a full tray of incompressible liquid, deflected by loads and gravity.
 //!
-//! With w the deflection into the liquid, T the tension (N/m, constant: slopes are small against the pre-stretch), p the
-//! pressure of what presses, c the liquid's pressure at the origin and g gravity in the skin's frame, equilibrium of an
-//! element of membrane is
-//! `T lap w = -p + c + rho (gx x + gy y) - rho gz w`, `w = 0` at the rim, with c such that `integral w = 0`.
-//! Linear triangles; the matrix `T K - rho gz M` is factored once, each set of loads costs one back-substitution, and c
-//! follows from the membrane's response to a uniform pressure.
+//! With w the deflection into the liquid, T the tension (N/m, constant: slopes are small against the pre-stretch), p
+//! the pressure of what presses, c the liquid's pressure at the origin and g gravity in the skin's frame, equilibrium
+//! of an element of membrane is `T lap w = -p + c + rho (gx x + gy y) - rho gz w`, `w = 0` at the rim, with c such that
+//! `integral w = 0`. Linear triangles; the matrix `T K - rho gz M` is factored once, each set of loads costs one
+//! back-substitution, and c follows from the membrane's response to a uniform pressure.
 //!
-//! Without tension it is the open surface of a tank, which gravity alone holds: the matrix is `-rho gz M`, with M lumped so
-//! that the surface follows the pressure without ripples, and the rim is free.
+//! Without tension it is the open surface of a tank, which gravity alone holds: the matrix is `-rho gz M`, with M
+//! lumped so that the surface follows the pressure without ripples, and the rim is free.
 
 use faer::Mat;
 

@@ -1,6 +1,6 @@
 //! Sparse symmetric positive definite systems with one structure and many values: the symbolic factorisation is made
-//! once (by `faer`), each set of values costs a numeric one (multifrontal, sequential inside: parallelism belongs to the
-//! samples around it).
+//! once (by `faer`), each set of values costs a numeric one (multifrontal, sequential inside: parallelism belongs to
+//! the samples around it).
 
 mod dissection;
 mod lanes;

@@ -1,7 +1,8 @@
 //! The forward model against closed forms: point electrodes on the rim of a disc, homogeneous and with a concentric
 //! anomaly. A unit current at angle a raises the rim's potential at angle t by
-//! `1 / (pi s) sum_n (1/n) (1 - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, with rho the anomaly's radius relative to the
-//! disc's and `k = (s1 - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the same factors).
+//! `1 / (pi s) sum_n (1/n) (1 - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, with rho the anomaly's radius relative to
+//! the disc's and `k = (s1 - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the same
+//! factors).
 
 use std::f64::consts::{PI, TAU};
 
@@ -13,7 +14,8 @@ const ANOMALY: f64 = 0.5;
 const SIGMA: f64 = 0.3;
 const SIGMA_INSIDE: f64 = 2.0;
 
-/// The disc's mesh, and the elements of the concentric anomaly: its rim is in the mesh because a pad was asked for there.
+/// The disc's mesh, and the elements of the concentric anomaly: its rim is in the mesh because a pad was asked for
+/// there.
 fn disc(elements: usize) -> (ElectrodedMesh, Vec<u32>) {
     let outline = Outline::Disc { radius_m: RADIUS_M };
     let mut electrodes = outline.rim_points(16, 0.0, Direction::CounterClockwise);

@@ -149,7 +149,8 @@ fn few_frames_suffice() {
 }
 
 /// Expected: 5.1 mm, p90 11.3 mm (even touches) and 5.5 mm, 12.3 mm (drift). Relative hyperparameters of 5 to 20 differ
-/// by less than 1 mm. The image of the linear operator, and the centroid of what is above half its peak and connected to it.
+/// by less than 1 mm. The image of the linear operator, and the centroid of what is above half its peak and connected
+/// to it.
 #[test]
 fn images_of_the_calibrated_operator_show_the_touches() {
     let Some(data) = load() else { return };

@@ -1,5 +1,5 @@
-//! Voltages, Jacobians, images and the Laplace prior against EIDORS values (`tests/data/oracle/eit`). Tolerances are theirs:
-//! an independent dense implementation reproduced the voltages to 4e-13, Jacobians to 5e-13 and images to 3e-9.
+//! Voltages, Jacobians, images and the Laplace prior against EIDORS values (`tests/data/oracle/eit`). Tolerances are
+//! theirs: an independent dense implementation reproduced the voltages to 4e-13, Jacobians to 5e-13 and images to 3e-9.
 
 use std::collections::BTreeMap;
 

@@ -23,8 +23,9 @@ pub(crate) struct Assignment {
 impl Assignment {
     /// Assigns each of `rows` to one of `columns` or to nobody, at the least total cost.
     ///
-    /// `cost` gives the cost of a pair, [`FORBIDDEN`] or any value at or above `alone` for pairs that must not be; `alone`
-    /// is the cost of a row without partner, finite and not negative. Of equal solutions the same one is found every time.
+    /// `cost` gives the cost of a pair, [`FORBIDDEN`] or any value at or above `alone` for pairs that must not be;
+    /// `alone` is the cost of a row without partner, finite and not negative. Of equal solutions the same one is found
+    /// every time.
     pub(crate) fn solve(
         &mut self,
         rows: usize,

@@ -1,12 +1,12 @@
 //! The baseline that difference data are taken against: compensated = raw - baseline, channel by channel.
 //!
-//! It is set at the start from the median of the first frames, later by an explicit tare or by the caller, and may follow
-//! slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches the skin: under
-//! contact it stands still, so that a held touch keeps its value however long it is held. Where touch and damage may come
-//! on as slowly as drift, only the part of the change that is alike everywhere is followed, b += (1 - exp(-dt/tau)) a b
-//! with a the least-squares share of (raw - b) along b: a sheet that grows warmer under a constant current changes all its
-//! voltages by the same share, a touch or a cut does not.
-//! Every baseline that was in use is kept with its time and reason, and can be taken up again.
+//! It is set at the start from the median of the first frames, later by an explicit tare or by the caller, and may
+//! follow slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches the
+//! skin: under contact it stands still, so that a held touch keeps its value however long it is held. Where touch and
+//! damage may come on as slowly as drift, only the part of the change that is alike everywhere is followed, b += (1 -
+//! exp(-dt/tau)) a b with a the least-squares share of (raw - b) along b: a sheet that grows warmer under a constant
+//! current changes all its voltages by the same share, a touch or a cut does not. Every baseline that was in use is
+//! kept with its time and reason, and can be taken up again.
 
 use crate::error::{TouchError, require, require_length};
 use serde::{Deserialize, Serialize};
@@ -19,8 +19,8 @@ pub enum DriftCompensation {
     Off,
     /// The baseline follows the raw values while the skin is free.
     Exponential {
-        /// Time constant tau, seconds, above 0: a step in the raw values has faded to 1/e after it. A touch too weak to be
-        /// reported as load fades with it too.
+        /// Time constant tau, seconds, above 0: a step in the raw values has faded to 1/e after it. A touch too weak to
+        /// be reported as load fades with it too.
         time_constant_s: f64,
         /// The baseline stays frozen for so long after a load has gone, seconds, at least 0: the material relaxes.
         settle_s: f64,
@@ -151,9 +151,10 @@ struct Tare {
 
 /// Raw values, baseline and compensated values of one stream of frames.
 ///
-/// Each frame goes through [`Baseline::observe`], which compensates it by the baseline as it stood, and, once the caller
-/// has judged the load, through [`Baseline::learn`]. A NaN value belongs to its channel alone: it is compensated to NaN and
-/// moves no baseline. A channel without any value during start-up or tare has the baseline NaN until the next tare.
+/// Each frame goes through [`Baseline::observe`], which compensates it by the baseline as it stood, and, once the
+/// caller has judged the load, through [`Baseline::learn`]. A NaN value belongs to its channel alone: it is compensated
+/// to NaN and moves no baseline. A channel without any value during start-up or tare has the baseline NaN until the
+/// next tare.
 #[derive(Debug, Clone)]
 pub struct Baseline {
     params: BaselineParams,
@@ -231,14 +232,16 @@ impl Baseline {
         &self.baseline
     }
 
-    /// Raw less baseline for the last frame, with the baseline as it stood when the frame came. NaN before it was there.
+    /// Raw less baseline for the last frame, with the baseline as it stood when the frame came. NaN before it was
+    /// there.
     #[must_use]
     pub fn compensated(&self) -> &[f64] {
         &self.compensated
     }
 
-    /// Standard deviation of each channel during start-up, from the median absolute deviation (times 1.4826, which makes
-    /// it that of a Gaussian). NaN before start-up is over and for channels without values; 0 for constant channels.
+    /// Standard deviation of each channel during start-up, from the median absolute deviation (times 1.4826, which
+    /// makes it that of a Gaussian). NaN before start-up is over and for channels without values; 0 for constant
+    /// channels.
     #[must_use]
     pub fn noise_std(&self) -> &[f64] {
         &self.noise_std
@@ -250,15 +253,15 @@ impl Baseline {
         &self.records
     }
 
-    /// The values of a baseline that was in use, as they were set, by its place in [`Baseline::records`]; none where there is
-    /// no such record, or where its values are no longer kept (the first and the last 64 are).
+    /// The values of a baseline that was in use, as they were set, by its place in [`Baseline::records`]; none where
+    /// there is no such record, or where its values are no longer kept (the first and the last 64 are).
     #[must_use]
     pub fn kept(&self, record: usize) -> Option<&[f64]> {
         self.kept.get(record).map(Vec::as_slice).filter(|values| !values.is_empty())
     }
 
-    /// By what factor uniform drift has changed the baseline since the start, tares left aside: a baseline of then, times
-    /// the ratio of the factors of now and then, is what it would be now.
+    /// By what factor uniform drift has changed the baseline since the start, tares left aside: a baseline of then,
+    /// times the ratio of the factors of now and then, is what it would be now.
     #[must_use]
     pub fn drift_factor(&self) -> f64 {
         self.drift_factor
@@ -269,8 +272,8 @@ impl Baseline {
         self.drift_held = held;
     }
 
-    /// Lets uniform compensation follow all other changes too, as exponential compensation does, or no longer: while a sheet
-    /// heals, it changes here and there.
+    /// Lets uniform compensation follow all other changes too, as exponential compensation does, or no longer: while a
+    /// sheet heals, it changes here and there.
     pub fn follow_rest(&mut self, follows: bool) {
         self.follows_rest = follows;
     }
@@ -356,7 +359,8 @@ impl Baseline {
         Ok(())
     }
 
-    /// Sets the baseline to given values (a recorded reference frame, say), and ends start-up. NaN leaves a channel out.
+    /// Sets the baseline to given values (a recorded reference frame, say), and ends start-up. NaN leaves a channel
+    /// out.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -385,7 +389,8 @@ impl Baseline {
         Ok(())
     }
 
-    /// Takes a mean of frames at rest, made by the caller, as the baseline that includes a damage. A tare under way goes on.
+    /// Takes a mean of frames at rest, made by the caller, as the baseline that includes a damage. A tare under way
+    /// goes on.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -407,8 +412,8 @@ impl Baseline {
         self.set_baseline(time_ns, &values, reason)
     }
 
-    /// Moves the baseline of one channel, which was left out for a while, to a value at which it agrees with the others;
-    /// no record is made, and a value that is not finite changes nothing.
+    /// Moves the baseline of one channel, which was left out for a while, to a value at which it agrees with the
+    /// others; no record is made, and a value that is not finite changes nothing.
     pub fn move_channel(&mut self, channel: usize, value: f64) {
         if let Some(baseline) = self.baseline.get_mut(channel).filter(|_| value.is_finite()) {
             *baseline = value;

@@ -84,8 +84,8 @@ impl ImageCells {
         }
     }
 
-    /// The cell that holds a point. On a surface, the cell whose place is nearest, if that is within twice the side of a
-    /// square of its area.
+    /// The cell that holds a point. On a surface, the cell whose place is nearest, if that is within twice the side of
+    /// a square of its area.
     #[must_use]
     pub fn cell_at(&self, position_m: [f64; 2]) -> Option<usize> {
         match self {

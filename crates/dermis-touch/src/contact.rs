@@ -1,10 +1,10 @@
 //! A contact: one place where the skin is touched in one image, with the rules by which contacts are found.
 //!
 //! A contact's position is the centroid of the cells above 50 % of its peak within its basin; its covariance is the
-//! noise of those cells carried through the centroid to first order: with weights w_i = v_i - peak/2 at r_i, W = sum w_i,
-//! c = sum w_i r_i / W and the level peak/2 held, dc/dv_i = (r_i - c) / W, hence
-//! C = sum_ij (r_i - c)(r_j - c)' sigma_i sigma_j rho_ij / W^2 with rho_ij = exp(-|r_i - r_j|^2 / (2 l^2)). Where cells differ
-//! in area, every cell counts by its area.
+//! noise of those cells carried through the centroid to first order: with weights w_i = v_i - peak/2 at r_i, W = sum
+//! w_i, c = sum w_i r_i / W and the level peak/2 held, dc/dv_i = (r_i - c) / W, hence C = sum_ij (r_i - c)(r_j - c)'
+//! sigma_i sigma_j rho_ij / W^2 with rho_ij = exp(-|r_i - r_j|^2 / (2 l^2)). Where cells differ in area, every cell
+//! counts by its area.
 
 use crate::error::{TouchError, require, require_length};
 use crate::force::ForceReading;
@@ -65,8 +65,8 @@ pub enum CentroidWeight {
     Uniform,
     /// By their value. The same holds for its covariance.
     Value,
-    /// By their value less half the peak: cells enter and leave without a step, so a moving touch moves smoothly, and the
-    /// covariance is right to first order.
+    /// By their value less half the peak: cells enter and leave without a step, so a moving touch moves smoothly, and
+    /// the covariance is right to first order.
     #[default]
     Excess,
 }
@@ -138,7 +138,8 @@ pub struct ContactParams {
     pub min_prominence_sigma: f64,
     /// Two peaks nearer than this, in metres, are one. At least 0; 0 switches the rule off.
     pub min_separation_m: f64,
-    /// Length over which the image's noise is correlated (rho = exp(-d^2 / (2 l^2))), metres. At least 0; 0 is white noise.
+    /// Length over which the image's noise is correlated (rho = exp(-d^2 / (2 l^2))), metres. At least 0; 0 is white
+    /// noise.
     pub correlation_length_m: f64,
     /// At most so many contacts, the strongest of each sign. At least 1.
     pub max_contacts: usize,
@@ -218,11 +219,11 @@ pub struct Contact {
     pub strength: ContactStrength,
     /// Normal force, where a calibration has read one; the finder has none.
     pub force: Option<ForceReading>,
-    /// Radius of the spot that a forward model fitted, metres, where position and covariance are that fit's; the finder has
-    /// none.
+    /// Radius of the spot that a forward model fitted, metres, where position and covariance are that fit's; the finder
+    /// has none.
     pub radius_m: Option<f64>,
-    /// Variance of each coordinate of `centroid_m` by what the model has wrong, m^2, beside `covariance_m2`; the finder knows
-    /// of none.
+    /// Variance of each coordinate of `centroid_m` by what the model has wrong, m^2, beside `covariance_m2`; the finder
+    /// knows of none.
     pub model_variance_m2: f64,
     /// How deep or hard it is pressed, where a calibration by pokes has read that; the finder has none.
     pub load: Option<TouchLoad>,

@@ -1,8 +1,8 @@
 //! Position and velocity of one contact in the plane, filtered by a Kalman filter with nearly constant velocity.
 //!
-//! The acceleration is white noise of spectral density q: over dt the covariance grows by
-//! q [[dt^3/3, dt^2/2], [dt^2/2, dt]] in (position, velocity) of each axis (Bar-Shalom, Li, Kirubarajan, *Estimation with
-//! Applications to Tracking and Navigation*, 2001, section 6.2.2).
+//! The acceleration is white noise of spectral density q: over dt the covariance grows by q [[dt^3/3, dt^2/2], [dt^2/2,
+//! dt]] in (position, velocity) of each axis (Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking
+//! and Navigation*, 2001, section 6.2.2).
 
 pub(crate) type Vec2 = [f64; 2];
 pub(crate) type Mat2 = [[f64; 2]; 2];

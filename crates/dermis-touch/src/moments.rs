@@ -3,8 +3,8 @@
 //! With noise of standard deviation sigma_i and correlation rho_ij = exp(-d_ij^2 / (2 l^2)), a sum q = sum_i g_i n_i
 //! with vectors g_i has the covariance sum_ij g_i g_j' sigma_i sigma_j rho_ij. The Gaussian rho is separable, so the
 //! double sum is a convolution along rows, one along columns, and a dot product. Cells are first gathered into square
-//! blocks of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks. (On a surface a block is
-//! also at least half a cell.) White noise needs no blocks: only each cell's own term counts.
+//! blocks of at most half of l, over which rho is near 1, which bounds the kernel to 25 blocks. (On a surface a block
+//! is also at least half a cell.) White noise needs no blocks: only each cell's own term counts.
 
 use crate::cells::{Bounds, Lattice};
 

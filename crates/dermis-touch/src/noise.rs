@@ -80,8 +80,8 @@ impl RunningStats {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SnrDefinition {
-    /// 10 log10(mean V / std V), as the ionic-liquid skin's paper prints it: ten times the logarithm of an amplitude ratio,
-    /// half of [`SnrDefinition::Amplitude`].
+    /// 10 log10(mean V / std V), as the ionic-liquid skin's paper prints it: ten times the logarithm of an amplitude
+    /// ratio, half of [`SnrDefinition::Amplitude`].
     IonicAsPrinted,
     /// 10 log10(sum V^2 / sum (V - mean V)^2), equation 5 of the self-healing skin's paper: a ratio of energies.
     HealingEnergy,
@@ -104,8 +104,8 @@ impl SnrDefinition {
 /// The signal-to-noise ratio of one channel, dB.
 ///
 /// The mean enters by its size, since a channel's sign is a matter of wiring; std is [`RunningStats::std`] (divided by
-/// count - 1). Infinite without noise, minus infinity for a zero mean where the mean stands alone, NaN with fewer than two
-/// values or when signal and noise are both zero.
+/// count - 1). Infinite without noise, minus infinity for a zero mean where the mean stands alone, NaN with fewer than
+/// two values or when signal and noise are both zero.
 #[must_use]
 pub fn snr_db(definition: SnrDefinition, stats: &RunningStats, channel: usize) -> f64 {
     if stats.count(channel) < 2 {
@@ -178,8 +178,8 @@ pub struct Covariance {
     pub frames: usize,
     /// Mean of every channel.
     pub mean: Vec<f64>,
-    /// n x n, row-major, symmetric, channel units squared; the sample part is divided by the number of frames, as in the
-    /// source.
+    /// n x n, row-major, symmetric, channel units squared; the sample part is divided by the number of frames, as in
+    /// the source.
     pub matrix: Vec<f64>,
     /// Weight of the target, from 0 (enough frames: the sample's own covariance) to 1 (the target).
     pub shrinkage: f64,

@@ -304,8 +304,8 @@ impl Tracker {
         (0..self.blobs.len()).filter(|&i| given(&self.blobs[i])).min_by(|&a, &b| distance(a).total_cmp(&distance(b)))
     }
 
-    /// A touch that lost its contact where another has one is taken to have merged with that one, if both were seen in one
-    /// frame of the last 64: contacts that come in turns are of presses one after the other.
+    /// A touch that lost its contact where another has one is taken to have merged with that one, if both were seen in
+    /// one frame of the last 64: contacts that come in turns are of presses one after the other.
     fn merge_vanished(&mut self, time_ns: u64) {
         for index in 0..self.blobs.len() {
             let from = self.blobs[index];

@@ -28,8 +28,8 @@ struct Basin {
     min_prominence: f32,
 }
 
-/// The flooded image, with the memory it is flooded in. Values and labels stand in the slots of a lattice; the values of
-/// slots without a cell are NaN.
+/// The flooded image, with the memory it is flooded in. Values and labels stand in the slots of a lattice; the values
+/// of slots without a cell are NaN.
 #[derive(Debug, Clone)]
 pub(crate) struct Watershed<L> {
     lattice: L,
@@ -59,8 +59,8 @@ impl<L: Lattice> Watershed<L> {
         &self.lattice
     }
 
-    /// Copies an image in: values times `factor`, NaN where they are not finite or their noise is not usable, and returns
-    /// the largest value (0 when none is positive).
+    /// Copies an image in: values times `factor`, NaN where they are not finite or their noise is not usable, and
+    /// returns the largest value (0 when none is positive).
     pub(crate) fn load(&mut self, image: &[f32], sigma: Option<&[f32]>, factor: f32) -> f32 {
         for (slots, cells) in self.lattice.pieces() {
             let target = &mut self.values[slots];

@@ -43,7 +43,8 @@ fn startup_shrugs_off_outliers_and_measures_the_noise() {
         assert_eq!(change == BaselineChange::Started, frame == 199);
     }
     assert_eq!(baseline.state(), BaselineState::Ready);
-    // The mean of 170 values has a standard error of 0.008; a touch in 15 % of the frames widens the deviation by a fifth.
+    // The mean of 170 values has a standard error of 0.008; a touch in 15 % of the frames widens the deviation by a
+    // fifth.
     assert!((baseline.baseline()[0] - 10.0).abs() < 0.03, "{}", baseline.baseline()[0]);
     assert!((0.08..0.15).contains(&baseline.noise_std()[0]), "{}", baseline.noise_std()[0]);
     assert!(baseline.baseline()[1].is_nan() && baseline.noise_std()[1].is_nan());

@@ -9,7 +9,8 @@ use dermis_touch::{Contact, ContactFinder, ContactParams, ImageCells, PixelNoise
 /// Side of the mesh's cells before nodes are moved, metres; triangles are about as large as the grid's pixels of 2 mm.
 const PITCH_M: f64 = 2.7e-3;
 
-/// A square of 128 mm in triangles: nodes of a grid, each moved by up to a quarter of its pitch, and diagonals by chance.
+/// A square of 128 mm in triangles: nodes of a grid, each moved by up to a quarter of its pitch, and diagonals by
+/// chance.
 fn mesh() -> SurfaceCells {
     let count = (0.128 / PITCH_M) as u32;
     let mut noise = Noise::new(11);

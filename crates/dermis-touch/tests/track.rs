@@ -102,7 +102,8 @@ fn crossing_paths_keep_their_identities() {
 /// A touch's (x, y) in mm at a frame.
 type Path = fn(f64) -> (f64, f64);
 
-/// Runs touches through images and the finder; returns the ids nearest to the paths at the end and the number of begins.
+/// Runs touches through images and the finder; returns the ids nearest to the paths at the end and the number of
+/// begins.
 fn through_images(paths: &[Path], frames: u64, noise_sigma: f64) -> (Vec<u64>, usize, bool) {
     let geometry = square();
     let mut finder = ContactFinder::new(geometry, ContactParams::default()).unwrap();
@@ -189,7 +190,8 @@ fn a_merge_that_never_parts_ends_the_younger_touch() {
 
 #[test]
 fn presses_one_after_the_other_never_merge() {
-    // A frame each, in turns at two places too far apart for one touch to have moved, and too near for both to be whole.
+    // A frame each, in turns at two places too far apart for one touch to have moved, and too near for both to be
+    // whole.
     let mut tracker =
         Tracker::new(TrackerParams { min_age_frames: 1, gate_max_m: 0.004, ..Default::default() }).unwrap();
     for frame in 0..40 {

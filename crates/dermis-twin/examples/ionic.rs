@@ -1,5 +1,5 @@
-//! Prints what the liquid skins' twins do: depth under weights, voltages and their changes, the cost of a frame, and where
-//! the depth-averaged fields differ from those in three dimensions:
+//! Prints what the liquid skins' twins do: depth under weights, voltages and their changes, the cost of a frame, and
+//! where the depth-averaged fields differ from those in three dimensions:
 //! `cargo run --release -p dermis-twin --example ionic`.
 
 #[path = "../tests/published/mod.rs"]
@@ -129,7 +129,8 @@ fn compare() -> Result<(), TwinError> {
     Ok(())
 }
 
-/// Ratio of solid to flat by regression, what it leaves, and the same by distance of the measuring from the driving pair.
+/// Ratio of solid to flat by regression, what it leaves, and the same by distance of the measuring from the driving
+/// pair.
 fn distances(what: &str, skin: &LiquidSkin, flat: &[f64], solid: &[f64]) {
     let gain = |pairs: &[(f64, f64)]| {
         pairs.iter().map(|(a, b)| a * b).sum::<f64>() / pairs.iter().map(|(a, _)| a * a).sum::<f64>()

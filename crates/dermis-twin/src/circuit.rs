@@ -1,8 +1,8 @@
 //! A skin behind a readout circuit that loads it and reads a mixture of lines
 //! ([`dermis_tomo::eit::ReadoutCircuit`]).
 //!
-//! What is behind the circuit is solved for the transfer impedances between its electrodes: one ampere into each electrode and
-//! out of the last, all potentials against the last. The circuit's readings follow from these alone.
+//! What is behind the circuit is solved for the transfer impedances between its electrodes: one ampere into each
+//! electrode and out of the last, all potentials against the last. The circuit's readings follow from these alone.
 
 use std::any::Any;
 

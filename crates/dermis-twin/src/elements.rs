@@ -1,6 +1,6 @@
-//! Coils under a membrane of conducting elements on sponge or springs. A force moves the elements beneath it toward the coils;
-//! eddy currents in them change the mutual inductance of every pair of coils, `V_mn = j w (M_mn + dM_mn) I`, of which the
-//! instrument reads the magnitude behind its rectifier.
+//! Coils under a membrane of conducting elements on sponge or springs. A force moves the elements beneath it toward the
+//! coils; eddy currents in them change the mutual inductance of every pair of coils, `V_mn = j w (M_mn + dM_mn) I`, of
+//! which the instrument reads the magnitude behind its rectifier.
 //!
 //! Elements answer as multipoles to degree 3 and excite each other; their resting heights scatter by a manufacturing
 //! tolerance that whoever reconstructs does not know. An element is for the fields a sphere, or whatever body is given
@@ -66,8 +66,8 @@ pub struct ElementOptions {
     pub coils: CoilArray,
     /// Middles of the elements, metres, in any order; 1 to 1024 of them.
     pub places_m: Vec<[f64; 2]>,
-    /// Width and height of the cell around each element, metres: what presses on it presses the element. Elements one cell
-    /// apart, within a tenth of a cell, are neighbours.
+    /// Width and height of the cell around each element, metres: what presses on it presses the element. Elements one
+    /// cell apart, within a tenth of a cell, are neighbours.
     pub cell_m: [f64; 2],
     /// Height of the elements' middles over the coils' at rest, metres.
     pub rest_m: f64,

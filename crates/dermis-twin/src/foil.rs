@@ -1,6 +1,8 @@
-//! A thin foil of metal on sponge over coils, which a touch does not deform as locally as it moves separate elements. Eddy currents are those of a thin sheet ([`dermis_mit::sheet`]) that is dented: with w its way down,
-//! `T lap w - k w = -p` of a foil under tension T on sponge of stiffness k, the rims free, and the sponge closing as springs do.
-//! Each new dent is a sheet of its own to be solved: half a second, so this is for experiments rather than for live twins.
+//! A thin foil of metal on sponge over coils, which a touch does not deform as locally as it moves separate elements.
+//! Eddy currents are those of a thin sheet ([`dermis_mit::sheet`]) that is dented: with w its way down,
+//! `T lap w - k w = -p` of a foil under tension T on sponge of stiffness k, the rims free, and the sponge closing as
+//! springs do. Each new dent is a sheet of its own to be solved: half a second, so this is for experiments rather than
+//! for live twins.
 
 use dermis_mit::edge::Source;
 use dermis_mit::sheet::{Sheet, SheetMaterial, SheetMesh};

@@ -1,7 +1,7 @@
 //! The twin of a skin, from its file alone: geometry, layer, instrument and what may press on it.
 //!
-//! The twin's mesh follows from size and layer, and differs from the reconstruction's: elements of a share of the side (see
-//! [`MeshSizes`]), finer at electrodes. `[twin]` in the file sets any of it.
+//! The twin's mesh follows from size and layer, and differs from the reconstruction's: elements of a share of the side
+//! (see [`MeshSizes`]), finer at electrodes. `[twin]` in the file sets any of it.
 
 mod electronics;
 mod history;

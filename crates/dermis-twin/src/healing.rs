@@ -1,11 +1,11 @@
 //! What happens to a self-healing sheet in the course of its life: blades cut it, a heat pad closes cuts and raises the
 //! conductivity about them, which falls back later, and the room warms it as a whole.
 //!
-//! A point at temperature `T` heals at the rate `r(T) = exp(-(E/R) (1/T - 1/T_h)) / t_h`: at `T_h` entirely within `t_h`. Its
-//! dose `q`, the integral of `r` held at 1, is the share of the cut's faces that is joined again. A cut of width `w` conducts
-//! `d = (1 - q) d_open + q d_healed` of the sheet, with `1/d_healed = 1 + l/w` and `l` the length of intact sheet that a
-//! healed scar is worth. Heat raises the conductivity to `1 + q_h p` (`q_h`: dose of that heating); afterwards it is
-//! `1 + q_h (k + (p - k) exp(-t / tau))`.
+//! A point at temperature `T` heals at the rate `r(T) = exp(-(E/R) (1/T - 1/T_h)) / t_h`: at `T_h` entirely within
+//! `t_h`. Its dose `q`, the integral of `r` held at 1, is the share of the cut's faces that is joined again. A cut of
+//! width `w` conducts `d = (1 - q) d_open + q d_healed` of the sheet, with `1/d_healed = 1 + l/w` and `l` the length of
+//! intact sheet that a healed scar is worth. Heat raises the conductivity to `1 + q_h p` (`q_h`: dose of that heating);
+//! afterwards it is `1 + q_h (k + (p - k) exp(-t / tau))`.
 //!
 //! The constants of a material are its [`HealingLaw`].
 
@@ -225,7 +225,8 @@ impl Wear {
     /// Does something to the sheet. A blade that follows a cut once more opens it again; the sheet has one cut there.
     ///
     /// # Errors
-    /// Numbers that make no sense; heat on a sheet that does not heal; more than [`MOST_CUTS`] cuts or [`MOST_PADS`] pads.
+    /// Numbers that make no sense; heat on a sheet that does not heal; more than [`MOST_CUTS`] cuts or [`MOST_PADS`]
+    /// pads.
     pub fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
         treatment.check()?;
         let most = |field, most: usize, got: usize| {
@@ -244,8 +245,8 @@ impl Wear {
             }
             Treatment::Heat(_) if self.law.is_none() => return Err(TwinError::NotTreatable),
             Treatment::Heat(heating) => {
-                // A pad laid twice at one moment is one pad; one whose passing warmth is gone leaves the same behind as the
-                // next at its place.
+                // A pad laid twice at one moment is one pad; one whose passing warmth is gone leaves the same behind as
+                // the next at its place.
                 let relaxation_s = self.law.map_or(0.0, |law| law.relaxation_s);
                 let is_over = |pad: &Pad| pad.age_s > pad.heating.duration_s + 20.0 * relaxation_s;
                 self.pads.retain(|pad| pad.heating != heating || !(pad.age_s == 0.0 || is_over(pad)));

@@ -2,9 +2,10 @@
 //! ([`mechanics`]), the fields that follow ([`physics`], on finite elements through `dermis-tomo`) and what the
 //! electronics make of it ([`instrument`]). [`Twin`] joins the four.
 //!
-//! What a skin is made of decides its physics: a bare conductor ([`SheetSkin`]), a sheet under a continuous shortcut layer
-//! ([`Sandwich`]) or under separate patches ([`PatchedSkin`]), a liquid ([`LiquidSkin`]), or conducting elements over coils
-//! ([`ElementSkin`], and a foil over coils, [`FoilSkin`]). Each is made from options that carry everything that it is.
+//! What a skin is made of decides its physics: a bare conductor ([`SheetSkin`]), a sheet under a continuous shortcut
+//! layer ([`Sandwich`]) or under separate patches ([`PatchedSkin`]), a liquid ([`LiquidSkin`]), or conducting elements
+//! over coils ([`ElementSkin`], and a foil over coils, [`FoilSkin`]). Each is made from options that carry everything
+//! that it is.
 //!
 //! SI units throughout; frame of a flat skin: x right, y up. Pure apart from seeded random numbers: no clocks, files or
 //! devices.

@@ -1,5 +1,6 @@
-//! A liquid skin: conducting liquid in a shallow tray, closed and full under a stretched membrane, or open. Pressing dents the
-//! surface, the liquid beneath gets shallower there and deeper elsewhere, and the voltages follow from the depth alone.
+//! A liquid skin: conducting liquid in a shallow tray, closed and full under a stretched membrane, or open. Pressing
+//! dents the surface, the liquid beneath gets shallower there and deeper elsewhere, and the voltages follow from the
+//! depth alone.
 
 use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::{ElectrodeShape, Outline};
@@ -25,8 +26,8 @@ const SAME_LOAD_N: f64 = 1e-6;
 pub enum LiquidSolver {
     /// In the plane, with the depth as a sheet's conductance: fast.
     DepthAveraged,
-    /// On tetrahedra, with the electrodes as small as they are: a second or two a frame, to check the other. All electrodes
-    /// must be stretches of the rim.
+    /// On tetrahedra, with the electrodes as small as they are: a second or two a frame, to check the other. All
+    /// electrodes must be stretches of the rim.
     Solid {
         /// About how many layers of elements.
         layers: usize,
@@ -38,7 +39,8 @@ pub enum LiquidSolver {
 pub struct LiquidOptions {
     /// Outline of the liquid.
     pub outline: Outline,
-    /// Electrodes, in order: stretches of the rim on the wall; pads on the bottom where fields are averaged over the depth.
+    /// Electrodes, in order: stretches of the rim on the wall; pads on the bottom where fields are averaged over the
+    /// depth.
     pub electrodes: Vec<ElectrodeShape>,
     /// Height of the electrodes on the wall, metres, no more than the depth.
     pub electrode_height_m: f64,
@@ -114,8 +116,8 @@ impl LiquidSkin {
     /// Meshes the tray, factors its membrane and prepares its fields.
     ///
     /// # Errors
-    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made, a membrane too
-    /// slack to hang from, an open tank that gravity does not hold.
+    /// Parameters that make no sense, electrodes that do not fit the protocol, a mesh that cannot be made, a membrane
+    /// too slack to hang from, an open tank that gravity does not hold.
     pub fn new(options: LiquidOptions) -> Result<Self, TwinError> {
         options.cover.check()?;
         options.memory.as_ref().map_or(Ok(()), Memory::check)?;
@@ -170,8 +172,8 @@ impl LiquidSkin {
         &self.depth_at_m
     }
 
-    /// Nodes at which the membrane touched the bottom in the last frame. There the model ends: the depth is clipped to a
-    /// film of 2 % of the tray's, the bottom bears no load, and liquid is not conserved.
+    /// Nodes at which the membrane touched the bottom in the last frame. There the model ends: the depth is clipped to
+    /// a film of 2 % of the tray's, the bottom bears no load, and liquid is not conserved.
     pub fn bottomed_nodes(&self) -> usize {
         self.bottomed_nodes
     }

@@ -1,8 +1,9 @@
-//! A sheet with electrodes under separate shortcut patches with a gap between: pressing brings patches into contact with the
-//! sheet and raises its local conductivity. Unlike a continuous layer, patches do not join touches that are far from each
-//! other.
+//! A sheet with electrodes under separate shortcut patches with a gap between: pressing brings patches into contact
+//! with the sheet and raises its local conductivity. Unlike a continuous layer, patches do not join touches that are
+//! far from each other.
 //!
-//! A sheet that is bent without stretching reads as it does laid flat, so that places are always those of the flat sheet.
+//! A sheet that is bent without stretching reads as it does laid flat, so that places are always those of the flat
+//! sheet.
 
 use dermis_tomo::eit::Protocol;
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};

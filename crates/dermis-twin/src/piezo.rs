@@ -1,7 +1,8 @@
-//! The two published experiments on the piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics 17, 2024),
-//! on any pair of patched skins: the limit of detection (P1: a 22 mm indenter in the middle under growing
+//! The two published experiments on the piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics
+//! 17, 2024), on any pair of patched skins: the limit of detection (P1: a 22 mm indenter in the middle under growing
 //! weights, change of the frame's V_rms against 3.3 standard deviations of V_rms at rest) and the discernible distance
-//! (P2: Pearson correlation of difference frames under 10 g, one shifted). One parameter is fitted, on P1 of the square.
+//! (P2: Pearson correlation of difference frames under 10 g, one shifted). One parameter is fitted, on P1 of the
+//! square.
 
 use serde::Serialize;
 
@@ -116,7 +117,8 @@ impl PaperP {
     /// (pascals). Nothing else is fitted: one number fixes one parameter. All else about both skins is then predicted.
     ///
     /// # Errors
-    /// A skin that cannot be solved; no reference pressure between 1 Pa and 1 GPa, as where the gap closes above the limit.
+    /// A skin that cannot be solved; no reference pressure between 1 Pa and 1 GPa, as where the gap closes above the
+    /// limit.
     pub fn fit(&mut self) -> Result<f64, TwinError> {
         let (mut low, mut high) = (0.0_f64, 9.0_f64);
         // The contact weakens, and the limit grows, with the reference pressure.

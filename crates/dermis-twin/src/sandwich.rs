@@ -1,6 +1,6 @@
-//! A sandwich: a conductive sheet with electrodes under a gap and a continuous shortcut layer that floats. Pressing closes
-//! the gap, current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet lowers it. Both
-//! follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
+//! A sandwich: a conductive sheet with electrodes under a gap and a continuous shortcut layer that floats. Pressing
+//! closes the gap, current takes the shortcut and the local equivalent conductivity rises; a cut of the sheet lowers
+//! it. Both follow from the two-sheet fields alone ([`crate::physics::TwoSheets`]).
 
 use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -74,8 +74,9 @@ struct Slits {
     cut_of_edge: Vec<usize>,
 }
 
-/// The sandwich itself; see the module. The sheet is slit where it is cut, and joined again across the slit as it heals. A
-/// cut that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it crosses.
+/// The sandwich itself; see the module. The sheet is slit where it is cut, and joined again across the slit as it
+/// heals. A cut that no slit can follow (through a pad, off the skin, across another cut) blocks the elements that it
+/// crosses.
 #[derive(Debug)]
 pub struct Sandwich {
     spec: SheetSpec,

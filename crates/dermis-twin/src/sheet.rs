@@ -1,4 +1,5 @@
-//! A bare conductor that pressure changes: gel, carbon-filled silicone, hydrogel, fabric, with electrodes and nothing above it.
+//! A bare conductor that pressure changes: gel, carbon-filled silicone, hydrogel, fabric, with electrodes and nothing
+//! above it.
 //!
 //! Under a pressure p the local sheet conductance is multiplied by `exp(a p - k e)`, held between 1/50 and 50:
 //! - `e = p / E` is the compressive strain of a layer that is so thin and so well held that it cannot spread sideways, with E
@@ -8,9 +9,9 @@
 //! - a, the pressure coefficient, is what pressure does by itself, as in fabrics whose fibres touch more. It is positive where
 //!   pressing makes the layer conduct better.
 //!
-//! The exponential is the law `ds/s = (a - k/E) dp` in full: for small pressures the change is in proportion to p, and the
-//! conductance never falls to nothing. The pressure of each element is that at its centroid, smoothed by the cover and with
-//! its memory.
+//! The exponential is the law `ds/s = (a - k/E) dp` in full: for small pressures the change is in proportion to p, and
+//! the conductance never falls to nothing. The pressure of each element is that at its centroid, smoothed by the cover
+//! and with its memory.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{ElectrodeShape, ElectrodedMesh, Outline, SheetSpec};
@@ -74,7 +75,8 @@ impl SheetOptions {
     }
 }
 
-/// The sheet itself; see the module. Cuts block the elements that they cross whole ([`damaged_conductance`]). Nothing heals it.
+/// The sheet itself; see the module. Cuts block the elements that they cross whole ([`damaged_conductance`]). Nothing
+/// heals it.
 #[derive(Debug)]
 pub struct SheetSkin {
     outline: Outline,

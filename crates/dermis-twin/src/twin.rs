@@ -12,8 +12,8 @@ use crate::instrument::{FaultSchedule, FrameFate, Instrument, InstrumentOptions,
 use crate::mechanics::{Indenter, check_on_skin};
 use crate::scene::{Pointer, Scene, SceneOptions, Script};
 
-/// Work of a treatment that may be done in another thread, see [`Frontend::preparation`]; it breaks off between two trials
-/// once the flag is set.
+/// Work of a treatment that may be done in another thread, see [`Frontend::preparation`]; it breaks off between two
+/// trials once the flag is set.
 pub type Preparation = Box<dyn FnOnce(&AtomicBool) -> Box<dyn Any + Send> + Send>;
 
 /// The physical part of a skin: from what presses on it to true voltages.
@@ -24,7 +24,8 @@ pub trait Frontend: std::fmt::Debug + Send {
     /// Outline of the skin, laid flat.
     fn extent(&self) -> Outline;
 
-    /// Refuses an indenter that this skin cannot bear. [`Frontend::voltages`] takes any and drops what hangs over the rim.
+    /// Refuses an indenter that this skin cannot bear. [`Frontend::voltages`] takes any and drops what hangs over the
+    /// rim.
     ///
     /// # Errors
     /// As [`check_on_skin`].
@@ -45,8 +46,8 @@ pub trait Frontend: std::fmt::Debug + Send {
         Err(TwinError::NotTreatable)
     }
 
-    /// What several treatments given at once take to prepare, to be done in another thread while frames go on; `None` where
-    /// [`Frontend::treat`] takes no time to speak of. What it makes goes to [`Frontend::adopt`].
+    /// What several treatments given at once take to prepare, to be done in another thread while frames go on; `None`
+    /// where [`Frontend::treat`] takes no time to speak of. What it makes goes to [`Frontend::adopt`].
     fn preparation(&self, _treatments: &[Treatment]) -> Option<Preparation> {
         None
     }
@@ -158,8 +159,8 @@ pub struct TouchTruth {
 /// What was true when a frame was taken.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Truth {
-    /// Number that the device gives the frame, from 0: a dropped frame takes its number with it, a duplicated one has that
-    /// of the frame before.
+    /// Number that the device gives the frame, from 0: a dropped frame takes its number with it, a duplicated one has
+    /// that of the frame before.
     pub sequence: u64,
     /// What becomes of the frame. Whoever passes frames on leaves dropped ones out.
     pub fate: FrameFate,
@@ -245,7 +246,8 @@ impl<F: Frontend> Twin<F> {
     /// true then. `frame` is resized to the channels, volts; its memory is reused.
     ///
     /// # Errors
-    /// A time that is not finite; an indenter off the skin or larger than it; fields that cannot be solved. `frame` then holds nothing of use.
+    /// A time that is not finite; an indenter off the skin or larger than it; fields that cannot be solved. `frame`
+    /// then holds nothing of use.
     pub fn step(&mut self, time_s: f64, frame: &mut Vec<f64>) -> Result<&Truth, TwinError> {
         check("time_s", time_s, f64::MIN, f64::MAX, "finite")?;
         let now = self.last_time_s.map_or(time_s, |last| last.max(time_s));
@@ -295,8 +297,8 @@ impl<F: Frontend> Twin<F> {
         }
     }
 
-    /// Replaces the faults of its instrument, each acting in its time; those whose time has come act from the next frame on.
-    /// An empty list makes it sound again.
+    /// Replaces the faults of its instrument, each acting in its time; those whose time has come act from the next
+    /// frame on. An empty list makes it sound again.
     ///
     /// # Errors
     /// Faults of electrodes or channels that do not exist, probabilities outside 0 to 1, times out of order.

@@ -6,8 +6,8 @@ use faer::MatRef;
 
 use crate::error::{TwinError, check_positive};
 
-/// Refuses another number of electrodes than the protocol's, and contact impedances that are not one for all electrodes or
-/// one each, positive and finite; `field` is what these are called.
+/// Refuses another number of electrodes than the protocol's, and contact impedances that are not one for all electrodes
+/// or one each, positive and finite; `field` is what these are called.
 pub(crate) fn check_electrodes(
     electrodes: usize,
     field: &'static str,
@@ -25,8 +25,8 @@ pub(crate) fn check_electrodes(
     contact_impedances.iter().try_for_each(|&value| check_positive(field, value))
 }
 
-/// Voltages of the protocol's channels by superposition of the electrodes' unit currents. `impedance` holds the potential of
-/// the row's electrode for 1 A into the column's, ohm.
+/// Voltages of the protocol's channels by superposition of the electrodes' unit currents. `impedance` holds the
+/// potential of the row's electrode for 1 A into the column's, ohm.
 pub(crate) fn superpose(protocol: &Protocol, impedance: MatRef<'_, f64>, voltages_v: &mut [f64]) {
     for (voltage, channel) in voltages_v.iter_mut().zip(protocol.measurements()) {
         let stimulation = &protocol.stimulations()[channel.stimulation as usize];

@@ -1,5 +1,5 @@
-//! Elements over coils as a whole, on the published EM-skins: what a press does to which pairs of coils, symmetry, heights recovered by a coarser model, and
-//! what is refused.
+//! Elements over coils as a whole, on the published EM-skins: what a press does to which pairs of coils, symmetry,
+//! heights recovered by a coarser model, and what is refused.
 
 mod published;
 
@@ -38,7 +38,8 @@ fn readings_change_ever_less_as_the_sponge_stiffens_and_element_by_element() {
     };
     let curve: Vec<f64> = (0..14).map(|k| size(f64::from(k), &mut skin)).collect();
     assert!(curve[0] == 0.0 && curve.windows(2).all(|w| w[1] > w[0]), "{curve:?}");
-    // The field grows toward the coils, the sponge saturates: of 13 N the last one adds less than a fifth of the second.
+    // The field grows toward the coils, the sponge saturates: of 13 N the last one adds less than a fifth of the
+    // second.
     assert!(curve[13] - curve[12] < 0.2 * (curve[2] - curve[1]), "{curve:?}");
     assert!(skin.travel_m()[6] < 0.011 && skin.travel_m()[6] > 0.010, "{:?}", skin.travel_m()[6]);
     // Neighbours in sponge are dragged along a little; the far corner stays.

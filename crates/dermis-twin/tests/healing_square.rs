@@ -1,5 +1,6 @@
-//! The sandwich as a whole, on the published self-healing square: what the fields do when pressed and cut, checked against a single sheet, against all
-//! unknowns at once, against finer meshes, and against the published signal-to-noise ratio.
+//! The sandwich as a whole, on the published self-healing square: what the fields do when pressed and cut, checked
+//! against a single sheet, against all unknowns at once, against finer meshes, and against the published
+//! signal-to-noise ratio.
 
 mod published;
 

@@ -1,4 +1,5 @@
-//! Liquid skins, on the published ionic ones: dents, voltages and their changes against what physics and the paper ask of them.
+//! Liquid skins, on the published ionic ones: dents, voltages and their changes against what physics and the paper ask
+//! of them.
 
 mod published;
 

@@ -1,5 +1,6 @@
-//! Patched skins as a whole, on the published piezoresistive ones: the low-rank update against a factor of all unknowns, reciprocity, what patches do
-//! and do not do to each other, and that bending changes next to nothing even by chords.
+//! Patched skins as a whole, on the published piezoresistive ones: the low-rank update against a factor of all
+//! unknowns, reciprocity, what patches do and do not do to each other, and that bending changes next to nothing even by
+//! chords.
 
 mod published;
 

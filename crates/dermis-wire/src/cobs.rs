@@ -1,5 +1,5 @@
-//! Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7, 1999): zeros are replaced
-//! by distances to the next zero, so that a zero on the line can only be the end of a packet.
+//! Consistent overhead byte stuffing (Cheshire and Baker, IEEE/ACM Transactions on Networking 7, 1999): zeros are
+//! replaced by distances to the next zero, so that a zero on the line can only be the end of a packet.
 
 /// A group of this code holds 254 bytes and no zero after them.
 const FULL: u8 = 0xff;

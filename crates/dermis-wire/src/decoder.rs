@@ -16,8 +16,8 @@ pub struct DecoderCounters {
 /// Cuts a stream of bytes into packets and packets into messages.
 ///
 /// Memory is what the caller gave: an array in firmware, a vector on a host. It must hold a packet as stuffed
-/// ([`encoded_len`](crate::encoded_len)); a longer one is reported once and skipped. Whatever bytes come, every packet that
-/// is whole and stands between two delimiters is found: after garbage, the next delimiter starts afresh.
+/// ([`encoded_len`](crate::encoded_len)); a longer one is reported once and skipped. Whatever bytes come, every packet
+/// that is whole and stands between two delimiters is found: after garbage, the next delimiter starts afresh.
 #[derive(Debug, Clone)]
 pub struct Decoder<B> {
     buffer: B,

@@ -1,5 +1,5 @@
-//! Numbers as they lie on the line (little-endian) or in the sender's memory, behind one interface, so that neither side
-//! copies them before it must.
+//! Numbers as they lie on the line (little-endian) or in the sender's memory, behind one interface, so that neither
+//! side copies them before it must.
 
 /// A number with a fixed little-endian form.
 pub trait Scalar: Copy + PartialEq {

@@ -82,8 +82,8 @@ pub struct Hello {
     pub highest_version: u8,
 }
 
-/// What a device is and how it is set. Sent in answer to [`Hello`], when the device has started (unasked, so that the host
-/// learns of a reset), and before the first frame that is made otherwise than described last.
+/// What a device is and how it is set. Sent in answer to [`Hello`], when the device has started (unasked, so that the
+/// host learns of a reset), and before the first frame that is made otherwise than described last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Describe<'a> {
     /// That of the hello; 0 where nobody asked.
@@ -212,15 +212,15 @@ pub struct Frame<'a> {
 
 /// Readings `first` and following of a frame that is sent in parts, by a device that does not hold a whole one.
 ///
-/// Parts come in order, each beginning where the one before ended; one with `first` 0 begins a frame, and begins it anew
-/// where another of the same number was not finished. The frame is whole with the part that ends at `total`.
+/// Parts come in order, each beginning where the one before ended; one with `first` 0 begins a frame, and begins it
+/// anew where another of the same number was not finished. The frame is whole with the part that ends at `total`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Part<'a> {
     /// Index of the part's first reading in the frame.
     pub first: u16,
     /// Readings of the whole frame.
     pub total: u16,
-    /// The readings: number of the frame, time of the part's first reading, what happened during this part, gain and scale
-    /// of this part.
+    /// The readings: number of the frame, time of the part's first reading, what happened during this part, gain and
+    /// scale of this part.
     pub readings: Frame<'a>,
 }

@@ -44,7 +44,8 @@ fn found<'a>(pieces: impl Iterator<Item = &'a [u8]>, channels: usize) -> Vec<u32
     sequences
 }
 
-/// A small generator for long runs, for which drawing every byte by proptest would be slow: xorshift of Marsaglia (2003).
+/// A small generator for long runs, for which drawing every byte by proptest would be slow: xorshift of Marsaglia
+/// (2003).
 struct Bytes(u64);
 
 impl Bytes {
@@ -73,8 +74,8 @@ fn decode_random(chunks: usize, seed: u64) -> u64 {
 
 #[test]
 fn sixteen_million_random_bytes_hold_no_message() {
-    // By chance one packet in 2^32 has the right checksum; a zero stands at every 256th place on average, so that these are
-    // 2^16 packets, and neighbouring zeros hold nothing.
+    // By chance one packet in 2^32 has the right checksum; a zero stands at every 256th place on average, so that these
+    // are 2^16 packets, and neighbouring zeros hold nothing.
     let bad = decode_random(4096, 0x9e37_79b9_7f4a_7c15);
     assert!((64_000..66_500).contains(&bad), "{bad}");
 }
@@ -86,7 +87,8 @@ fn a_billion_random_bytes_hold_no_message() {
     assert!((3_900_000..4_100_000).contains(&bad), "{bad}");
 }
 
-/// A long stream of frames of which many are damaged: what is found is every frame that was left alone, as often as it came.
+/// A long stream of frames of which many are damaged: what is found is every frame that was left alone, as often as it
+/// came.
 fn decode_damaged(frames: u32, seed: u64) {
     let mut random = Bytes(seed);
     let mut below = |limit: usize| (random.next() >> 33) as usize % limit;

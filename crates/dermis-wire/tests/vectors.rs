@@ -1,5 +1,5 @@
-//! The test vectors of the book's chapter on the wire: what is printed there is what this crate sends and reads. They were
-//! made by another program with another checksum (zlib's) and another stuffing.
+//! The test vectors of the book's chapter on the wire: what is printed there is what this crate sends and reads. They
+//! were made by another program with another checksum (zlib's) and another stuffing.
 
 use std::collections::BTreeMap;
 

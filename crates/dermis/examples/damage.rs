@@ -1,5 +1,5 @@
-//! A sandwich skin is cut, pressed on the cut, released, and healed in time-lapse; what the pipeline tells of it is printed,
-//! and the images against the intact skin are drawn side by side.
+//! A sandwich skin is cut, pressed on the cut, released, and healed in time-lapse; what the pipeline tells of it is
+//! printed, and the images against the intact skin are drawn side by side.
 //!
 //! `cargo run --release -p dermis --example damage -- damage.svg`
 

@@ -1,5 +1,5 @@
-//! A simulated board: chips that obey their data sheets behind embedded-hal's traits, a clock that goes on with every bit on a
-//! bus, and an analogue side that the test gives. And a host that is connected to it.
+//! A simulated board: chips that obey their data sheets behind embedded-hal's traits, a clock that goes on with every
+//! bit on a bus, and an analogue side that the test gives. And a host that is connected to it.
 #![allow(dead_code)]
 
 use std::cell::RefCell;

@@ -1,5 +1,5 @@
-//! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with a hole off its
-//! centre. Lengths of the problem sheet in millimetres, origin at the plate's corner.
+//! TEAM Workshop Problem 7 (Fujiwara and Nakata, COMPEL 9, 1990): a racetrack coil over an aluminium plate with a hole
+//! off its centre. Lengths of the problem sheet in millimetres, origin at the plate's corner.
 
 use dermis_mit::edge::{Dipole, EddySystem, EdgeMesh, Material, Order, Source, Wires, box_mesh};
 use dermis_mit::{MitError, Segment};
@@ -35,8 +35,8 @@ fn gauss(count: usize) -> Vec<(f64, f64)> {
     (0..count).map(node).collect()
 }
 
-/// The coil as closed polygons: `across` by `along` of them in its section, `bend` pieces in each corner, whose length is that
-/// of the arc.
+/// The coil as closed polygons: `across` by `along` of them in its section, `bend` pieces in each corner, whose length
+/// is that of the arc.
 pub fn coil(across: usize, along: usize, bend: usize) -> Wires {
     let mut wires = Vec::new();
     for (t, t_weight) in gauss(across) {
@@ -97,8 +97,8 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
     })
 }
 
-/// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. The value at
-/// phase 90 is that a quarter of a period later: with `e^{j w t}`, minus the imaginary part.
+/// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. The value
+/// at phase 90 is that a quarter of a period later: with `e^{j w t}`, minus the imaginary part.
 pub fn flux_density(mesh: &EdgeMesh, frequency_hz: f64) -> Result<Vec<[f64; 4]>, MitError> {
     let plate = Material { conductivity_s_per_m: CONDUCTIVITY_S_PER_M, relative_permeability: 1.0 };
     let system = EddySystem::new(mesh, &[plate], frequency_hz, Order::Second)?;

@@ -1,5 +1,5 @@
-//! `dermis bench`: what the numerical work costs on this machine, one core. Criterion's benches in the repository measure
-//! the same with statistics, and against peers.
+//! `dermis bench`: what the numerical work costs on this machine, one core. Criterion's benches in the repository
+//! measure the same with statistics, and against peers.
 
 use dermis::live::imager::Imager;
 use dermis::live::reference::Reference;

@@ -8,6 +8,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::Context;
 use dermis::lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
 use dermis::lab::twin_sample::{random_presses, sample_tables};
+use dermis::live::calibrate::calibrate;
 use dermis::live::calibration::{
     Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes, find_circuit, read_pokes, relative_changes,
 };
@@ -59,8 +60,8 @@ pub struct Arguments {
     /// Its number of channels.
     #[arg(long, value_name = "N", requires = "outline_mm")]
     channels: Option<usize>,
-    /// Where its skin file goes, whose name is the skin's; without --positions, where the skin file with the circuit found
-    /// goes.
+    /// Where its skin file goes, whose name is the skin's; without --positions, where the skin file with the circuit
+    /// found goes.
     #[arg(long, value_name = "FILE.toml")]
     write_skin: Option<PathBuf>,
     /// Frames of the untouched skin: one or more for all pokes, or one before each.
@@ -204,7 +205,7 @@ impl Arguments {
         let Some(path) = &self.out else { return Ok(Outcome::Done) };
         let spinner = spinner("fitting the calibration");
         let options = CalibrationOptions { physics: !self.no_physics, start: &sisters };
-        let calibration = Calibration::fit_with(&prepared, measured.as_pokes(), &pokes, &options);
+        let calibration = calibrate(&prepared, measured.as_pokes(), &pokes, &options);
         spinner.finish_and_clear();
         let calibration = calibration?;
         calibration.save(path)?;
@@ -290,9 +291,13 @@ impl Arguments {
         let positions_m = presses.iter().map(|press| press[0].centre_m).collect();
         let pokes = Pokes { positions_m, loads: None };
         let busy = busy("fitting the calibration".into());
-        let calibration = Calibration::fit(&prepared, &baselines?, &frames?, &pokes)?;
+        let (baselines, frames) = (baselines?, frames?);
+        let measured = PokeFrames::Readings { baselines: &baselines, frames: &frames };
+        let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default())?;
         calibration.save(path)?;
         busy.finish();
+        print_pokes(&calibration, out)?;
+        print_experts(skin, &calibration, false, false, out)?;
         self.print(&prepared, &calibration, out)?;
         writeln!(out, "written: {}; of the twin, not of a skin that was measured", path.display())?;
         Ok(())
@@ -418,6 +423,9 @@ fn print_experts(
     out: &mut dyn Write,
 ) -> std::io::Result<()> {
     let Some(report) = calibration.experts() else { return Ok(()) };
+    if calibration.correction().is_some() {
+        writeln!(out, "touches are placed by the skin's model, corrected by the pokes; by pokes alone:")?;
+    }
     let expert = |used: bool, a: &Accuracy| {
         let used = if used { "used" } else { "not used" };
         format!("median {:.2} mm, 90th percentile {:.2} mm, {used}", 1e3 * a.median_m, 1e3 * a.p90_m)

@@ -1,5 +1,5 @@
-//! `dermis record`: acquire into a file, without a page. The frames also go through the pipeline, whose images, touches and
-//! baselines stand beside them in the recording.
+//! `dermis record`: acquire into a file, without a page. The frames also go through the pipeline, whose images, touches
+//! and baselines stand beside them in the recording.
 
 use std::io::Write;
 use std::ops::ControlFlow;

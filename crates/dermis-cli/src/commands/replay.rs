@@ -1,5 +1,5 @@
-//! `dermis replay`: a recording through the live pipeline again, with the times, commands and calibrations that it was made
-//! with, or imaged otherwise.
+//! `dermis replay`: a recording through the live pipeline again, with the times, commands and calibrations that it was
+//! made with, or imaged otherwise.
 
 use std::io::Write;
 use std::ops::ControlFlow;

@@ -1,5 +1,5 @@
-//! What a workshop's errors come to, for people: a table in the terminal, CSV files, a picture of the map, and one page of HTML
-//! that holds all of it and needs nothing else.
+//! What a workshop's errors come to, for people: a table in the terminal, CSV files, a picture of the map, and one page
+//! of HTML that holds all of it and needs nothing else.
 
 use std::fmt::Write as _;
 use std::io::Write;

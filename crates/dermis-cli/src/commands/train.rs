@@ -65,8 +65,8 @@ pub struct Arguments {
     /// --epochs 0 they stay as they are, and are judged and given a card.
     #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
-    /// Factors that the input images are multiplied by, commas between; where left out those of the model to begin with, or
-    /// those that bring each image to a root mean square of 1.
+    /// Factors that the input images are multiplied by, commas between; where left out those of the model to begin
+    /// with, or those that bring each image to a root mean square of 1.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
     input_scale: Vec<f32>,
 }

@@ -1,5 +1,5 @@
-//! `dermis twin`: a skin's digital twin behind the wire that real instruments speak, for whoever connects, or pressed as a
-//! table says.
+//! `dermis twin`: a skin's digital twin behind the wire that real instruments speak, for whoever connects, or pressed
+//! as a table says.
 
 use std::io::{BufRead, Read, Write};
 use std::net::{SocketAddr, TcpListener};

@@ -1,6 +1,6 @@
-//! Who may use the page. A request must name a host that this server goes by (else a site could point its own name here:
-//! DNS rebinding), must come from the page itself where the browser says from where, and must carry the token where there
-//! is one.
+//! Who may use the page. A request must name a host that this server goes by (else a site could point its own name
+//! here: DNS rebinding), must come from the page itself where the browser says from where, and must carry the token
+//! where there is one.
 
 use std::fmt;
 use std::hint::black_box;
@@ -49,7 +49,8 @@ impl Token {
     /// A token chosen elsewhere.
     ///
     /// # Errors
-    /// [`PageError::TokenUnfit`] when it has fewer than [`Self::LEAST_CHARACTERS`], or others than letters, digits, `-`, `_`.
+    /// [`PageError::TokenUnfit`] when it has fewer than [`Self::LEAST_CHARACTERS`], or others than letters, digits,
+    /// `-`, `_`.
     pub fn new(text: impl Into<String>) -> Result<Self, PageError> {
         let text = text.into();
         let is_fit = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_');
@@ -82,7 +83,8 @@ impl Access {
     /// Rules for a server at `address` (its real port), also known as `others`.
     ///
     /// # Errors
-    /// [`PageError::TokenMissing`] beyond loopback without a token; [`PageError::HostUnfit`] for a host with scheme, port or path.
+    /// [`PageError::TokenMissing`] beyond loopback without a token; [`PageError::HostUnfit`] for a host with scheme,
+    /// port or path.
     pub(super) fn new(address: SocketAddr, token: Option<Token>, others: &[String]) -> Result<Self, PageError> {
         let ip = address.ip().to_canonical();
         if !ip.is_loopback() && token.is_none() {

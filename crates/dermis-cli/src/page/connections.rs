@@ -1,5 +1,5 @@
-//! Connections before they are pages: whoever opens one and does not send a whole request head in time is cut off, and where
-//! all places are taken the one that has been silent longest gives its place up.
+//! Connections before they are pages: whoever opens one and does not send a whole request head in time is cut off, and
+//! where all places are taken the one that has been silent longest gives its place up.
 
 use std::collections::VecDeque;
 use std::future::Future;

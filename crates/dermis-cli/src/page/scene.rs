@@ -1,4 +1,5 @@
-//! What does not change while a skin runs: its shape, electrodes, image grid, channels and units. Sent once to each page.
+//! What does not change while a skin runs: its shape, electrodes, image grid, channels and units. Sent once to each
+//! page.
 
 use serde::Serialize;
 
@@ -17,8 +18,8 @@ pub struct Scene {
     pub is_treatable: bool,
     /// Closed rings, without repeating the first point: the outer boundary first, then holes.
     pub outline_mm: Vec<Vec<[f64; 2]>>,
-    /// Diameter of the cylinder that the sheet is bent on, its axis along y behind the sheet; none where it is flat. All other
-    /// lengths are those of the sheet laid flat.
+    /// Diameter of the cylinder that the sheet is bent on, its axis along y behind the sheet; none where it is flat.
+    /// All other lengths are those of the sheet laid flat.
     pub bend_diameter_mm: Option<f64>,
     /// Electrodes (or coils) in the order of their numbers.
     pub electrodes: Vec<ElectrodeView>,
@@ -83,7 +84,8 @@ pub struct PressLimits {
 
 impl Default for PressLimits {
     fn default() -> Self {
-        // The indenter (20 mm across) and pressure with which self-healing skins were tested, in the middle of the sliders.
+        // The indenter (20 mm across) and pressure with which self-healing skins were tested, in the middle of the
+        // sliders.
         Self { radius_mm: [2.0, 30.0], pressure_kpa: [0.0, 200.0], initial_radius_mm: 10.0, initial_pressure_kpa: 80.0 }
     }
 }

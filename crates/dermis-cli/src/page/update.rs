@@ -191,7 +191,8 @@ pub struct TouchView {
     pub sigma_y_mm: f64,
     /// Normal force, newtons, where a calibration gives one.
     pub force_n: Option<f64>,
-    /// Where `force_n` lies in its calibration: `within`; `below`, `above` or `saturated`, where it is the end of the range.
+    /// Where `force_n` lies in its calibration: `within`; `below`, `above` or `saturated`, where it is the end of the
+    /// range.
     pub force_range: Option<&'static str>,
 }
 

@@ -1,11 +1,11 @@
-//! Instruments that send the readings of frame after frame as little-endian single-precision numbers and nothing else, as
-//! programs on a Red Pitaya do over TCP. Where a frame ends is known from the number of channels alone, so that this is for
-//! connections that lose no bytes and begin with a frame's first reading. A sender that pauses between frames and stops within
-//! one is caught by that: the connection is made anew, as nothing tells where the next frame begins.
+//! Instruments that send the readings of frame after frame as little-endian single-precision numbers and nothing else,
+//! as programs on a Red Pitaya do over TCP. Where a frame ends is known from the number of channels alone, so that this
+//! is for connections that lose no bytes and begin with a frame's first reading. A sender that pauses between frames
+//! and stops within one is caught by that: the connection is made anew, as nothing tells where the next frame begins.
 //!
-//! A sender may put a header before each frame, which tells where frames begin, how many are missing and whether one is whole:
-//! the letters `DRMF`, the number of channels and the number of the frame as `u16`, the CRC-32 of the readings as `u32`. Whether
-//! there are headers is known from the first four bytes of a connection.
+//! A sender may put a header before each frame, which tells where frames begin, how many are missing and whether one is
+//! whole: the letters `DRMF`, the number of channels and the number of the frame as `u16`, the CRC-32 of the readings
+//! as `u32`. Whether there are headers is known from the first four bytes of a connection.
 
 use std::time::Duration;
 

@@ -1,6 +1,6 @@
-//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do. Numbers are
-//! separated by commas, semicolons or blanks; words and what stands before a colon are no numbers. Frames are not numbered,
-//! so that lost ones are not known.
+//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do.
+//! Numbers are separated by commas, semicolons or blanks; words and what stands before a colon are no numbers. Frames
+//! are not numbered, so that lost ones are not known.
 
 use std::time::Duration;
 

@@ -2,8 +2,8 @@
 //!
 //! The first line counts the header's lines, itself included; then, in fixed places, version, name, date, frequencies,
 //! amplitude and rate, and further down the measuring channels under their name. After the header, each injection is a
-//! line with the two electrode numbers (current in, current out) and a line of real and imaginary parts in volts, either
-//! of the measuring channels or of all channels that the instrument has.
+//! line with the two electrode numbers (current in, current out) and a line of real and imaginary parts in volts,
+//! either of the measuring channels or of all channels that the instrument has.
 
 use std::collections::HashSet;
 use std::fs;

@@ -6,8 +6,9 @@ use std::io::{self, ErrorKind, Read, Write};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-/// The board's end of a pseudo-terminal. Nothing here blocks: without bytes, or without room for them, reading and writing
-/// end with [`ErrorKind::WouldBlock`], and while nobody has the other end open with [`ErrorKind::NotConnected`].
+/// The board's end of a pseudo-terminal. Nothing here blocks: without bytes, or without room for them, reading and
+/// writing end with [`ErrorKind::WouldBlock`], and while nobody has the other end open with
+/// [`ErrorKind::NotConnected`].
 #[derive(Debug)]
 pub struct Pty {
     master: File,

@@ -1,5 +1,5 @@
-//! Connections whose time limits hang on what the device does and not on the speed of the machine: a device counts as silent
-//! only after the test has said that it stalls, and for a dialogue no time passes.
+//! Connections whose time limits hang on what the device does and not on the speed of the machine: a device counts as
+//! silent only after the test has said that it stalls, and for a dialogue no time passes.
 
 use std::io;
 use std::sync::Arc;

@@ -1,5 +1,5 @@
-//! Are two electrodes exchanged? The model's voltages with every pair of electrodes exchanged, by the transfer impedances of
-//! one solution, `v = m' Z s`, compared with the measured baseline.
+//! Are two electrodes exchanged? The model's voltages with every pair of electrodes exchanged, by the transfer
+//! impedances of one solution, `v = m' Z s`, compared with the measured baseline.
 
 use dermis_tomo::eit::{ForwardModel, Pattern};
 

@@ -1,5 +1,5 @@
-//! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5 g
-//! each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
+//! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5
+//! g each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
 
 use dermis_touch::measure::hysteresis as hysteresis_of;
 use dermis_touch::rhythm::SpectrumAnalyser;
@@ -437,15 +437,16 @@ fn through_the_centre(images: &[Vec<f32>], columns: usize) -> Vec<ImagePanel> {
 const SNR_DB: f64 = 59.7;
 const SNR_FRAMES: f64 = 100.0;
 
-/// Noise in proportion to each reading at which the paper's formula as printed, `10 log10(mean / deviation)`, gives its figure:
-/// the mean logarithm of a deviation estimated from n + 1 frames is low by `1/(2n) + 1/(6n^2)`.
+/// Noise in proportion to each reading at which the paper's formula as printed, `10 log10(mean / deviation)`, gives its
+/// figure: the mean logarithm of a deviation estimated from n + 1 frames is low by `1/(2n) + 1/(6n^2)`.
 fn printed_noise() -> f64 {
     let n = SNR_FRAMES - 1.0;
     let logarithm = SNR_DB / 10.0 * std::f64::consts::LN_10 + (-0.5 / n - 1.0 / (6.0 * n * n));
     (-logarithm).exp()
 }
 
-/// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of amplitudes.
+/// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of
+/// amplitudes.
 fn noise() -> Result<Report, Error> {
     let at_rest = |noise_share, definition| -> Result<f64, Error> {
         let mut skin = Skin::open(SKIN)?;

@@ -1,5 +1,5 @@
-//! Experiments P1 to P3 of the piezoresistive skins (paper P: one backend for frontends of several shapes). The contact's
-//! one free parameter is fitted on the square's P1; the disc's and both of P2 follow.
+//! Experiments P1 to P3 of the piezoresistive skins (paper P: one backend for frontends of several shapes). The
+//! contact's one free parameter is fitted on the square's P1; the disc's and both of P2 follow.
 
 use dermis_skin::Skin;
 use dermis_twin::from_skin::{instrument_options, patched_options};
@@ -84,8 +84,8 @@ fn discernment() -> Result<Report, Error> {
 /// Half the width of a box, pascals.
 const BOX_PA: f64 = 5.0;
 
-/// A box from the lower to the upper quartile of five values, with the median and whiskers to the extremes, as one line that
-/// breaks where a coordinate is not a number.
+/// A box from the lower to the upper quartile of five values, with the median and whiskers to the extremes, as one line
+/// that breaks where a coordinate is not a number.
 fn box_of(x: f64, mut values: [f64; 5]) -> Vec<[f64; 2]> {
     values.sort_by(f64::total_cmp);
     let [least, lower, median, upper, most] = values;

@@ -1,5 +1,5 @@
-//! Skins as they are built: electrodes a little off their places and of other widths, contacts of other impedances, meshed
-//! differently from the model that images are made with, so that no simulation is ever inverted by itself.
+//! Skins as they are built: electrodes a little off their places and of other widths, contacts of other impedances,
+//! meshed differently from the model that images are made with, so that no simulation is ever inverted by itself.
 
 use dermis_tomo::mesh::ElectrodeShape;
 use rand::Rng;
@@ -42,8 +42,8 @@ pub(super) fn normal(deviation: f64, random: &mut StdRng) -> f64 {
     Normal::new(0.0, deviation.max(0.0)).map_or(0.0, |normal| normal.sample(random))
 }
 
-/// A jittered body, of 0.55 to 0.9 times the reconstruction's elements: another mesh, and a quick one. Where electrodes would leave the skin or touch each
-/// other, they are moved half as far, and so on.
+/// A jittered body, of 0.55 to 0.9 times the reconstruction's elements: another mesh, and a quick one. Where electrodes
+/// would leave the skin or touch each other, they are moved half as far, and so on.
 pub(super) fn body(skin: &Skin, jitter: &Jitter, random: &mut StdRng) -> Result<SkinBody, Error> {
     let elements = (skin.imaging.elements as f64 * random.random_range(0.55..0.9)) as usize;
     let (low, high) = skin.outline().bounds_m();
@@ -81,8 +81,8 @@ fn moved(shape: &ElectrodeShape, draw: &[f64; 3], share: f64, half_m: f64) -> El
             ElectrodeShape::PadCircle { centre_m: [x + along, y + across], radius_m: factor * radius_m }
         }
         ElectrodeShape::PadRectangle { centre_m: [x, y], width_m, height_m, angle_rad } => {
-            // Pads may lie flush with the rim: smaller ones, moved inward, never leave the skin. What is left between pad
-            // and rim is a multiple of a step, since a mesh that fills a sliver has any number of elements.
+            // Pads may lie flush with the rim: smaller ones, moved inward, never leave the skin. What is left between
+            // pad and rim is a multiple of a step, since a mesh that fills a sliver has any number of elements.
             let factor = factor.min(1.0);
             let grain_m = GRAIN * half_m;
             let inward = |at: f64, side_m: f64, step: f64| {

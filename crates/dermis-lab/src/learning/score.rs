@@ -1,6 +1,7 @@
-//! The score of the Kuopio Tomography Challenge 2023: for each of the two classes the structural similarity (Wang et al.,
-//! IEEE Trans. Image Processing 13, 2004, eq. 13) between true and found mask, its local means and variances weighted by a
-//! Gaussian of 80 pixels cut at 160 and normalised by its sum inside the image, averaged over all pixels; the mean of both.
+//! The score of the Kuopio Tomography Challenge 2023: for each of the two classes the structural similarity (Wang et
+//! al., IEEE Trans. Image Processing 13, 2004, eq. 13) between true and found mask, its local means and variances
+//! weighted by a Gaussian of 80 pixels cut at 160 and normalised by its sum inside the image, averaged over all pixels;
+//! the mean of both.
 
 use dermis_learn::scene::{LOWERED, RAISED};
 

@@ -1,5 +1,6 @@
-//! Recorded frames to labels, offline: what `dermis segment` does. With a model, the network's probabilities decide; a frame
-//! unlike those that it was trained on, and every frame where there is no model, is labelled by thresholds on its image.
+//! Recorded frames to labels, offline: what `dermis segment` does. With a model, the network's probabilities decide; a
+//! frame unlike those that it was trained on, and every frame where there is no model, is labelled by thresholds on its
+//! image.
 
 use dermis_live::imager::Imager;
 use dermis_live::imager::Refiner;
@@ -99,7 +100,8 @@ const MOST_PIXELS: usize = 4096;
 /// Labels all frames and writes what was asked for; `progress` is told how many of how many steps are done.
 ///
 /// # Errors
-/// Files that cannot be read or do not fit the skin, a model of another skin or damaged, outputs that cannot be written.
+/// Files that cannot be read or do not fit the skin, a model of another skin or damaged, outputs that cannot be
+/// written.
 pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> Result<Vec<Segmented>, Error> {
     let refuse = |what: &str, expected: &str, got: String| {
         Err(Error::Frames { what: what.into(), expected: expected.into(), got })
@@ -181,7 +183,8 @@ impl<'a> Segmenter<'a> {
         Ok(Self { prepared, reference, network, label_size, outside, keeps_probabilities: false })
     }
 
-    /// Keeps the probabilities of labelled frames, classes x pixels of the labels; they take much more memory than labels.
+    /// Keeps the probabilities of labelled frames, classes x pixels of the labels; they take much more memory than
+    /// labels.
     pub fn keep_probabilities(&mut self) {
         self.keeps_probabilities = true;
     }

@@ -1,6 +1,6 @@
 //! What solves a scene for the voltages of a simulated skin: one sheet whose conductivity inclusions change, or, for
-//! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches are
-//! joined through the shortcut, which no change of the sheet's conductivity can imitate.
+//! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches
+//! are joined through the shortcut, which no change of the sheet's conductivity can imitate.
 
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
@@ -12,8 +12,8 @@ use rand::rngs::StdRng;
 use crate::Error;
 use dermis_skin::Skin;
 
-/// Contact conductance of the faintest and the firmest touch, S/m^2: with a sheet of 5 mS current turns into the shortcut
-/// within 13 and 1.3 mm.
+/// Contact conductance of the faintest and the firmest touch, S/m^2: with a sheet of 5 mS current turns into the
+/// shortcut within 13 and 1.3 mm.
 const CONTACT_S_PER_M2: [f64; 2] = [30.0, 3000.0];
 /// Width over which a touch fades at its rim, metres, and the exponent with which it does: pressure spreads on its way
 /// through the layers, and contact follows it by a power law.
@@ -67,8 +67,8 @@ impl Solver {
         Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s })
     }
 
-    /// Voltages of the protocol's channels. How firm touches are and how wide cuts gape is drawn where the scene leaves it
-    /// open.
+    /// Voltages of the protocol's channels. How firm touches are and how wide cuts gape is drawn where the scene leaves
+    /// it open.
     ///
     /// # Errors
     /// A problem that cannot be solved, as when a cut isolates an electrode.
@@ -95,8 +95,8 @@ impl Solver {
     }
 }
 
-/// What lowers the sheet's conductance: strokes are cuts, which slit it where its edges can follow them and are blocked where
-/// not; other figures conduct a share.
+/// What lowers the sheet's conductance: strokes are cuts, which slit it where its edges can follow them and are blocked
+/// where not; other figures conduct a share.
 fn damaged(
     scene: &Scene,
     paths: &SlitPaths,

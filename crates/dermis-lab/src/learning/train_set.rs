@@ -1,6 +1,6 @@
-//! Training sets: random scenes on jittered skins, solved on another mesh than the reconstruction's, read by an instrument
-//! with gain, drift and noise, some electrodes lost, and imaged as live frames are. Each shard has a skin, an instrument and
-//! a set of lost electrodes of its own; it depends on the seed and its number only.
+//! Training sets: random scenes on jittered skins, solved on another mesh than the reconstruction's, read by an
+//! instrument with gain, drift and noise, some electrodes lost, and imaged as live frames are. Each shard has a skin,
+//! an instrument and a set of lost electrodes of its own; it depends on the seed and its number only.
 
 use dermis_live::reference::Reference;
 use std::path::Path;
@@ -115,7 +115,8 @@ impl TrainSetRequest {
     }
 }
 
-/// Simulates a training set into a folder, or what is missing of it; `progress` is told the samples done and all samples.
+/// Simulates a training set into a folder, or what is missing of it; `progress` is told the samples done and all
+/// samples.
 ///
 /// # Errors
 /// A request that makes no sense, a folder that holds another set or cannot be written, forward problems that cannot be

@@ -75,8 +75,8 @@ enum SaidFault {
     FramesRepeated(f64),
 }
 
-/// The command that a line means; none for an empty one. Forces spread evenly over the indenter, of the skin's usual radius
-/// where none is given. Whether the skin and its instrument have what a command names, the twin says.
+/// The command that a line means; none for an empty one. Forces spread evenly over the indenter, of the skin's usual
+/// radius where none is given. Whether the skin and its instrument have what a command names, the twin says.
 ///
 /// # Errors
 /// What was expected instead, with the line.

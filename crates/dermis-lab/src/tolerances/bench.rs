@@ -3,6 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
+use dermis_live::calibrate::single_touches;
 use dermis_live::calibration::{CalibratedImager, Calibration, Pokes};
 use dermis_live::imager::{Imager, operator_needs_no_baseline};
 use dermis_live::prepare::Prepared;
@@ -11,6 +12,7 @@ use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
 use dermis_skin::{Skin, WeightChoice};
 use dermis_touch::Observation;
+use dermis_touch::locator::SeenPoke;
 use dermis_twin::from_skin::MeshSizes;
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
@@ -234,14 +236,16 @@ impl Bench {
             Reader::Model => {
                 let (mut reconstructor, reference) = self.by_model(&baseline, &sample.absent)?;
                 let presses = self.look(&mut reconstructor, &reference, &frames)?;
-                let refinement = std::mem::replace(&mut reconstructor.refinement, Refinement::none());
-                self.refinements.lock().unwrap_or_else(PoisonError::into_inner).push(refinement);
+                self.keep(&mut reconstructor);
                 Ok(vec![presses])
             }
             Reader::Pokes(counts) => {
+                let seen = self.seen_pokes(&baseline, &pokes, &sample.absent)?;
                 let by_pokes = |count: &usize| {
-                    let (mut reconstructor, reference) = self.by_pokes(&baseline, &pokes[..*count])?;
-                    self.look(&mut reconstructor, &reference, &frames)
+                    let (mut reconstructor, reference) = self.by_pokes(&baseline, &pokes[..*count], &seen[..*count])?;
+                    let presses = self.look(&mut reconstructor, &reference, &frames)?;
+                    self.keep(&mut reconstructor);
+                    Ok(presses)
                 };
                 counts.iter().map(by_pokes).collect()
             }
@@ -344,7 +348,7 @@ impl Bench {
     }
 
     fn refinement(&self, noise: &[f64]) -> Result<Refinement, Error> {
-        if !Refinement::is_wanted(&self.prepared, false) {
+        if !Refinement::is_wanted(&self.prepared, None) {
             return Ok(Refinement::none());
         }
         let idle = self.refinements.lock().unwrap_or_else(PoisonError::into_inner).pop();
@@ -354,6 +358,32 @@ impl Bench {
         };
         refinement.renew(&self.prepared, noise)?;
         Ok(refinement)
+    }
+
+    /// Keeps what refines touches for the next sample.
+    fn keep(&self, reconstructor: &mut Reconstructor) {
+        if reconstructor.refinement.refines() {
+            let refinement = std::mem::replace(&mut reconstructor.refinement, Refinement::none());
+            self.refinements.lock().unwrap_or_else(PoisonError::into_inner).push(refinement);
+        }
+    }
+
+    /// Pokes as the skin file's model alone sees them.
+    fn seen_pokes(
+        &self,
+        baseline: &[Vec<f64>],
+        poked: &[Poked],
+        absent: &[u32],
+    ) -> Result<Vec<Option<SeenPoke>>, Error> {
+        let (mut reconstructor, reference) = self.by_model(baseline, absent)?;
+        let differences: Vec<Vec<f64>> = poked.iter().map(|(_, frame)| reference.difference(frame, None)).collect();
+        let touches = single_touches(&mut reconstructor, &self.prepared, differences.iter().map(|d| &d[..]))?;
+        self.keep(&mut reconstructor);
+        let poke = |((truth_m, _), touch): (&Poked, Option<([f64; 2], f64)>)| {
+            let (seen_m, amplitude) = touch?;
+            Some(SeenPoke { seen_m, amplitude, truth_m: *truth_m, load_share: 1.0 })
+        };
+        Ok(poked.iter().zip(touches).map(poke).collect())
     }
 
     /// Pokes at the first so many places of their own, with the frame of each.
@@ -366,16 +396,26 @@ impl Bench {
         Ok(poked)
     }
 
-    fn by_pokes(&self, baseline: &[Vec<f64>], poked: &[Poked]) -> Result<(Reconstructor, Reference), Error> {
+    fn by_pokes(
+        &self,
+        baseline: &[Vec<f64>],
+        poked: &[Poked],
+        seen: &[Option<SeenPoke>],
+    ) -> Result<(Reconstructor, Reference), Error> {
         let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
         let pokes = Pokes { positions_m, loads: None };
         // One frame too few to be taken for the pokes' own baselines.
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };
-        let calibration = Calibration::fit(&self.prepared, baseline, &frames, &pokes)?;
+        let mut calibration = Calibration::fit(&self.prepared, baseline, &frames, &pokes)?;
+        calibration.try_model(seen, &self.prepared)?;
         let reference = self.reference(baseline)?;
         let data: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
         let made = CalibratedImager::new(&self.prepared, Some(&calibration), reference, &data)?;
-        let reconstructor = Reconstructor::new(&self.prepared, made.imager, made.placement, Refinement::none())?;
+        let refinement = match calibration.correction() {
+            Some(_) => self.refinement(&made.reference.noise)?,
+            None => Refinement::none(),
+        };
+        let reconstructor = Reconstructor::new(&self.prepared, made.imager, made.placement, refinement)?;
         Ok((reconstructor, made.reference))
     }
 

@@ -22,7 +22,7 @@ pub struct CalibratedImager {
 }
 
 impl CalibratedImager {
-    /// The imager for a reference: on the measured Jacobian where there is a calibration, else on the model's.
+    /// The imager for a reference: on the measured Jacobian where a calibration places touches, else on the model's.
     ///
     /// # Errors
     /// As [`Imager::new`]; a calibration of another skin.
@@ -43,18 +43,31 @@ impl CalibratedImager {
             return Ok(Self { imager, reference, placement: None });
         };
         calibration.check(prepared)?;
+        if calibration.correction().is_some() {
+            let imager = Imager::new(prepared, &reference, data)?;
+            let placement = Some(learnt_finder(prepared, calibration, &reference)?);
+            return Ok(Self { imager, reference, placement });
+        }
         let measured = calibration.measured_jacobian(prepared)?;
         let weighting = weighting(prepared, &reference)?;
         let prior = prepared.prior().matrix(measured.jacobian.as_mat(), &weighting, &prepared.basis)?;
         let problem = LinearProblem::new(measured.jacobian.as_mat(), weighting, prior)?;
         let lambda = problem.choose(&Hyperparameter::Relative(0.1), data)?;
         let imager = Imager::from_problem(prepared, problem, lambda, &reference.noise, 1.0)?;
-        let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
-        let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
-        let finder = LearntFinder::new(calibration, smallest_amplitude);
-        let placement = Some(PlacementFinder::Learnt(Box::new(finder)));
+        let placement = Some(learnt_finder(prepared, calibration, &reference)?);
         Ok(Self { imager, reference, placement })
     }
+}
+
+/// What places touches by a calibration, at the noise of this reference.
+pub(crate) fn learnt_finder(
+    prepared: &Prepared,
+    calibration: &Calibration,
+    reference: &Reference,
+) -> Result<PlacementFinder, Error> {
+    let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
+    let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
+    Ok(PlacementFinder::Learnt(Box::new(LearntFinder::new(calibration, smallest_amplitude))))
 }
 
 /// Refuses a skin whose wiring is unknown: without a calibration nothing can be said of it.

@@ -20,8 +20,8 @@ use crate::reference::{Reference, check_frames};
 
 /// Below this score the model is doubted: another circuit, another order or another layout.
 pub const TRUSTED_SCORE: f64 = 0.75;
-/// A circuit that reads other lines must score less by this. On a measured skin, 500 presses tell them apart by 0.023 and choose
-/// well; 20 presses by 0.002, and choose lines that place worse.
+/// A circuit that reads other lines must score less by this. On a measured skin, 500 presses tell them apart by 0.023
+/// and choose well; 20 presses by 0.002, and choose lines that place worse.
 pub const CLEAR_BY: f64 = 0.01;
 /// A circuit must beat what the file has by this much to take its place.
 const LEAST_GAIN: f64 = 0.005;

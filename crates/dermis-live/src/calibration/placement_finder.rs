@@ -1,5 +1,6 @@
 //! What places the single touch of a frame in a calibrated skin.
 
+use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
@@ -25,6 +26,8 @@ pub enum PlacementFinder {
 pub struct LearntFinder {
     locator: PlaceLocator,
     scratch: PlaceScratch,
+    /// Where the model places touches: what corrects it.
+    correction: Option<PlaceCorrection>,
     /// What the pokes' loads were measured as.
     load: Option<LoadQuantity>,
     /// Root mean square of the noise-weighted frame below which there is no touch.
@@ -42,13 +45,27 @@ impl PlacementFinder {
             PlacementFinder::Matched(finder) => finder.place(difference),
         }
     }
+
+    /// What corrects the places of the model, where that places touches: what is placed here then only tells loads.
+    pub fn correction(&self) -> Option<&PlaceCorrection> {
+        match self {
+            PlacementFinder::Learnt(finder) => finder.correction.as_ref(),
+            PlacementFinder::Matched(_) => None,
+        }
+    }
 }
 
 impl LearntFinder {
     /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
     pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64) -> Self {
         let locator = calibration.locator().clone();
-        Self { scratch: locator.scratch(), load: calibration.load_quantity(), locator, smallest_amplitude }
+        Self {
+            scratch: locator.scratch(),
+            correction: calibration.correction().cloned(),
+            load: calibration.load_quantity(),
+            locator,
+            smallest_amplitude,
+        }
     }
 
     fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {

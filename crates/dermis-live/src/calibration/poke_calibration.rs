@@ -1,12 +1,13 @@
-//! A calibration by pokes at known positions: a measured Jacobian, on which images are made, and a locator, which places
-//! single touches with an honest sigma. With few pokes the locator leans on the physics or on sister skins, with many on
-//! the pokes alone.
+//! A calibration by pokes at known positions: a measured Jacobian, on which images are made, and a locator, which
+//! places single touches with an honest sigma. With few pokes the locator leans on the physics or on sister skins, with
+//! many on the pokes alone.
 
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::locator::{
-    Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, Locator, SessionDrift, SignatureMap, SuggestedPoke,
+    Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, Locator, LocatorError, MIN_EXAMPLES,
+    PlaceCorrection, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke,
 };
 use serde::{Deserialize, Serialize};
 
@@ -17,9 +18,10 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, check_frames};
 
-/// Version of the calibration file; that before had a locator of one expert.
-const VERSION: u32 = 2;
-const VERSION_BEFORE: u32 = 1;
+/// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's places.
+const VERSION_SINGLE: u32 = 1;
+const VERSION_FUSED: u32 = 2;
+const VERSION_BY_MODEL: u32 = 3;
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
 /// Positions of the locator's map lie at most this far apart, relative to half the shorter side.
@@ -32,11 +34,13 @@ const MOST_WEIGHED: usize = 500;
 const WEAK_SHARE: f64 = 0.02;
 /// The part of the frames at rest that stay below the amplitude of rest.
 const REST_SHARE: f64 = 0.95;
-/// A touch is so many times stronger than the noise at rest, than what frames at rest seldom reach; and weak pokes are so
-/// much stronger than the weakest touch that counts, whatever rest does.
+/// A touch is so many times stronger than the noise at rest, than what frames at rest seldom reach; and weak pokes are
+/// so much stronger than the weakest touch that counts, whatever rest does.
 const ABOVE_REST: f64 = 1.6;
 const ABOVE_RECORDED_REST: f64 = 1.2;
 const BELOW_WEAK: f64 = 0.7;
+/// The model places touches only where it sees this part of the pokes as one touch each.
+const SEEN_BY_MODEL: f64 = 0.95;
 /// Fewest pokes in the order they were made that tell of drift.
 const FEWEST_FOR_DRIFT: usize = 40;
 
@@ -93,6 +97,9 @@ pub struct Calibration {
     positions_m: Vec<[f64; 2]>,
     loads: Option<Vec<f64>>,
     locator: PlaceLocator,
+    /// Corrects the places of the skin's model, where that puts pokes nearer than the locator does: the model then
+    /// places touches, and the locator says how hard they are.
+    by_model: Option<PlaceCorrection>,
     /// Pokes that it was fitted to.
     pokes: usize,
     strength: TouchStrength,
@@ -174,6 +181,7 @@ impl Calibration {
             positions_m: places(&kept),
             loads: pokes.loads.as_ref().map(|(_, loads)| kept.iter().map(|&i| loads[i]).collect()),
             locator: PlaceLocator::Fused(Box::new(fused)),
+            by_model: None,
             pokes: rows.len(),
             strength: TouchStrength {
                 weak: quantile(weighed, WEAK_SHARE),
@@ -184,9 +192,37 @@ impl Calibration {
         })
     }
 
+    /// Lets the skin's model place touches, corrected by the pokes, where left-out pokes are nearer that way than by
+    /// the locator (median and 90th percentile together). `seen`: pokes as the model sees them; `None` where it sees no
+    /// touch, or several. Says whether the model places touches now.
+    ///
+    /// # Errors
+    /// Places, amplitudes or loads that are not finite.
+    pub fn try_model(&mut self, seen: &[Option<SeenPoke>], prepared: &Prepared) -> Result<bool, Error> {
+        self.by_model = None;
+        let pokes: Vec<SeenPoke> = seen.iter().copied().flatten().collect();
+        if pokes.len() < MIN_EXAMPLES || (pokes.len() as f64) < SEEN_BY_MODEL * seen.len() as f64 {
+            return Ok(false);
+        }
+        let correction = match PlaceCorrection::fit(&pokes, prepared.half_width_m()) {
+            Ok(correction) => correction.beside(self.locator.leave_one_out()),
+            // Too few pokes near where the model has them: it knows nothing of them.
+            Err(LocatorError::Count { .. }) => return Ok(false),
+            Err(error) => return Err(error.into()),
+        };
+        let total = |report: &LeaveOneOut| report.median_error_m + report.p90_error_m;
+        self.by_model = Some(correction).filter(|c| total(c.leave_one_out()) < total(self.locator.leave_one_out()));
+        Ok(self.by_model.is_some())
+    }
+
+    /// What corrects the places of the skin's model, where the model places touches; `None` where the locator does.
+    pub fn correction(&self) -> Option<&PlaceCorrection> {
+        self.by_model.as_ref()
+    }
+
     /// How well each poke is located by the others.
     pub fn leave_one_out(&self) -> &LeaveOneOut {
-        self.locator.leave_one_out()
+        self.by_model.as_ref().map_or_else(|| self.locator.leave_one_out(), PlaceCorrection::leave_one_out)
     }
 
     /// What each expert makes of the pokes and what physics and sister skins brought; `None` of a file of version 1.
@@ -269,9 +305,9 @@ impl Calibration {
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }
 
-    /// The amplitude below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of the
-    /// noise are less; but more than rest reaches, in the calibration's own frames and with the noise of the session at hand
-    /// (difference data, where it is known), as long as weak touches reach it too.
+    /// The amplitude below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
+    /// the noise are less; but more than rest reaches, in the calibration's own frames and with the noise of the
+    /// session at hand (difference data, where it is known), as long as weak touches reach it too.
     pub(super) fn smallest_amplitude(&self, hold_sigma: f64, session_noise: Option<&[f64]>) -> Result<f64, Error> {
         let strength = self.strength()?;
         let weak = strength.weak.unwrap_or(0.0);
@@ -327,7 +363,10 @@ impl Calibration {
 }
 
 /// The reference of the pokes and their difference data.
-fn differences_of(prepared: &Prepared, measured: PokeFrames<'_>) -> Result<(Reference, Vec<Vec<f64>>), Error> {
+pub(crate) fn differences_of(
+    prepared: &Prepared,
+    measured: PokeFrames<'_>,
+) -> Result<(Reference, Vec<Vec<f64>>), Error> {
     match measured {
         PokeFrames::Differences(frames) => {
             let reference = Reference::of_differences(prepared, frames)?;
@@ -396,7 +435,8 @@ fn map_positions(prepared: &Prepared) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// The stored form of a [`Calibration`]. Exactly one of `locator` (version 1) and `fused` is there.
+/// The stored form of a [`Calibration`]. Exactly one of `locator` (version 1) and `fused` is there, and `by_model` in
+/// version 3.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredCalibration {
@@ -411,6 +451,8 @@ struct StoredCalibration {
     locator: Option<Box<Locator>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fused: Option<Box<FusedLocator>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    by_model: Option<PlaceCorrection>,
     #[serde(default)]
     pokes: Option<usize>,
     #[serde(default)]
@@ -424,12 +466,16 @@ impl TryFrom<StoredCalibration> for Calibration {
 
     fn try_from(stored: StoredCalibration) -> Result<Self, String> {
         let version = stored.version;
-        let locator = match (version, stored.fused, stored.locator) {
-            (VERSION, Some(fused), None) => PlaceLocator::Fused(fused),
-            (VERSION_BEFORE, None, Some(locator)) => PlaceLocator::Single(locator),
-            (VERSION, ..) => return Err("version 2: expected \"fused\", and no \"locator\"".into()),
-            (VERSION_BEFORE, ..) => return Err("version 1: expected \"locator\", and no \"fused\"".into()),
-            _ => return Err(format!("version: {version}, expected {VERSION_BEFORE} or {VERSION}")),
+        let expected = |what: &str| Err(format!("version {version}: expected {what} and nothing else of the three"));
+        let locator = match (version, stored.fused, stored.locator, &stored.by_model) {
+            (VERSION_FUSED, Some(fused), None, None) | (VERSION_BY_MODEL, Some(fused), None, Some(_)) => {
+                PlaceLocator::Fused(fused)
+            }
+            (VERSION_SINGLE, None, Some(locator), None) => PlaceLocator::Single(locator),
+            (VERSION_SINGLE, ..) => return expected("\"locator\""),
+            (VERSION_FUSED, ..) => return expected("\"fused\""),
+            (VERSION_BY_MODEL, ..) => return expected("\"fused\" and \"by_model\""),
+            _ => return Err(format!("version: {version}, expected {VERSION_SINGLE} to {VERSION_BY_MODEL}")),
         };
         let count = stored.frames.len();
         let ragged = stored.frames.iter().any(|frame| frame.len() != stored.channels);
@@ -448,6 +494,7 @@ impl TryFrom<StoredCalibration> for Calibration {
             positions_m: stored.positions_m,
             loads: stored.loads,
             locator,
+            by_model: stored.by_model,
             pokes: stored.pokes.unwrap_or(count),
             strength: stored.strength,
             review: stored.review,
@@ -458,8 +505,9 @@ impl TryFrom<StoredCalibration> for Calibration {
 impl From<Calibration> for StoredCalibration {
     fn from(calibration: Calibration) -> Self {
         let (version, locator, fused) = match calibration.locator {
-            PlaceLocator::Single(locator) => (VERSION_BEFORE, Some(locator), None),
-            PlaceLocator::Fused(fused) => (VERSION, None, Some(fused)),
+            PlaceLocator::Single(locator) => (VERSION_SINGLE, Some(locator), None),
+            PlaceLocator::Fused(fused) if calibration.by_model.is_some() => (VERSION_BY_MODEL, None, Some(fused)),
+            PlaceLocator::Fused(fused) => (VERSION_FUSED, None, Some(fused)),
         };
         Self {
             version,
@@ -471,6 +519,7 @@ impl From<Calibration> for StoredCalibration {
             loads: calibration.loads,
             locator,
             fused,
+            by_model: calibration.by_model,
             pokes: Some(calibration.pokes),
             strength: calibration.strength,
             review: calibration.review,

@@ -15,8 +15,8 @@ pub struct Pokes {
     pub loads: Option<(LoadQuantity, Vec<f64>)>,
 }
 
-/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header; without one, metres
-/// of depth).
+/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header; without one,
+/// metres of depth).
 ///
 /// # Errors
 /// A file that is no table of numbers, other columns, or values that are missing.

@@ -28,8 +28,8 @@ pub(super) struct SelfCalibrated {
 }
 
 impl SelfCalibrated {
-    /// The imager of a skin with a readout circuit, calibrated without labels; `None` for other skins, and where there are
-    /// too few frames to calibrate on. `data` are difference data made with `reference`.
+    /// The imager of a skin with a readout circuit, calibrated without labels; `None` for other skins, and where there
+    /// are too few frames to calibrate on. `data` are difference data made with `reference`.
     pub fn fit(prepared: &Prepared, reference: &Reference, data: &[Vec<f64>]) -> Result<Option<Self>, Error> {
         let relative = |frame: &Vec<f64>, unscale: bool| -> Vec<f64> {
             let factor = |c: usize| if unscale { reference.scale[c] } else { 1.0 } * reference.baseline[c];

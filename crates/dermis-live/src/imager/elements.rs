@@ -58,8 +58,8 @@ impl ElementImager {
         let coupling = Coupling { degree: 1, reach_m: REACH * pitch_m, sweeps: 1 };
         let bodies = MultipoleArray::new(vec![body; places.len()], tables, Some(coupling))?;
         let heights = LiftOff::new(bodies, model.array.mutuals_h(), vec![rest_m; places.len()], limit_m)?;
-        // Difference data are in volts of the model of images, whose readings at rest differ a little from these; each channel's
-        // relative change is what was measured.
+        // Difference data are in volts of the model of images, whose readings at rest differ a little from these; each
+        // channel's relative change is what was measured.
         let h_per_volt: Vec<f64> = heights.rest_h().iter().zip(&prepared.voltages).map(|(h, v)| h / v).collect();
         let paint =
             prepared.map.inside_centres_m().iter().map(|at| nearest(&places, *at, ELEMENT_WIDTH * pitch_m)).collect();
@@ -84,8 +84,8 @@ impl ElementImager {
         self.noise_h = noise.iter().zip(&self.h_per_volt).map(|(sigma, h)| (sigma * h).abs()).collect();
     }
 
-    /// Solves for a frame of difference data (model volts, something finite in absent channels, which do not count) and paints
-    /// the inside pixels: shares of the full travel.
+    /// Solves for a frame of difference data (model volts, something finite in absent channels, which do not count) and
+    /// paints the inside pixels: shares of the full travel.
     pub(crate) fn image(&mut self, difference: &[f64], absent: &[u32], inside: &mut [f32]) -> Result<(), Error> {
         self.deviations_h.clone_from(&self.noise_h);
         for channel in absent {

@@ -1,5 +1,5 @@
-//! Offline images of large contrasts: Gauss-Newton steps in log conductivity on the same mesh, weights, prior and lambda as
-//! the live image ([`dermis_tomo::inverse::NonlinearProblem`]), frames in parallel.
+//! Offline images of large contrasts: Gauss-Newton steps in log conductivity on the same mesh, weights, prior and
+//! lambda as the live image ([`dermis_tomo::inverse::NonlinearProblem`]), frames in parallel.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -56,8 +56,8 @@ impl Refiner {
     }
 
     /// Images of difference frames (model volts, `NaN` where missing): for each frame a row-major image of
-    /// `log(sigma / sigma at rest)`, polarity included, `NaN` outside. `step_done` is called once for every step of every
-    /// frame.
+    /// `log(sigma / sigma at rest)`, polarity included, `NaN` outside. `step_done` is called once for every step of
+    /// every frame.
     ///
     /// # Errors
     /// All channels missing, or a forward problem that cannot be solved.

@@ -1,5 +1,5 @@
-//! What the operator is made of beside the Jacobian: the weights of channels, the prior of pixels, and whether either has
-//! to wait for measurements.
+//! What the operator is made of beside the Jacobian: the weights of channels, the prior of pixels, and whether either
+//! has to wait for measurements.
 
 use dermis_skin::{HyperparameterChoice, WeightChoice};
 use dermis_tomo::inverse::{PriorMatrix, Weighting};

@@ -1,10 +1,10 @@
-//! Trained networks that ship with dermis: those of `models/`, embedded. `docs/src/learning.md` has the commands that made
-//! them.
+//! Trained networks that ship with dermis: those of `models/`, embedded. `docs/src/learning.md` has the commands that
+//! made them.
 
 use dermis_learn::{LearnError, Model};
 
-/// The network of a built-in skin; `None` where none ships. It fits the skin only as long as nothing that its images depend
-/// on is changed ([`Model::check_skin`]).
+/// The network of a built-in skin; `None` where none ships. It fits the skin only as long as nothing that its images
+/// depend on is changed ([`Model::check_skin`]).
 ///
 /// # Errors
 /// Never for models as they were committed; damage is named as for files.

@@ -4,8 +4,8 @@ use dermis_learn::scene::BACKGROUND;
 
 /// Names of the classes, in the order of the labels.
 pub const CLASSES: [&str; 3] = ["background", "lowered", "raised"];
-/// Novelty score above which a frame is not labelled by the network: half as far again from the training set as all but a
-/// thousandth of the frames held out. Those are simulated, and measured ones are a little farther out.
+/// Novelty score above which a frame is not labelled by the network: half as far again from the training set as all but
+/// a thousandth of the frames held out. Those are simulated, and measured ones are a little farther out.
 pub const UNLIKE: f32 = 1.5;
 
 /// Classes of one frame.
@@ -20,7 +20,8 @@ pub struct Classes {
     pub probabilities: Vec<f32>,
     /// The most likely class of each pixel, rows x columns; background outside the skin.
     pub labels: Vec<u8>,
-    /// How far the frame is from the training set; above [`UNLIKE`] it is unlike it. `None` where the model has no score.
+    /// How far the frame is from the training set; above [`UNLIKE`] it is unlike it. `None` where the model has no
+    /// score.
     pub novelty: Option<f32>,
     /// True where the frame is unlike the training set: the labels are those of thresholds on its first-step image.
     pub falls_back: bool,

@@ -36,11 +36,12 @@ pub struct Classifier {
 }
 
 impl Classifier {
-    /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a measured
-    /// baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
+    /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a
+    /// measured baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
     ///
     /// # Errors
-    /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time for.
+    /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time
+    /// for.
     pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
         let refined = InputImage::Refined.to_string();
         if model.card.inputs.contains(&refined) {
@@ -138,8 +139,8 @@ impl Classifier {
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 
-    /// The network's probabilities (classes x rows x columns, outside the skin too) and novelty scores of many frames, on all
-    /// threads; `done` is told after each batch how many frames it had.
+    /// The network's probabilities (classes x rows x columns, outside the skin too) and novelty scores of many frames,
+    /// on all threads; `done` is told after each batch how many frames it had.
     ///
     /// # Errors
     /// As [`Classifier::classify`].

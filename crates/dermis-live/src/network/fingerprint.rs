@@ -2,8 +2,8 @@
 
 use dermis_skin::{Backend, Electronics, Skin};
 
-/// SHA-256 of what images depend on: modality, frontend, backend without its electronics, and imaging. A network fits skins
-/// of the same fingerprint.
+/// SHA-256 of what images depend on: modality, frontend, backend without its electronics, and imaging. A network fits
+/// skins of the same fingerprint.
 pub fn imaging_sha256(skin: &Skin) -> String {
     let backend = Backend { electronics: Electronics::default(), ..skin.backend.clone() };
     let parts = (skin.modality, &skin.frontend, &backend, &skin.imaging);

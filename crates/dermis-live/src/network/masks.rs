@@ -1,6 +1,6 @@
 //! Labels from an image without a network: a threshold for each sign, in the manner of the challenge organisers' two
-//! thresholds, but relative to the image's own extremes, so that a weak inclusion keeps its size; and a sign whose extreme
-//! is no more than the side lobe of the other is left out.
+//! thresholds, but relative to the image's own extremes, so that a weak inclusion keeps its size; and a sign whose
+//! extreme is no more than the side lobe of the other is left out.
 
 use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED};
 
@@ -18,8 +18,8 @@ pub struct MaskRule {
 }
 
 impl MaskRule {
-    /// For images of log conductivity: thresholds where conductivity has doubled or halved. The shares were chosen on the
-    /// four training phantoms of the Kuopio challenge.
+    /// For images of log conductivity: thresholds where conductivity has doubled or halved. The shares were chosen on
+    /// the four training phantoms of the Kuopio challenge.
     pub const LOG_CONDUCTIVITY: Self =
         Self { least_extreme: 0.7, side_lobe_share: 0.3, inside_share: 0.35, least_value: 0.7 };
 
@@ -29,9 +29,9 @@ impl MaskRule {
     }
 }
 
-/// Which pixels belong to a class of which a network gives probabilities. Where the network is unsure of an object's rim, as
-/// behind lost electrodes, few pixels are likelier than background although the object is surely there; the most likely class of
-/// every pixel makes it too small.
+/// Which pixels belong to a class of which a network gives probabilities. Where the network is unsure of an object's
+/// rim, as behind lost electrodes, few pixels are likelier than background although the object is surely there; the
+/// most likely class of every pixel makes it too small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PresenceRule {
     /// A class is there if its largest probability reaches this;
@@ -42,13 +42,13 @@ pub struct PresenceRule {
     pub least_probability: f32,
 }
 
-/// Of 15 rules tried on 500 simulated frames that `ktc-tank`'s network has not seen, the best: a mean challenge score of 0.781,
-/// where the others have 0.776 to 0.780 and the most likely classes 0.755.
+/// Of 15 rules tried on 500 simulated frames that `ktc-tank`'s network has not seen, the best: a mean challenge score
+/// of 0.781, where the others have 0.776 to 0.780 and the most likely classes 0.755.
 pub const PRESENCE: PresenceRule = PresenceRule { least_peak: 0.4, inside_share: 0.4, least_probability: 0.2 };
 
 impl PresenceRule {
-    /// Labels by probabilities, classes x pixels, the first class being the background; where several classes claim a pixel,
-    /// the likeliest has it.
+    /// Labels by probabilities, classes x pixels, the first class being the background; where several classes claim a
+    /// pixel, the likeliest has it.
     pub fn label(&self, probabilities: &[f32], labels: &mut [u8]) {
         labels.fill(BACKGROUND);
         let mut won = vec![0.0; labels.len()];
@@ -95,8 +95,8 @@ pub(super) fn label_image(image: &[f32], factor: f32, rule: &MaskRule, labels: &
 }
 
 /// An image of `from` = rows, columns at `to` = rows, columns, bilinear between pixel centres, edges repeated; pixels
-/// outside the skin (`NaN`) count as their neighbours of value, and become `NaN` again where `outside` says so of the new
-/// pixels (row-major; empty: nowhere).
+/// outside the skin (`NaN`) count as their neighbours of value, and become `NaN` again where `outside` says so of the
+/// new pixels (row-major; empty: nowhere).
 pub fn enlarge(image: &[f32], from: [usize; 2], to: [usize; 2], outside: &[bool]) -> Vec<f32> {
     let ([rows, columns], [to_rows, to_columns]) = (from, to);
     let filled = fill_outside(image, rows, columns);

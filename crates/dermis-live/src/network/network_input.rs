@@ -1,6 +1,6 @@
-//! What a network is shown of a frame: first-step images at one or more hyperparameters, the refined image where the skin
-//! file asks for one, and how well the channels that are left see each place. The coverage image is what makes one network
-//! serve all sets of lost electrodes.
+//! What a network is shown of a frame: first-step images at one or more hyperparameters, the refined image where the
+//! skin file asks for one, and how well the channels that are left see each place. The coverage image is what makes one
+//! network serve all sets of lost electrodes.
 
 use std::fmt;
 use std::str::FromStr;
@@ -27,8 +27,8 @@ const SHARE: f64 = 0.1;
 pub enum InputImage {
     /// The linear image at the skin's lambda times this.
     Step(f64),
-    /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some tenths of
-    /// a second, so that a network that is shown it labels recordings, not live frames.
+    /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some
+    /// tenths of a second, so that a network that is shown it labels recordings, not live frames.
     Refined,
     /// Sensitivity of the channels that are there relative to that of all: 1 where nothing is lost, 0 where nothing is
     /// left.
@@ -125,8 +125,8 @@ impl FirstStep {
         self.sources.len()
     }
 
-    /// Images of one frame of difference data (model volts, `NaN` where missing), into images x rows x columns; 0 outside
-    /// the skin. Allocates only when the set of missing channels changes.
+    /// Images of one frame of difference data (model volts, `NaN` where missing), into images x rows x columns; 0
+    /// outside the skin. Allocates only when the set of missing channels changes.
     ///
     /// # Errors
     /// As [`Imager::image`].

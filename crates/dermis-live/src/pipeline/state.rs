@@ -3,7 +3,7 @@
 use dermis_touch::force::ForceCalibration;
 
 use crate::Error;
-use crate::calibration::{CalibratedImager, Calibration};
+use crate::calibration::{CalibratedImager, Calibration, learnt_finder};
 use crate::imager::{Imager, operator_needs_no_baseline};
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
@@ -44,12 +44,13 @@ pub(super) struct Choices {
 
 impl Starting {
     pub fn new(prepared: &Prepared, calibration: Option<&Calibration>) -> Result<Self, Error> {
-        let imager = if calibration.is_none() && operator_needs_no_baseline(prepared) {
+        let by_model = calibration.is_none_or(|calibration| calibration.correction().is_some());
+        let imager = if by_model && operator_needs_no_baseline(prepared) {
             Some(Imager::new(prepared, &Reference::from_baseline(prepared, &prepared.voltages, None)?, &[])?)
         } else {
             None
         };
-        let refinement = if Refinement::is_wanted(prepared, calibration.is_some()) {
+        let refinement = if Refinement::is_wanted(prepared, calibration) {
             Refinement::without_noise(prepared)?
         } else {
             Refinement::none()
@@ -57,13 +58,15 @@ impl Starting {
         Ok(Self { imager, refinement })
     }
 
-    /// What follows the first baseline. A hyperparameter that this baseline's system cannot be solved at is dropped from
-    /// the choices with a warning: the stream goes on at the skin file's.
+    /// What follows the first baseline. A hyperparameter that this baseline's system cannot be solved at is dropped
+    /// from the choices with a warning: the stream goes on at the skin file's.
     pub fn run(&mut self, prepared: &Prepared, choices: &mut Choices, reference: Reference) -> Result<Running, Error> {
         let CalibratedImager { mut imager, reference, placement } = match self.imager.take() {
             Some(mut imager) => {
                 imager.set_noise(&reference.noise)?;
-                CalibratedImager { imager, reference, placement: None }
+                let finder = |calibration: &Calibration| learnt_finder(prepared, calibration, &reference);
+                let placement = choices.calibration.as_ref().map(finder).transpose()?;
+                CalibratedImager { imager, reference, placement }
             }
             None => CalibratedImager::new(prepared, choices.calibration.as_ref(), reference, &[])?,
         };

@@ -1,6 +1,6 @@
-//! The network's word beside the live image: classes of the pixels. A network takes some milliseconds, which touches must not
-//! wait for; so it works on a thread of its own, at most so many times a second, and its classes come a little after their
-//! frame.
+//! The network's word beside the live image: classes of the pixels. A network takes some milliseconds, which touches
+//! must not wait for; so it works on a thread of its own, at most so many times a second, and its classes come a little
+//! after their frame.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -189,8 +189,8 @@ impl Background {
         Ok(Self { mailbox, thread: Some(thread), asked_ns: None, from_sequence: 0 })
     }
 
-    /// Takes what the network is done with, and leaves it this frame if it is free; the number of the frame whose classes
-    /// were put into `classes`.
+    /// Takes what the network is done with, and leaves it this frame if it is free; the number of the frame whose
+    /// classes were put into `classes`.
     fn exchange(
         &mut self,
         sequence: u64,

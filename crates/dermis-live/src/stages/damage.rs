@@ -1,7 +1,7 @@
 //! Damage in the live pipeline: each frame is imaged a second time, against the intact skin, and
-//! [`dermis_touch::damage`] tells from that image what is damaged. Once a damage is believed, touches are found against a
-//! baseline that includes it; the intact reference stays as it was until nothing is damaged any more. When the skin has
-//! rested for long enough at other values than its baseline's, a new baseline is proposed, never taken.
+//! [`dermis_touch::damage`] tells from that image what is damaged. Once a damage is believed, touches are found against
+//! a baseline that includes it; the intact reference stays as it was until nothing is damaged any more. When the skin
+//! has rested for long enough at other values than its baseline's, a new baseline is proposed, never taken.
 
 mod crack;
 mod cuts;

@@ -1,9 +1,9 @@
-//! Touches of a skin of elements over coils, placed by the forces that move the elements: a press between elements moves
-//! several of them and is one touch.
+//! Touches of a skin of elements over coils, placed by the forces that move the elements: a press between elements
+//! moves several of them and is one touch.
 //!
-//! With x the travel that a linear spring would have, each element carries `F = k x + c sum (x - x_beside)` (stiffness k,
-//! coupling c to the elements beside it): what a neighbour drags along carries nothing. A touch lies at the centroid of the
-//! forces about its elements. Elements whose forces lie in a line are those of several touches.
+//! With x the travel that a linear spring would have, each element carries `F = k x + c sum (x - x_beside)` (stiffness
+//! k, coupling c to the elements beside it): what a neighbour drags along carries nothing. A touch lies at the centroid
+//! of the forces about its elements. Elements whose forces lie in a line are those of several touches.
 
 use dermis_mit::LiftOffFit;
 use dermis_skin::{Layer, Solve};
@@ -16,7 +16,8 @@ const LEAST_SHARE: f64 = 0.05;
 const LEAST_SIGMA: f64 = 3.0;
 /// Elements within so many cells of a touch's own belong to it.
 const REACH_CELLS: f64 = 1.1;
-/// Elements that carry this share of the largest force are pressed, and what lies beside them belongs to the same presses.
+/// Elements that carry this share of the largest force are pressed, and what lies beside them belongs to the same
+/// presses.
 const PRESSED_SHARE: f64 = 0.25;
 /// Forces whose variance along one axis exceeds that across it by so much, cells squared, are those of several presses.
 const ELONGATED_CELLS2: f64 = 0.4;
@@ -27,7 +28,8 @@ const LEAST_APART_CELLS: f64 = 1.25;
 const MOST_ROUNDS: usize = 12;
 /// Springs near their end say little of the force: the share of the travel at which it is read at most.
 const MOST_SHARE: f64 = 0.98;
-/// What the centroid of forces misses of a press's place, a standard deviation in cells: how a round face spreads over cells.
+/// What the centroid of forces misses of a press's place, a standard deviation in cells: how a round face spreads over
+/// cells.
 const MODEL_ERROR_CELLS: f64 = 0.06;
 
 /// Joins contacts of elements that one press moves.
@@ -109,8 +111,8 @@ impl ElementContacts {
         *contacts = kept;
     }
 
-    /// The contact of one press: of its members among the contacts of the image, or of all members of a group where the image
-    /// shows none of its own.
+    /// The contact of one press: of its members among the contacts of the image, or of all members of a group where the
+    /// image shows none of its own.
     fn contact(
         &self,
         of_part: &[usize],
@@ -160,8 +162,8 @@ impl ElementContacts {
         }
     }
 
-    /// Elements that contacts show, in groups of those that one press may move: no farther apart than so many cells, or with
-    /// pressed elements in common.
+    /// Elements that contacts show, in groups of those that one press may move: no farther apart than so many cells, or
+    /// with pressed elements in common.
     fn groups(&self, shown: &[usize]) -> Vec<Group> {
         let mut linked: Vec<Vec<usize>> = Vec::new();
         for &element in shown {
@@ -229,9 +231,9 @@ impl ElementContacts {
         (0..self.places_m.len()).filter(counts).collect()
     }
 
-    /// The elements of each press. A round face, wherever it lies, spreads its force alike along all directions, but for a
-    /// quarter of a cell squared that the elements' grid adds; forces that are spread further along one axis than across it are
-    /// those of several presses, and are divided there, however level the forces are between them.
+    /// The elements of each press. A round face, wherever it lies, spreads its force alike along all directions, but
+    /// for a quarter of a cell squared that the elements' grid adds; forces that are spread further along one axis than
+    /// across it are those of several presses, and are divided there, however level the forces are between them.
     fn parts(&self, about: Vec<usize>) -> Vec<Vec<usize>> {
         match self.divided(&about) {
             Some(parts) => parts.into_iter().flat_map(|part| self.parts(part)).collect(),

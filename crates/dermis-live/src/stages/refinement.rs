@@ -1,10 +1,11 @@
-//! Contacts of the image placed better by the forward model: as patches of contact on a sandwich, as spots of conductivity
-//! elsewhere, or not at all.
+//! Contacts of the image placed better by the forward model: as patches of contact on a sandwich, as spots of
+//! conductivity elsewhere, or not at all.
 
 use dermis_tomo::inverse::SpotModel;
 use dermis_touch::Contact;
 
 use crate::Error;
+use crate::calibration::Calibration;
 use crate::prepare::Prepared;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, spot_model};
@@ -39,10 +40,16 @@ impl Refinement {
         Self::by(By::Nothing)
     }
 
-    /// Whether touches of a skin are refined: where its file asks for it and images are made on the model's own Jacobian,
-    /// neither measured by a calibration nor that of a readout circuit.
-    pub fn is_wanted(prepared: &Prepared, is_calibrated: bool) -> bool {
-        prepared.skin.touch.refine && !is_calibrated && prepared.skin.backend.circuit.is_none()
+    /// Whether touches of a skin are refined: where its file asks for it and the model's own Jacobian places them,
+    /// neither a calibration nor a readout circuit.
+    pub fn is_wanted(prepared: &Prepared, calibration: Option<&Calibration>) -> bool {
+        let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
+        prepared.skin.touch.refine && !by_pokes && prepared.skin.backend.circuit.is_none()
+    }
+
+    /// Whether contacts are refined at all.
+    pub fn refines(&self) -> bool {
+        !matches!(self.by, By::Nothing)
     }
 
     /// At this noise of the channels (model volts).
@@ -66,8 +73,8 @@ impl Refinement {
         Ok(Self::by(By::Spots { whole: Box::new(assumed_spot_model(prepared)?), stage: None }))
     }
 
-    /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those before
-    /// may be of other presses.
+    /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those
+    /// before may be of other presses.
     #[must_use]
     pub fn taking_time(mut self) -> Self {
         self.takes_time = true;
@@ -108,8 +115,8 @@ impl Refinement {
         Ok(())
     }
 
-    /// As new at this noise of the channels (model volts), for another skin of the same kind: all channels count, and nothing
-    /// that was seen is remembered.
+    /// As new at this noise of the channels (model volts), for another skin of the same kind: all channels count, and
+    /// nothing that was seen is remembered.
     ///
     /// # Errors
     /// As [`Refinement::leave_out`].

@@ -1,7 +1,8 @@
-//! Touches of a sandwich skin by its own physics: patches of contact with the layer above, which joins them to each other.
-//! Linear images show several touches as one bar between them; here places, radii and conductances of all patches are fitted
-//! to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search on a coarser mesh where these
-//! do not do. A fit takes the better part of a millisecond: of frames that come faster than every 5 ms, the mean is fitted.
+//! Touches of a sandwich skin by its own physics: patches of contact with the layer above, which joins them to each
+//! other. Linear images show several touches as one bar between them; here places, radii and conductances of all
+//! patches are fitted to the frame ([`dermis_tomo::eit::contacts`]), from those of the frame before, or from a search
+//! on a coarser mesh where these do not do. A fit takes the better part of a millisecond: of frames that come faster
+//! than every 5 ms, the mean is fitted.
 
 mod gathered;
 mod plausible;

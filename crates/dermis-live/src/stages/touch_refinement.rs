@@ -1,7 +1,7 @@
-//! Touches of the live pipeline refined by the forward model: each contact of the image becomes the start of a spot, all
-//! spots of a frame are fitted together, and the contact gets the spot's place and covariance. Where the frame holds more than
-//! one spot for each contact can explain, two touches may stand so near that the image shows one; they are then told apart by
-//! a fit of two.
+//! Touches of the live pipeline refined by the forward model: each contact of the image becomes the start of a spot,
+//! all spots of a frame are fitted together, and the contact gets the spot's place and covariance. Where the frame
+//! holds more than one spot for each contact can explain, two touches may stand so near that the image shows one; they
+//! are then told apart by a fit of two.
 
 use dermis_skin::Layer;
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
@@ -21,8 +21,8 @@ const LARGEST_RADIUS: f64 = 0.6;
 const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius.
 const SMALLEST_RADIUS: f64 = 0.05;
-/// A fit that puts a touch farther than this from where the image has it, relative to half the shorter side, is believed only
-/// where it explains the frame.
+/// A fit that puts a touch farther than this from where the image has it, relative to half the shorter side, is
+/// believed only where it explains the frame.
 const FAR: f64 = 0.2;
 /// It is not believed beyond this in any case.
 const FARTHEST: f64 = 0.5;
@@ -30,22 +30,23 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
-/// A frame of which a fit leaves more than so many times the noise's energy, and beyond the noise more than this share of its
-/// own, may hold two touches that the image shows as one. One touch leaves up to 0.0019 beyond the noise (twins of gels and
-/// liquids, 40 presses each), two a quarter of the longer side apart that the image joins 0.0038 or more.
+/// A frame of which a fit leaves more than so many times the noise's energy, and beyond the noise more than this share
+/// of its own, may hold two touches that the image shows as one. One touch leaves up to 0.0019 beyond the noise (twins
+/// of gels and liquids, 40 presses each), two a quarter of the longer side apart that the image joins 0.0038 or more.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 const UNEXPLAINED: f64 = 0.003;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
-/// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one left,
+/// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
+/// left,
 const LEFT_BY_TWO: f64 = 0.3;
 /// stand apart by this share of half the shorter side and by so many times the sum of their radii,
 const LEAST_APART: f64 = 0.3;
 const LEAST_APART_RADII: f64 = 1.0;
 /// and press alike within this factor (amplitude times area).
 const MOST_UNLIKE: f64 = 10.0;
-/// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half the
-/// shorter side.
+/// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half
+/// the shorter side.
 const DIRECTIONS: usize = 4;
 const LOOKED_FOR_AT: f64 = 0.3;
 /// A start off the skin is drawn back towards the contact by this factor, so many times at most.
@@ -71,8 +72,8 @@ pub(crate) struct SpotStage {
     /// Frames before the next attempt; none where frames wait for as much work as they take.
     wait: u32,
     is_unhurried: bool,
-    /// Whether a touch is a smooth spot, so that what one spot leaves says that there are two. A patch that conducts as a whole
-    /// is none.
+    /// Whether a touch is a smooth spot, so that what one spot leaves says that there are two. A patch that conducts as
+    /// a whole is none.
     are_smooth: bool,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -99,9 +100,9 @@ impl SpotStage {
         }
     }
 
-    /// Gives the strongest contacts, all of which are fitted together, the places of their spots. Contacts whose spot is not
-    /// believed, and all of a frame that cannot be fitted, stay as the image has them. A contact that two spots explain and one
-    /// does not becomes two. Allocates nothing once `contacts` has grown to size.
+    /// Gives the strongest contacts, all of which are fitted together, the places of their spots. Contacts whose spot
+    /// is not believed, and all of a frame that cannot be fitted, stay as the image has them. A contact that two spots
+    /// explain and one does not becomes two. Allocates nothing once `contacts` has grown to size.
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         let count = contacts.len().min(MOST_SPOTS);
         self.starts_m.clear();
@@ -159,8 +160,9 @@ impl SpotStage {
         (self.last_parted_m, self.wait) = (None, 0);
     }
 
-    /// Which contact is two touches, and the fit that says so, whose spots are then in `parted`: a frame that one spot for each
-    /// contact leaves unexplained is fitted with one more, from several starts about each of the strongest contacts.
+    /// Which contact is two touches, and the fit that says so, whose spots are then in `parted`: a frame that one spot
+    /// for each contact leaves unexplained is fitted with one more, from several starts about each of the strongest
+    /// contacts.
     fn part(&mut self, difference: &[f64], single: &FitOutcome) -> Option<(usize, FitOutcome)> {
         if !self.are_smooth {
             return None;
@@ -250,8 +252,8 @@ impl SpotStage {
         spot.amplitude > 0.0 && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m && self.is_inside(spot.position_m)
     }
 
-    /// Whether a spot is where the image has its contact. Channels that are left out draw the image's peak to one side: a fit
-    /// that explains the frame then knows better, as long as the spot is not where the image has another contact.
+    /// Whether a spot is where the image has its contact. Channels that are left out draw the image's peak to one side:
+    /// a fit that explains the frame then knows better, as long as the spot is not where the image has another contact.
     fn is_near(&self, contact: usize, [x, y]: [f64; 2], explained: bool) -> bool {
         let moved = |[from_x, from_y]: [f64; 2]| (x - from_x).hypot(y - from_y);
         let own = moved(self.starts_m[contact]);

@@ -1,6 +1,6 @@
-//! The conjugate orthogonal conjugate gradient method (van der Vorst and Melissen, IEEE Trans. Magn. 26, 1990) for complex
-//! symmetric systems, several right-hand sides at once, preconditioned by a real Cholesky factor. With `K + M` of
-//! `K + j M` factored, all eigenvalues lie on an arc between 1 and j: a few dozen iterations whatever the mesh.
+//! The conjugate orthogonal conjugate gradient method (van der Vorst and Melissen, IEEE Trans. Magn. 26, 1990) for
+//! complex symmetric systems, several right-hand sides at once, preconditioned by a real Cholesky factor. With `K + M`
+//! of `K + j M` factored, all eigenvalues lie on an arc between 1 and j: a few dozen iterations whatever the mesh.
 
 use crate::error::MitError;
 use crate::vector::Complex;

@@ -1,8 +1,8 @@
 //! The reference tetrahedron: hierarchical edge functions, quadrature, and the parabolic map to an element.
 //!
 //! Vertices of an element are sorted by their number in the mesh, so that edges and faces have the same direction in
-//! every element that shares them. Order of functions: 6 of Whitney, `l_i grad l_j - l_j grad l_i`; 6 gradients of `l_i l_j`;
-//! 8 of faces, `l_k w_ij` and `l_i w_jk` (Savage and Peterson, IEEE Trans. Antennas Propag. 44, 1996).
+//! every element that shares them. Order of functions: 6 of Whitney, `l_i grad l_j - l_j grad l_i`; 6 gradients of
+//! `l_i l_j`; 8 of faces, `l_k w_ij` and `l_i w_jk` (Savage and Peterson, IEEE Trans. Antennas Propag. 44, 1996).
 
 use crate::vector::{Vector, add, cross, dot, scaled, subtract};
 
@@ -17,7 +17,8 @@ pub(super) const WHITNEY: usize = 6;
 
 const GRADIENTS: [Vector; 4] = [[-1.0, -1.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Values and curls of all functions at a point of the reference tetrahedron, and the parabolic shape functions' slopes.
+/// Values and curls of all functions at a point of the reference tetrahedron, and the parabolic shape functions'
+/// slopes.
 #[derive(Clone, Debug)]
 pub(super) struct Point {
     pub(super) weight: f64,

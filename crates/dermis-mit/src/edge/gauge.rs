@@ -1,8 +1,9 @@
-//! What does no work is taken out of a source's potential: the gradient of a polynomial, by least squares over the bodies.
+//! What does no work is taken out of a source's potential: the gradient of a polynomial, by least squares over the
+//! bodies.
 //!
-//! Only the circulation of a potential drives currents, yet a coil's potential is mostly a gradient far from the coil, which
-//! elements with curved edges cancel only to their own order. Taking it out first leaves the currents as they are, since
-//! these neither spring up nor leave the body, and the error with what remains.
+//! Only the circulation of a potential drives currents, yet a coil's potential is mostly a gradient far from the coil,
+//! which elements with curved edges cancel only to their own order. Taking it out first leaves the currents as they
+//! are, since these neither spring up nor leave the body, and the error with what remains.
 
 use super::source::Samples;
 use crate::vector::{Vector, add, dot, scaled};
@@ -19,8 +20,8 @@ pub(super) struct Gauge {
 }
 
 impl Gauge {
-    /// For points with volumes: gradients of the monomials to a degree; with a set of odd axes (bits), only of those that
-    /// are odd in these and even in the others.
+    /// For points with volumes: gradients of the monomials to a degree; with a set of odd axes (bits), only of those
+    /// that are odd in these and even in the others.
     pub(super) fn new(points_m: &[Vector], volumes: Vec<f64>, degree: i32, odd: Option<u8>) -> Self {
         let reach = points_m.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
         let mut gauge = Self { volumes, gradients: Vec::new() };

@@ -27,8 +27,8 @@ pub struct Grading {
 }
 
 impl Grading {
-    /// Layers of 0.7 skin depths, growing inward, none thicker than half of the body's least half width; air to 10 times its
-    /// greatest, where the response is a thousandth of what it is at the body.
+    /// Layers of 0.7 skin depths, growing inward, none thicker than half of the body's least half width; air to 10
+    /// times its greatest, where the response is a thousandth of what it is at the body.
     pub fn for_body(skin_depth_m: f64, least_half_width_m: f64, greatest_half_width_m: f64) -> Self {
         Self {
             first_m: (0.7 * skin_depth_m).min(0.35 * least_half_width_m),
@@ -94,8 +94,8 @@ impl Grading {
         positions
     }
 
-    /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width; the
-    /// first layer of air is no thinner than given.
+    /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width;
+    /// the first layer of air is no thinner than given.
     fn symmetric(&self, half_m: f64, air_first_m: f64) -> Vec<f64> {
         let inside = self.inward(half_m);
         let mut positive: Vec<f64> = inside.iter().rev().skip(1).map(|d| half_m - d).collect();
@@ -114,8 +114,8 @@ struct Sheet {
     triangles: Vec<[u32; 3]>,
 }
 
-/// Prisms between layers of the same triangles, each in three tetrahedra: the diagonal of every side leaves the lower layer
-/// at the point of lower number, so that neighbours agree.
+/// Prisms between layers of the same triangles, each in three tetrahedra: the diagonal of every side leaves the lower
+/// layer at the point of lower number, so that neighbours agree.
 fn prisms(sheet: &Sheet, layers: usize, region: impl Fn(usize, usize) -> u8) -> (Vec<[u32; 4]>, Vec<u8>) {
     let (mut tetrahedra, mut regions) = (Vec::new(), Vec::new());
     for layer in 0..layers {
@@ -132,8 +132,8 @@ fn prisms(sheet: &Sheet, layers: usize, region: impl Fn(usize, usize) -> u8) -> 
     (tetrahedra, regions)
 }
 
-/// Triangles of a disc by rings around its centre, and the ring inside which each triangle lies. Rings outside the body have
-/// half as many points once their circumference allows.
+/// Triangles of a disc by rings around its centre, and the ring inside which each triangle lies. Rings outside the body
+/// have half as many points once their circumference allows.
 fn disc(radii: &[f64], counts: &[usize]) -> (Vec<[f64; 2]>, Sheet, Vec<usize>) {
     let mut points = vec![[0.0, 0.0]];
     let (mut triangles, mut ring_of) = (Vec::new(), Vec::new());
@@ -259,8 +259,8 @@ pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitEr
     box_mesh(&axes, inside)
 }
 
-/// A box of cells between planes at the given positions along x, y and z, each cell cut into six tetrahedra; `region` tells a
-/// cell's region from its middle.
+/// A box of cells between planes at the given positions along x, y and z, each cell cut into six tetrahedra; `region`
+/// tells a cell's region from its middle.
 ///
 /// # Errors
 /// Fewer than two positions along an axis, positions that do not ascend.

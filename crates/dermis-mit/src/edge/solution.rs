@@ -73,7 +73,8 @@ impl<'a> Fields<'a> {
         self.potentials.is_empty()
     }
 
-    /// Change of the mutual inductance of two sources, henries (for coils of 1 A): `None` for a source that does not exist.
+    /// Change of the mutual inductance of two sources, henries (for coils of 1 A): `None` for a source that does not
+    /// exist.
     pub fn change_h(&self, m: usize, n: usize) -> Option<Complex> {
         if m.max(n) >= self.len() {
             return None;
@@ -86,9 +87,9 @@ impl<'a> Fields<'a> {
         &self.changes
     }
 
-    /// Change of the flux of a source through another that the system was not solved for, Wb (per ampere for coils): with a
-    /// [`super::Dipole`] of unit moment, the flux density that the bodies add at its place, from the currents in them and
-    /// so smoother than [`Fields::added`]. `None` for a source that does not exist.
+    /// Change of the flux of a source through another that the system was not solved for, Wb (per ampere for coils):
+    /// with a [`super::Dipole`] of unit moment, the flux density that the bodies add at its place, from the currents in
+    /// them and so smoother than [`Fields::added`]. `None` for a source that does not exist.
     pub fn linked(&self, source: usize, probe: &dyn Source) -> Option<Complex> {
         let (potential, own) = (self.potentials.get(source)?, self.samples.get(source)?);
         let probe = self.system.sample(probe, [1.0; 3]);
@@ -97,9 +98,10 @@ impl<'a> Fields<'a> {
         Some((scattered + self.system.direct(own, &probe)) / MU0)
     }
 
-    /// Derivatives of every change by the conductivity and permeability of every body, by reciprocity, from the whole fields
-    /// `A = As + Ar` in it: `dM_mn/dsigma = -j w int A_m.A_n dV`, `dM_mn/dmu = 1/mu^2 int B_m.B_n dV`. They are the exact
-    /// derivatives of this discrete model, up to the residual of its iteration. Row by row as [`Fields::changes_h`], bodies within.
+    /// Derivatives of every change by the conductivity and permeability of every body, by reciprocity, from the whole
+    /// fields `A = As + Ar` in it: `dM_mn/dsigma = -j w int A_m.A_n dV`, `dM_mn/dmu = 1/mu^2 int B_m.B_n dV`. They are
+    /// the exact derivatives of this discrete model, up to the residual of its iteration. Row by row as
+    /// [`Fields::changes_h`], bodies within.
     ///
     /// # Errors
     /// Other than the sources that were solved for, by their number.

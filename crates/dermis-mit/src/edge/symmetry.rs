@@ -1,8 +1,9 @@
 //! Bodies that are symmetric about the three planes of coordinates: any field is the sum of eight that are even or odd
-//! across each plane, and each of these needs only an eighth of the mesh. Eight small systems cost far less than one large.
+//! across each plane, and each of these needs only an eighth of the mesh. Eight small systems cost far less than one
+//! large.
 //!
-//! Where the vector potential is odd across a plane (its mirror image with the sign changed) its tangential part is zero
-//! there; where it is even the tangential field is.
+//! Where the vector potential is odd across a plane (its mirror image with the sign changed) its tangential part is
+//! zero there; where it is even the tangential field is.
 
 use rayon::prelude::*;
 
@@ -41,8 +42,8 @@ impl<'a> SymmetricBody<'a> {
         Self::with_parts(octant, materials, frequency_hz, order, &ALL)
     }
 
-    /// Half of the systems: those that answer harmonics of cosines, which are all that a coil in the plane y = 0 has, and enough for
-    /// tau of a body of revolution.
+    /// Half of the systems: those that answer harmonics of cosines, which are all that a coil in the plane y = 0 has,
+    /// and enough for tau of a body of revolution.
     ///
     /// # Errors
     /// As [`SymmetricBody::new`].
@@ -128,8 +129,8 @@ fn signs(flips: usize) -> Vector {
     [0, 1, 2].map(|axis| if flips >> axis & 1 == 1 { -1.0 } else { 1.0 })
 }
 
-/// The part of a source that is odd across the planes of these bits and even across the others, from its samples at points
-/// of all flips; `None` where it is nothing.
+/// The part of a source that is odd across the planes of these bits and even across the others, from its samples at
+/// points of all flips; `None` where it is nothing.
 fn part(reflected: &[Samples], odd: usize) -> Option<Samples> {
     let (mut sum, mut whole) = (0.0, 0.0);
     let at = |k: usize| {

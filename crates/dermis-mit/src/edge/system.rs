@@ -111,14 +111,14 @@ impl<'a> EddySystem<'a> {
     /// Assembles and factors; `materials[k]` fills region `k + 1` of the mesh.
     ///
     /// # Errors
-    /// A frequency outside 1 Hz to 1 MHz, a conductivity that is not positive, a relative permeability below 1, another number
-    /// of materials than the mesh has, a system that cannot be factored.
+    /// A frequency outside 1 Hz to 1 MHz, a conductivity that is not positive, a relative permeability below 1, another
+    /// number of materials than the mesh has, a system that cannot be factored.
     pub fn new(mesh: &'a EdgeMesh, materials: &[Material], frequency_hz: f64, order: Order) -> Result<Self, MitError> {
         Self::with_fixed(mesh, materials, frequency_hz, order, None)
     }
 
-    /// As [`EddySystem::new`], for an eighth of a symmetric body: the potential is odd across the planes of these bits and
-    /// has no tangential part there; it is even across the others, and the field has none.
+    /// As [`EddySystem::new`], for an eighth of a symmetric body: the potential is odd across the planes of these bits
+    /// and has no tangential part there; it is even across the others, and the field has none.
     pub(super) fn with_fixed(
         mesh: &'a EdgeMesh,
         materials: &[Material],
@@ -279,7 +279,8 @@ impl Unknowns {
     }
 }
 
-/// Gradients of more degrees where the symmetry leaves few of each; none where currents may leave through the outer boundary.
+/// Gradients of more degrees where the symmetry leaves few of each; none where currents may leave through the outer
+/// boundary.
 fn gauge(mesh: &EdgeMesh, points: &[Point], odd: Option<u8>) -> Gauge {
     let (mut places_m, mut volumes) = (Vec::new(), Vec::new());
     for element in (0..mesh.tetrahedra.len()).filter(|&t| mesh.regions[t] != 0) {

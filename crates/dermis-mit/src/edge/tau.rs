@@ -132,8 +132,8 @@ fn of_harmonics(
         .collect())
 }
 
-/// tau of a body of revolution about the z axis, from its answers to harmonics of cosines: sines of the same order answer
-/// alike, and different orders do not mix. Takes an [`EdgeMesh::octant`].
+/// tau of a body of revolution about the z axis, from its answers to harmonics of cosines: sines of the same order
+/// answer alike, and different orders do not mix. Takes an [`EdgeMesh::octant`].
 ///
 /// # Errors
 /// See [`SymmetricBody::new`].
@@ -155,7 +155,8 @@ pub fn round_tau(octant: &EdgeMesh, material: &Material, frequency_hz: f64) -> R
     Ok(tau)
 }
 
-/// The multipole body of a shape, material and frequency, by elements of second order on a mesh that suits the skin depth.
+/// The multipole body of a shape, material and frequency, by elements of second order on a mesh that suits the skin
+/// depth.
 ///
 /// # Errors
 /// Sizes or conductivity that are not positive, a relative permeability below 1, a frequency outside 1 Hz to 1 MHz.

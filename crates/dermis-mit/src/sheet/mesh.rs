@@ -6,7 +6,8 @@ use std::f64::consts::{PI, TAU};
 use crate::error::{MitError, positive};
 use crate::vector::{Vector, add, cross, norm, subtract};
 
-/// Middle surfaces of sheets. The corners of every triangle turn counter-clockwise seen from the side that normals point to.
+/// Middle surfaces of sheets. The corners of every triangle turn counter-clockwise seen from the side that normals
+/// point to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetMesh {
     pub(super) vertices: Vec<Vector>,
@@ -17,16 +18,16 @@ impl SheetMesh {
     /// From vertices (metres) and the corners of triangles.
     ///
     /// # Errors
-    /// No triangles, corners that do not exist, triangles without area, an edge between more than two triangles or two that
-    /// turn differently, pieces that are closed or have holes (whose rims would need currents of their own).
+    /// No triangles, corners that do not exist, triangles without area, an edge between more than two triangles or two
+    /// that turn differently, pieces that are closed or have holes (whose rims would need currents of their own).
     pub fn new(vertices: Vec<Vector>, triangles: Vec<[u32; 3]>) -> Result<Self, MitError> {
         let mesh = Self { vertices, triangles };
         mesh.check()?;
         Ok(mesh)
     }
 
-    /// A flat rectangle about the origin at z = 0, its cells narrower toward the edges: at the mean of equal steps and of those of
-    /// a cosine.
+    /// A flat rectangle about the origin at z = 0, its cells narrower toward the edges: at the mean of equal steps and
+    /// of those of a cosine.
     ///
     /// # Errors
     /// Sides that are not positive, fewer than two cells along one.
@@ -59,8 +60,8 @@ impl SheetMesh {
         Self::new(vertices, triangles)
     }
 
-    /// A flat disc about the origin at z = 0 in rings of six times their number of triangles' corners, narrower toward the rim; the
-    /// polygon has the disc's area.
+    /// A flat disc about the origin at z = 0 in rings of six times their number of triangles' corners, narrower toward
+    /// the rim; the polygon has the disc's area.
     ///
     /// # Errors
     /// A radius that is not positive, fewer than two rings.

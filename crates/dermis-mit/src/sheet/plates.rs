@@ -1,9 +1,9 @@
 //! Flat plates for every frame: the stream function of [`super::Sheet`] reduced to vertical dipoles at a few points.
 //!
 //! A coil's normal field over a plate is a polynomial through its values s at Gauss points (Lagrange's l_q); the stream
-//! function answers it with the dipole moments `m = Q s`, `Q = -j w P' (Z R + j w L)^-1 P`, `P_iq = int psi_i l_q dS`, and
-//! `dM_mn = s_m' Q s_n` plus what keeps tangential fields out. Moving a plate changes only s, which is tabulated over its
-//! height; neighbours add the field of their dipoles, in sweeps.
+//! function answers it with the dipole moments `m = Q s`, `Q = -j w P' (Z R + j w L)^-1 P`, `P_iq = int psi_i l_q dS`,
+//! and `dM_mn = s_m' Q s_n` plus what keeps tangential fields out. Moving a plate changes only s, which is tabulated
+//! over its height; neighbours add the field of their dipoles, in sweeps.
 
 use std::f64::consts::PI;
 
@@ -62,8 +62,8 @@ fn lagrange(count: usize, at: f64) -> Vec<f64> {
 }
 
 impl Plate {
-    /// From a mesh of so many cells along each side (see [`SheetMesh::rectangle`]) and so many points: a field whose wire is d
-    /// from the plate is followed to about `(d/h + sqrt(1 + d^2/h^2))^-points`, h half a side.
+    /// From a mesh of so many cells along each side (see [`SheetMesh::rectangle`]) and so many points: a field whose
+    /// wire is d from the plate is followed to about `(d/h + sqrt(1 + d^2/h^2))^-points`, h half a side.
     ///
     /// # Errors
     /// As [`SheetMesh::rectangle`] and [`Sheet::new`]; fewer than 3 points along a side or more than 12.
@@ -120,7 +120,8 @@ impl Plate {
         &self.points_m
     }
 
-    /// Greatest distance of a place between its points from the nearest of them, metres: wire nearer than that is not seen.
+    /// Greatest distance of a place between its points from the nearest of them, metres: wire nearer than that is not
+    /// seen.
     fn spacing_m(&self) -> f64 {
         let count = self.points_m.len().isqrt();
         let widest = |axis: usize, stride: usize| {
@@ -180,8 +181,8 @@ pub struct Plates {
 }
 
 impl Plates {
-    /// Tabulates all coils at plates of these places between two heights of their middles. Takes `384 coils x plates x points`
-    /// bytes, and the fields of every coil at 16 heights of every point.
+    /// Tabulates all coils at plates of these places between two heights of their middles. Takes
+    /// `384 coils x plates x points` bytes, and the fields of every coil at 16 heights of every point.
     ///
     /// # Errors
     /// No plates, plates that overlap, heights that are not in order, wire nearer to a plate than its points
@@ -362,7 +363,8 @@ impl Plates {
     }
 }
 
-/// Normal field at the coarse points of one plate of vertical unit dipoles at those of another: `mu0/(4 pi) (3 z^2/r^2 - 1)/r^3`.
+/// Normal field at the coarse points of one plate of vertical unit dipoles at those of another:
+/// `mu0/(4 pi) (3 z^2/r^2 - 1)/r^3`.
 fn kernel(points_m: &[[f64; 2]], shift_m: [f64; 2], dz_m: f64) -> Vec<f64> {
     let of = |to: &[f64; 2], from: &[f64; 2]| {
         let (x, y) = (shift_m[0] + to[0] - from[0], shift_m[1] + to[1] - from[1]);

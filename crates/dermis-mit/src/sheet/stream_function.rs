@@ -1,5 +1,5 @@
-//! The system of a sheet's stream function at one frequency: assembly, factor and the changes that it makes. The equations
-//! stand in the module above.
+//! The system of a sheet's stream function at one frequency: assembly, factor and the changes that it makes. The
+//! equations stand in the module above.
 
 use std::f64::consts::TAU;
 
@@ -81,12 +81,13 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// All pieces of one mesh, of the same material; they excite each other. Takes 16 bytes for each pair of the vertices that are
-    /// not on rims, twice as much while it is made; time goes with their square (assembly) and cube (factor).
+    /// All pieces of one mesh, of the same material; they excite each other. Takes 16 bytes for each pair of the
+    /// vertices that are not on rims, twice as much while it is made; time goes with their square (assembly) and cube
+    /// (factor).
     ///
     /// # Errors
-    /// Thickness or conductivity that are not positive, a frequency outside 1 Hz to 1 MHz, a sheet thicker than a fifth of
-    /// its width, a mesh without vertices off its rims.
+    /// Thickness or conductivity that are not positive, a frequency outside 1 Hz to 1 MHz, a sheet thicker than a fifth
+    /// of its width, a mesh without vertices off its rims.
     pub fn new(mesh: &SheetMesh, material: &SheetMaterial, frequency_hz: f64) -> Result<Self, MitError> {
         let (impedance, excluded) = (material.impedance_ohm(frequency_hz)?, material.excluded(frequency_hz)?);
         let share = material.thickness_m / mesh.width_m();

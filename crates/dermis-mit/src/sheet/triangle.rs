@@ -1,5 +1,5 @@
-//! The potential of a uniformly charged triangle (Wilton, Rao, Glisson, Schaubert, Al-Bundak and Butler, IEEE Trans. Antennas
-//! Propag. 32, 1984), and what two triangles have of each other.
+//! The potential of a uniformly charged triangle (Wilton, Rao, Glisson, Schaubert, Al-Bundak and Butler, IEEE Trans.
+//! Antennas Propag. 32, 1984), and what two triangles have of each other.
 
 use super::mesh::area;
 use crate::vector::{Vector, add, cross, dot, norm, scaled, subtract};
@@ -76,8 +76,8 @@ impl Panel {
         Self { corners, area: area(corners), middle, reach, points: THREE_POINTS.map(|l| place(corners, l)) }
     }
 
-    /// `int int 1/sqrt(R^2 + blur^2)` over this triangle and another: by points where they are far apart, else by points here
-    /// of the other's closed form.
+    /// `int int 1/sqrt(R^2 + blur^2)` over this triangle and another: by points where they are far apart, else by
+    /// points here of the other's closed form.
     pub(super) fn product(&self, other: &Self, blur: f64) -> f64 {
         let apart = norm(subtract(self.middle, other.middle));
         if apart > FAR * (self.reach + other.reach) {

@@ -108,8 +108,8 @@ fn rule_of(value: &Bound<'_, PyAny>, signal: Option<&Bound<'_, PyAny>>) -> PyRes
     }
 }
 
-/// One-step inverse ``x = (J'WJ + lambda^2 R)^-1 J'W dv``; called with differences, shape (k,) or (n, k), it gives changes, shape
-/// (m,) or (n, m).
+/// One-step inverse ``x = (J'WJ + lambda^2 R)^-1 J'W dv``; called with differences, shape (k,) or (n, k), it gives
+/// changes, shape (m,) or (n, m).
 ///
 /// Parameters
 /// ----------

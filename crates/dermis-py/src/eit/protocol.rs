@@ -25,9 +25,9 @@ pub fn dense_patterns<'py, 'a>(
     array2(py, values, rows, electrodes)
 }
 
-/// Electrodes of every channel, from 0, in the order of a skin file: the drive's first and second (current goes in at the
-/// second), the measured first and second (the reading is the first's potential less the second's). -1 where a pattern has
-/// no such electrode, or more than one.
+/// Electrodes of every channel, from 0, in the order of a skin file: the drive's first and second (current goes in at
+/// the second), the measured first and second (the reading is the first's potential less the second's). -1 where a
+/// pattern has no such electrode, or more than one.
 pub fn channels_of<'py>(py: Python<'py>, protocol: &Protocol) -> PyResult<Bound<'py, PyArray2<i32>>> {
     let only = |pattern: &Pattern, sign: f64| {
         let mut found = pattern.entries().iter().filter(|entry| sign * entry.1 > 0.0);

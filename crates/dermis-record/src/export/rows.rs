@@ -1,5 +1,5 @@
-//! Rows of typed cells, and the writer that makes CSV of them (RFC 4180: a cell with a comma, a quote or a line end stands in
-//! quotes, and quotes in it are doubled).
+//! Rows of typed cells, and the writer that makes CSV of them (RFC 4180: a cell with a comma, a quote or a line end
+//! stands in quotes, and quotes in it are doubled).
 
 use std::io::{self, Write};
 

@@ -1,4 +1,5 @@
-//! What every sink is: something that takes one [`Output`] a frame, and touches in the units that files and streams show.
+//! What every sink is: something that takes one [`Output`] a frame, and touches in the units that files and streams
+//! show.
 
 use dermis_live::output::Output;
 use dermis_touch::{LoadQuantity, Touch, TouchLoad};

@@ -29,19 +29,20 @@ pub enum LinesFor {
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
 ///
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
-/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range` (`within`;
-/// `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward model placed
-/// it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm` or `poke_force_n` and
-/// `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is `health` too: `left_out`, the
-/// number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted` `with` another, `since_s`) and
-/// `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from 1; where a frame's number or time is
-/// odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s` ([`FrameAnomalies`]). Where there is damage, or something to
-/// tell of it, there is `damage`: `list` (`id`, `state`, `x_mm`, `y_mm`, `length_mm`, `width_mm`, `direction_deg`, `depth`,
-/// `share` that is left, `significance`, `since_s`, `confirmed_s`, and `sigma_mm`: of x, y and length, where a model was
-/// fitted), `events` (`id`, `event`), the number of `baselines` so far and which of them is the `intact` one (from 1), and a
-/// `proposal` of a new one (`reason`, `since_s`, `offset_sigma`); its times are those of the pipeline's clock. Numbers have as many digits as it
-/// takes to read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory
-/// that is kept: nothing is allocated once the longest line has been seen.
+/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range`
+/// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward
+/// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
+/// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
+/// `health` too: `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
+/// `with` another, `since_s`) and `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from
+/// 1; where a frame's number or time is odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s`
+/// ([`FrameAnomalies`]). Where there is damage, or something to tell of it, there is `damage`: `list` (`id`, `state`,
+/// `x_mm`, `y_mm`, `length_mm`, `width_mm`, `direction_deg`, `depth`, `share` that is left, `significance`, `since_s`,
+/// `confirmed_s`, and `sigma_mm`: of x, y and length, where a model was fitted), `events` (`id`, `event`), the number
+/// of `baselines` so far and which of them is the `intact` one (from 1), and a `proposal` of a new one (`reason`,
+/// `since_s`, `offset_sigma`); its times are those of the pipeline's clock. Numbers have as many digits as it takes to
+/// read them back exactly. Every line is flushed, so that a reader sees it at once. The line is built in memory that is
+/// kept: nothing is allocated once the longest line has been seen.
 #[derive(Debug)]
 pub struct JsonLines<W> {
     out: W,
@@ -110,8 +111,8 @@ fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], 
     text.push(']');
 }
 
-/// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in the
-/// count.
+/// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in
+/// the count.
 fn push_health(text: &mut String, health: Health<'_>) {
     if health.is_sound() {
         return;

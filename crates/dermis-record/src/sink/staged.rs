@@ -1,5 +1,5 @@
-//! A file that is filled over time and takes its final name only when it is whole: for writers that cannot produce their
-//! content in one go, as [`dermis_device::write_atomic`] has it.
+//! A file that is filled over time and takes its final name only when it is whole: for writers that cannot produce
+//! their content in one go, as [`dermis_device::write_atomic`] has it.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};

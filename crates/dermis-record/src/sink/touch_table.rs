@@ -14,14 +14,14 @@ const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm"
 /// What a force calibration adds.
 const FORCES: &str = ",force_n,force_range";
 
-/// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and, where forces are read, `force_n,force_range` as
-/// [`super::JsonLines`] has them; where a calibration by pokes reads depths or forces, `depth_mm,sigma_depth_mm` or
-/// `poke_force_n,sigma_poke_force_n`, NaN for a touch without.
+/// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and, where forces are read,
+/// `force_n,force_range` as [`super::JsonLines`] has them; where a calibration by pokes reads depths or forces,
+/// `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN for a touch without.
 ///
-/// `frame` counts accepted frames from 0, so that it is the index into an [`super::ImageStack`] of the same run whatever
-/// the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not filtered),
-/// sigmas the square roots of their covariance's diagonal. Numbers have as many digits as it takes to read them back
-/// exactly; `NaN` and `inf` are written as such.
+/// `frame` counts accepted frames from 0, so that it is the index into an [`super::ImageStack`] of the same run
+/// whatever the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not
+/// filtered), sigmas the square roots of their covariance's diagonal. Numbers have as many digits as it takes to read
+/// them back exactly; `NaN` and `inf` are written as such.
 #[derive(Debug)]
 pub struct TouchTable {
     path: PathBuf,

@@ -6,7 +6,8 @@
 
 use super::protocol::Protocol;
 
-/// A rearrangement of a protocol's channels: entry `i` of the file is channel `source[i]` of the protocol, times `sign`.
+/// A rearrangement of a protocol's channels: entry `i` of the file is channel `source[i]` of the protocol, times
+/// `sign`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ChannelMap {
     /// Channel of the protocol for each position in the file.

@@ -290,8 +290,8 @@ impl Protocol {
         Ok(Self { electrode_count, stimulations, patterns, measurements })
     }
 
-    /// Coils that drive one after the other while those of higher number are read: N(N-1)/2 channels (0, 1), (0, 2), ...,
-    /// (N-2, N-1). For magnetic induction: a coil's current needs no other coil to return through.
+    /// Coils that drive one after the other while those of higher number are read: N(N-1)/2 channels (0, 1), (0, 2),
+    /// ..., (N-2, N-1). For magnetic induction: a coil's current needs no other coil to return through.
     ///
     /// # Errors
     /// Fewer than two coils, an amplitude that is not positive.
@@ -391,9 +391,9 @@ impl Protocol {
         self.pattern_of(channel).touches(electrode) || self.stimulation_of(channel).touches(electrode)
     }
 
-    /// A label for people, one-based: `1-2 > 5-6`, the drive first, then what is measured, each pair in the order of a skin
-    /// file: current goes in at the second electrode of the drive and out at the first, and the reading is the first measured
-    /// electrode's potential less the second's. Of 16 electrodes the last adjacent pair is `16-1`.
+    /// A label for people, one-based: `1-2 > 5-6`, the drive first, then what is measured, each pair in the order of a
+    /// skin file: current goes in at the second electrode of the drive and out at the first, and the reading is the
+    /// first measured electrode's potential less the second's. Of 16 electrodes the last adjacent pair is `16-1`.
     pub fn channel_label(&self, channel: usize) -> String {
         let list = |pattern: &Pattern, first: f64| {
             let mut entries: Vec<(u32, f64)> = pattern.entries().to_vec();

@@ -1,7 +1,7 @@
-//! How far each channel is from what the others let expect: `e_c = (Q dv)_c / Q_cc` with `Q = (J P J' + lambda^2 W^-1)^-1`,
-//! the inverse covariance of difference data under prior and noise. It is `dv_c` less its conditional mean given all
-//! other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq. 2.5 and 2.6), the leave-one-out residual of the
-//! linear model, and costs one product with a matrix of the channels squared.
+//! How far each channel is from what the others let expect: `e_c = (Q dv)_c / Q_cc` with
+//! `Q = (J P J' + lambda^2 W^-1)^-1`, the inverse covariance of difference data under prior and noise. It is `dv_c`
+//! less its conditional mean given all other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq. 2.5 and 2.6),
+//! the leave-one-out residual of the linear model, and costs one product with a matrix of the channels squared.
 
 use faer::{Mat, MatRef};
 
@@ -17,8 +17,8 @@ pub struct LeaveOneOutResidual {
 }
 
 impl LeaveOneOutResidual {
-    /// From the operator with all channels; `None` where it does not keep Q (channels outnumber unknowns), which would be
-    /// the largest matrix of all.
+    /// From the operator with all channels; `None` where it does not keep Q (channels outnumber unknowns), which would
+    /// be the largest matrix of all.
     pub fn new(operator: &Operator) -> Option<Self> {
         let precision: MatRef<'_, f64> = match &operator.data_precision {
             DataPrecision::Whole(matrix) => matrix.as_ref(),

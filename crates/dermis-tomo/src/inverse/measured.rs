@@ -1,6 +1,6 @@
 //! A Jacobian measured by poking: difference frames at known positions, interpolated over the image grid by Gaussian
-//! kernel ridge regression, channel by channel, `j(x) = k(x)' (K + eta I)^-1 D` with `K_ij = exp(-|x_i - x_j|^2 / 2 l^2)`.
-//! Far from every poke it tends to zero: what was never touched is not invented.
+//! kernel ridge regression, channel by channel, `j(x) = k(x)' (K + eta I)^-1 D` with
+//! `K_ij = exp(-|x_i - x_j|^2 / 2 l^2)`. Far from every poke it tends to zero: what was never touched is not invented.
 
 use faer::{Mat, Side, linalg::solvers::Solve};
 
@@ -22,8 +22,8 @@ pub struct MeasuredJacobian {
 }
 
 impl MeasuredJacobian {
-    /// Interpolates `frames` (one a poke, each divided by its load) measured at `pokes_m` to `targets_m`. The correlation
-    /// length is the one of `lengths_m` with the smallest closed-form leave-one-out error.
+    /// Interpolates `frames` (one a poke, each divided by its load) measured at `pokes_m` to `targets_m`. The
+    /// correlation length is the one of `lengths_m` with the smallest closed-form leave-one-out error.
     ///
     /// # Errors
     /// Fewer than 3 pokes, lists of different length, frames of different length, or values that are not finite.

@@ -52,8 +52,8 @@ pub enum Prior {
         correlation_length_m: f64,
     },
     /// Gaussian smoothness balanced by sensitivity: covariance `D^-1/2 K D^-1/2` with `D = diag(J'WJ)^exponent`, scaled
-    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed. Sensitivities below a thousandth of their mean count
-    /// as that: what hardly any channel sees stays small.
+    /// to mean 1, and K as in [`Prior::Gaussian`]. NOSER, smoothed. Sensitivities below a thousandth of their mean
+    /// count as that: what hardly any channel sees stays small.
     GaussianNoser {
         /// Correlation length, metres.
         correlation_length_m: f64,
@@ -121,8 +121,8 @@ impl Prior {
     }
 }
 
-/// Least sensitivity `(J'WJ)_kk` that [`Prior::GaussianNoser`] evens out, relative to the mean: pixels over pads and outside
-/// them are hardly seen, and allowed values to match they would be filled by noise and model error.
+/// Least sensitivity `(J'WJ)_kk` that [`Prior::GaussianNoser`] evens out, relative to the mean: pixels over pads and
+/// outside them are hardly seen, and allowed values to match they would be filled by noise and model error.
 const VISIBILITY_FLOOR: f64 = 1e-3;
 
 /// `diag(J'J)^exponent`, with the sensitivity held above that floor.

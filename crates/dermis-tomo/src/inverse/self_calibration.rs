@@ -102,9 +102,9 @@ pub struct SelfCalibration {
 }
 
 impl SelfCalibration {
-    /// Calibrates on `frames` of relative changes, `(v - v_0) / mean(v_0)` for each channel of the templates, `NaN` where
-    /// a channel is missing. `voltages` are the modelled baselines (their signs start the synchronisation, their sizes
-    /// settle the common sign: a large voltage rarely has the wrong one).
+    /// Calibrates on `frames` of relative changes, `(v - v_0) / mean(v_0)` for each channel of the templates, `NaN`
+    /// where a channel is missing. `voltages` are the modelled baselines (their signs start the synchronisation, their
+    /// sizes settle the common sign: a large voltage rarely has the wrong one).
     ///
     /// Use frames with touches at many places, not quiet ones. Where none is at hand, differences of successive
     /// baselines taken between touches also serve on a skin that recovers slowly: they hold what is left of the last
@@ -273,7 +273,8 @@ impl SelfCalibration {
         self.score
     }
 
-    /// RMS change of each channel over the calibration frames; 0 for a channel that never changed or was always missing.
+    /// RMS change of each channel over the calibration frames; 0 for a channel that never changed or was always
+    /// missing.
     pub fn data_scale(&self) -> &[f64] {
         &self.data_scale
     }

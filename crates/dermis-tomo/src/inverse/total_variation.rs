@@ -1,6 +1,7 @@
-//! Total variation: `min |W^1/2 (J x - dv)|^2 + lambda^2 sum_e sqrt((x_a - x_b)^2 + beta^2)` over neighbouring unknowns,
-//! by lagged diffusivity (Vogel and Oman, SIAM J. Sci. Comput. 17, 1996): each sweep is a quadratic problem with the
-//! edge weights of the sweep before. Edges stay sharp where one-step priors blur them; for recordings, not live frames.
+//! Total variation: `min |W^1/2 (J x - dv)|^2 + lambda^2 sum_e sqrt((x_a - x_b)^2 + beta^2)` over neighbouring
+//! unknowns, by lagged diffusivity (Vogel and Oman, SIAM J. Sci. Comput. 17, 1996): each sweep is a quadratic problem
+//! with the edge weights of the sweep before. Edges stay sharp where one-step priors blur them; for recordings, not
+//! live frames.
 
 use faer::MatRef;
 

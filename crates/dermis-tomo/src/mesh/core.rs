@@ -175,8 +175,8 @@ pub struct ElectrodedMesh {
 }
 
 impl Mesh {
-    /// Makes a mesh from node coordinates in metres and a flat list of zero-based node indices, `kind.nodes_per_element()`
-    /// an element, in any orientation. Flat meshes have `z = 0` (or any constant).
+    /// Makes a mesh from node coordinates in metres and a flat list of zero-based node indices,
+    /// `kind.nodes_per_element()` an element, in any orientation. Flat meshes have `z = 0` (or any constant).
     ///
     /// # Errors
     /// Indices out of range, coordinates not finite, elements without measure, elements that fold over each other,
@@ -461,9 +461,9 @@ impl ElectrodedMesh {
         Ok(Self { mesh, electrodes })
     }
 
-    /// A flat sheet bent round a cylinder whose axis runs along y, `radius_m` below the sheet: x becomes arc length, the
-    /// line x = 0 stays where it is, and elements and electrodes keep their numbers. Nodes keep their distances along
-    /// the surface; elements are the chords between them, narrower by a share `(h / radius)^2 / 24`.
+    /// A flat sheet bent round a cylinder whose axis runs along y, `radius_m` below the sheet: x becomes arc length,
+    /// the line x = 0 stays where it is, and elements and electrodes keep their numbers. Nodes keep their distances
+    /// along the surface; elements are the chords between them, narrower by a share `(h / radius)^2 / 24`.
     ///
     /// # Errors
     /// A mesh of tetrahedra, or a radius that is not positive and finite or that the sheet would reach round entirely.

@@ -49,7 +49,8 @@ pub(super) fn contains(polygon: &[Point], p: Point) -> bool {
     inside
 }
 
-/// Distance from a point of the plane to the segment from `a` to `b`, and where on it the nearest point is (0 at `a`, 1 at `b`).
+/// Distance from a point of the plane to the segment from `a` to `b`, and where on it the nearest point is (0 at `a`, 1
+/// at `b`).
 pub fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> (f64, f64) {
     let along = minus(b, a);
     let length2 = dot2(along, along);

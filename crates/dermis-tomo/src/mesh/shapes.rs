@@ -220,8 +220,8 @@ impl ElectrodeShape {
         places.map_while(|(column, row)| place(column, row)).collect()
     }
 
-    /// The outer ring of [`ElectrodeShape::grid`]: `2 (columns + rows) - 4` pads along the edge of a rectangle, from the
-    /// bottom-left corner in the given direction.
+    /// The outer ring of [`ElectrodeShape::grid`]: `2 (columns + rows) - 4` pads along the edge of a rectangle, from
+    /// the bottom-left corner in the given direction.
     pub fn ring(&self, columns: usize, rows: usize, pitch_m: [f64; 2], direction: Direction) -> Vec<ElectrodeShape> {
         if columns < 2 || rows < 2 {
             return self.grid(columns, rows, pitch_m);

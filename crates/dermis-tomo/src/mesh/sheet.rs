@@ -30,9 +30,9 @@ pub struct SheetSpec {
     /// Smallest angle of any triangle, degrees, at most 33 (above 30 refinement may not complete). Corners of the
     /// outline sharper than this stay as they are.
     pub min_angle_deg: f64,
-    /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other, that edges follow, so that
-    /// [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of it long, and 0.3 % of it
-    /// at its ends, where the field about a slit is singular.
+    /// Straight lines inside the sheet (both ends, metres), clear of electrodes and of each other, that edges follow,
+    /// so that [`ElectrodedMesh::opened_along`] can open them. Edges on a line are at most a tenth of it long, and 0.3
+    /// % of it at its ends, where the field about a slit is singular.
     pub lines: Vec<[[f64; 2]; 2]>,
 }
 
@@ -65,8 +65,8 @@ impl MeshQuality {
 }
 
 impl SheetSpec {
-    /// A sheet with elements half as large at the electrodes as elsewhere, at least 4 rim edges under each, and no angle
-    /// below 25 degrees.
+    /// A sheet with elements half as large at the electrodes as elsewhere, at least 4 rim edges under each, and no
+    /// angle below 25 degrees.
     pub fn new(outline: Outline, electrodes: Vec<ElectrodeShape>, element_size_m: f64) -> Self {
         Self {
             outline,

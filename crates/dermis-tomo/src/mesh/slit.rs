@@ -1,4 +1,5 @@
-//! Sheets that are slit: the nodes along a line are doubled, so that what lies on either side is joined at its ends alone.
+//! Sheets that are slit: the nodes along a line are doubled, so that what lies on either side is joined at its ends
+//! alone.
 
 use std::collections::HashMap;
 
@@ -9,8 +10,9 @@ use super::sheet::SheetSpec;
 /// A piece of a slit: the edge on its one side, and on its other. Only the slit's ends are nodes of both.
 pub type SlitEdge = [[u32; 2]; 2];
 
-/// What an edge of a slit adds to the stiffness of a sheet where its sides are joined: `int g (u - u')^2 ds` with u and u'
-/// linear along the edge, g siemens per metre of it, as entries of one triangle of a symmetric matrix over the nodes.
+/// What an edge of a slit adds to the stiffness of a sheet where its sides are joined: `int g (u - u')^2 ds` with u and
+/// u' linear along the edge, g siemens per metre of it, as entries of one triangle of a symmetric matrix over the
+/// nodes.
 pub fn joint_entries([one, other]: SlitEdge, length_m: f64, s_per_m: f64) -> Vec<((u32, u32), f64)> {
     let mass = s_per_m * length_m / 6.0;
     let mut entries = Vec::with_capacity(10);
@@ -40,8 +42,9 @@ pub struct SlitMesh {
 }
 
 impl SheetSpec {
-    /// Meshes the sheet with slits along straight lines (both ends, metres), beside any lines that it has, and says of each
-    /// whether it could be slit. Those that leave the sheet, or meet an electrode or a line before them, are left out.
+    /// Meshes the sheet with slits along straight lines (both ends, metres), beside any lines that it has, and says of
+    /// each whether it could be slit. Those that leave the sheet, or meet an electrode or a line before them, are left
+    /// out.
     ///
     /// # Errors
     /// As [`SheetSpec::build`] without slits.
@@ -175,9 +178,9 @@ mod tests {
 
     #[test]
     fn a_slit_holds_back_what_the_closed_form_says() {
-        // Across a strip of width W with insulating sides, current along it meets a row of slits of half length a at W from each
-        // other, whose resistance is that of (2 W / pi) ln sec(pi a / W) more of strip (conformal map by the sine; Smythe,
-        // Static and Dynamic Electricity, 1950). Ends four half widths away see 0.2 % of it as uneven.
+        // Across a strip of width W with insulating sides, current along it meets a row of slits of half length a at W
+        // from each other, whose resistance is that of (2 W / pi) ln sec(pi a / W) more of strip (conformal map by the
+        // sine; Smythe, Static and Dynamic Electricity, 1950). Ends four half widths away see 0.2 % of it as uneven.
         let outline = Outline::Rectangle { width_m: 0.2, height_m: 0.1 };
         let line = [[0.0, -0.02], [0.0, 0.02]];
         // The rim is counted from the bottom left corner, counter-clockwise.
@@ -194,7 +197,8 @@ mod tests {
         };
         let found_m = (ohm(&open) - ohm(&sewn)) * 5e-3 * 0.1;
         let expected_m = 0.2 / std::f64::consts::PI * -(0.2 * std::f64::consts::PI).cos().ln();
-        // Linear elements of 4 mm, graded by 0.35 from the ends, are 2.4 % too stiff (of 2 mm and graded by 0.15, 0.9 %).
+        // Linear elements of 4 mm, graded by 0.35 from the ends, are 2.4 % too stiff (of 2 mm and graded by 0.15, 0.9
+        // %).
         assert!((found_m / expected_m - 1.0).abs() < 0.03, "{found_m} {expected_m}");
     }
 

@@ -1,6 +1,6 @@
-//! Sheets bent without stretching. A cylinder is developable: lengths along its surface are those of the sheet laid flat,
-//! so that fields on it are the fields of the unrolled sheet, exactly. A [`Surface`] maps between the two; a mesh that
-//! is bent and solved by its chords instead differs by their shortening, `(h / radius)^2 / 24` of a length h.
+//! Sheets bent without stretching. A cylinder is developable: lengths along its surface are those of the sheet laid
+//! flat, so that fields on it are the fields of the unrolled sheet, exactly. A [`Surface`] maps between the two; a mesh
+//! that is bent and solved by its chords instead differs by their shortening, `(h / radius)^2 / 24` of a length h.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,5 @@
-//! The fill-reducing order of elimination by coordinates (George, SIAM Journal on Numerical Analysis 10, 1973): halve the
-//! widest extent, eliminate the halves first and what separates them last, and so on within each half.
+//! The fill-reducing order of elimination by coordinates (George, SIAM Journal on Numerical Analysis 10, 1973): halve
+//! the widest extent, eliminate the halves first and what separates them last, and so on within each half.
 
 /// Parts of so few unknowns are not divided further.
 const LEAF: usize = 8;

@@ -1,7 +1,7 @@
-//! Multifrontal Cholesky factorisation (Duff and Reid, ACM Trans. Math. Softw. 9, 1983; Liu, SIAM Rev. 34, 1992) over the
-//! supernodes that `faer` found: each supernode's columns are factored as one dense block, and what they change further
-//! up is computed as one dense product and handed to the parent. Small blocks, of which a sheet's mesh has many, are
-//! done by loops here; large ones by `faer`.
+//! Multifrontal Cholesky factorisation (Duff and Reid, ACM Trans. Math. Softw. 9, 1983; Liu, SIAM Rev. 34, 1992) over
+//! the supernodes that `faer` found: each supernode's columns are factored as one dense block, and what they change
+//! further up is computed as one dense product and handed to the parent. Small blocks, of which a sheet's mesh has
+//! many, are done by loops here; large ones by `faer`.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{self as dense, LltRegularization};

@@ -1,5 +1,5 @@
-//! Forward and backward substitution for sources at a few unknowns, several right-hand sides together: the values of all
-//! of them at one unknown lie side by side.
+//! Forward and backward substitution for sources at a few unknowns, several right-hand sides together: the values of
+//! all of them at one unknown lie side by side.
 
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 

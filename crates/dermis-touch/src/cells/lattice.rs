@@ -1,6 +1,6 @@
-//! Cells as the contact finder walks them. A lattice keeps the values of cells in slots, and measures in units of the cell
-//! size from an origin of its own: on a grid in pixels, so that sums over pixels are exact. The finder is compiled once for
-//! each kind, so that a grid pays nothing for what surfaces need.
+//! Cells as the contact finder walks them. A lattice keeps the values of cells in slots, and measures in units of the
+//! cell size from an origin of its own: on a grid in pixels, so that sums over pixels are exact. The finder is compiled
+//! once for each kind, so that a grid pays nothing for what surfaces need.
 
 use super::{GridGeometry, SurfaceCells};
 use std::fmt::Debug;

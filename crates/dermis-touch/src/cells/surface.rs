@@ -19,12 +19,12 @@ pub struct SurfaceCells {
 }
 
 impl SurfaceCells {
-    /// Cells from lists. `edge_neighbours` and `corner_neighbours` have the neighbours of each cell that share an edge with
-    /// it, and those that share only a corner; who is a neighbour of whom must hold both ways.
+    /// Cells from lists. `edge_neighbours` and `corner_neighbours` have the neighbours of each cell that share an edge
+    /// with it, and those that share only a corner; who is a neighbour of whom must hold both ways.
     ///
     /// # Errors
-    /// [`TouchError::Length`] for lists of different lengths; [`TouchError::Parameter`] for no cells, places or areas that
-    /// are not finite, areas not above 0, and neighbours that do not exist or do not hold both ways.
+    /// [`TouchError::Length`] for lists of different lengths; [`TouchError::Parameter`] for no cells, places or areas
+    /// that are not finite, areas not above 0, and neighbours that do not exist or do not hold both ways.
     pub fn new(
         places_m: Vec<[f64; 2]>,
         areas_m2: Vec<f64>,

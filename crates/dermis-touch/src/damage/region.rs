@@ -1,5 +1,6 @@
-//! Low regions of an image: the cells connected over edges to a minimum that lie below half of it, with their moments. The extent of
-//! a line in them follows from the larger second moment, less that of a point: a line of length L has the variance L^2/12.
+//! Low regions of an image: the cells connected over edges to a minimum that lie below half of it, with their moments.
+//! The extent of a line in them follows from the larger second moment, less that of a point: a line of length L has the
+//! variance L^2/12.
 
 use super::{DamageParams, DamageShape};
 use crate::cells::ImageCells;

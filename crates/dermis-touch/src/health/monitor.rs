@@ -17,8 +17,8 @@ const BESIDE: f64 = 0.3;
 /// Where there is nothing to compare with, a step of this share of the largest resting value is more than touches make.
 const GROSS_STEP: f64 = 0.5;
 
-/// Judges channels and electrodes frame by frame; allocates nothing once made. Which frames it sees, in which order, is all
-/// that decides: no clock and no chance.
+/// Judges channels and electrodes frame by frame; allocates nothing once made. Which frames it sees, in which order, is
+/// all that decides: no clock and no chance.
 #[derive(Debug, Clone)]
 pub struct HealthMonitor {
     pub(super) wiring: Wiring,
@@ -90,7 +90,8 @@ impl HealthMonitor {
         &self.excluded
     }
 
-    /// True where the frame judged last shows channels far off that are not declared yet: what is made of it is doubtful.
+    /// True where the frame judged last shows channels far off that are not declared yet: what is made of it is
+    /// doubtful.
     #[must_use]
     pub fn is_doubtful(&self) -> bool {
         self.excluded.iter().zip(&self.declared).any(|(excluded, declared)| *excluded && !*declared)
@@ -108,8 +109,8 @@ impl HealthMonitor {
         &self.recovered
     }
 
-    /// Takes in the readings of a frame as they came (NaN where missing); to be called for every frame, those before the
-    /// baseline included: they tell how often a channel repeats itself.
+    /// Takes in the readings of a frame as they came (NaN where missing); to be called for every frame, those before
+    /// the baseline included: they tell how often a channel repeats itself.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -125,9 +126,9 @@ impl HealthMonitor {
         Ok(())
     }
 
-    /// Judges the frame read last from its difference data (model volts, NaN where missing): true where what is known has
-    /// changed. `unexplained` is how far each channel is from what the good ones let expect (model volts), where that is
-    /// known. `at` is the frame's time in nanoseconds and its number.
+    /// Judges the frame read last from its difference data (model volts, NaN where missing): true where what is known
+    /// has changed. `unexplained` is how far each channel is from what the good ones let expect (model volts), where
+    /// that is known. `at` is the frame's time in nanoseconds and its number.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -284,8 +285,8 @@ impl HealthMonitor {
         state.bad.is_none() && (state.frozen || state.sum >= self.params.bad_sum)
     }
 
-    /// Of two reciprocal channels that contradict each other, is it the other one? A partner with a fault of its own was not
-    /// what this one was compared with.
+    /// Of two reciprocal channels that contradict each other, is it the other one? A partner with a fault of its own
+    /// was not what this one was compared with.
     fn partner_is_to_blame(&self, channel: usize) -> bool {
         let Some((partner, _)) = self.usable_partner(channel) else { return false };
         let (this, other) = (&self.channels[channel], &self.channels[partner]);

@@ -5,7 +5,8 @@ use super::monitor::{FEWEST_TOGETHER, HealthMonitor};
 use super::{ChannelFaultKind, HealthParams};
 use crate::error::{TouchError, require_length};
 
-/// Noise this many times the median channel's, and this share of the largest resting value, is no noise of an instrument.
+/// Noise this many times the median channel's, and this share of the largest resting value, is no noise of an
+/// instrument.
 const NOISE_RATIO: f64 = 10.0;
 const NOISE_SHARE: f64 = 0.05;
 /// Model values below this share of the largest do not tell whether a channel is dead.

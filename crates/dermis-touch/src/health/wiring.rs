@@ -17,8 +17,8 @@ pub struct Wiring {
 }
 
 impl Wiring {
-    /// From the electrodes of each drive and of each measuring pattern (indices from 0), the drive and the pattern of each
-    /// channel, and its reciprocal channel with the factor that makes the two equal, where it has one.
+    /// From the electrodes of each drive and of each measuring pattern (indices from 0), the drive and the pattern of
+    /// each channel, and its reciprocal channel with the factor that makes the two equal, where it has one.
     ///
     /// # Errors
     /// [`TouchError::Length`], and [`TouchError::Parameter`] for an index that does not exist.

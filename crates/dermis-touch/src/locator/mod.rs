@@ -15,6 +15,7 @@
 //!
 //! The module is pure and knows no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
+mod correction;
 mod data;
 mod design;
 mod error;
@@ -30,6 +31,7 @@ mod rows;
 mod state;
 mod suggest;
 
+pub use correction::{PlaceCorrection, SeenPoke};
 pub use data::{
     Examples, Hyperparameters, LeaveOneOut, LeftOut, LoadEstimate, Located, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES,
     Selection, SignatureMap, SuggestedPoke,

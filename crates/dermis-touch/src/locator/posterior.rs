@@ -128,8 +128,8 @@ pub(super) fn calibrate(
     best
 }
 
-/// Mean and variances along x and y of a tempered posterior, of positions with the logarithms of their likelihoods below the
-/// largest.
+/// Mean and variances along x and y of a tempered posterior, of positions with the logarithms of their likelihoods
+/// below the largest.
 fn spread_of(likely: &[(f64, [f64; 2])], temperature: f64, spacing_m: f64) -> ([f64; 2], [f64; 2]) {
     let origin = likely.first().map_or([0.0; 2], |(_, at)| *at);
     let (mut total, mut sum, mut squares) = (0.0, [0.0; 2], [0.0; 2]);

@@ -1,4 +1,5 @@
-//! Faults and treatments of a skin file as the twin takes them: electrodes, coils and channels counted from 0, SI units.
+//! Faults and treatments of a skin file as the twin takes them: electrodes, coils and channels counted from 0, SI
+//! units.
 
 use dermis_skin::{NoisyChannel, StuckChannel, TwinAction, TwinFaults, TwinSettings, TwinTreatment};
 

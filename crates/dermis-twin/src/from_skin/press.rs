@@ -48,9 +48,9 @@ impl PressRange {
     }
 }
 
-/// What people may press a skin with: the file's `[twin] press`, or what its size and layer are made for. A press at the start
-/// of the sliders closes a gap to about 60 % of saturation, changes a sheet's conductance by a third, dents a liquid by a
-/// quarter of its depth, or moves an element by half of its travel.
+/// What people may press a skin with: the file's `[twin] press`, or what its size and layer are made for. A press at
+/// the start of the sliders closes a gap to about 60 % of saturation, changes a sheet's conductance by a third, dents a
+/// liquid by a quarter of its depth, or moves an element by half of its travel.
 pub fn press_range(skin: &Skin) -> PressRange {
     if let Some(press) = &skin.twin.press {
         return PressRange::written(press);
@@ -81,8 +81,8 @@ pub fn press_range(skin: &Skin) -> PressRange {
     }
 }
 
-/// Pressure under a disc that dents a liquid by a quarter of its depth: against the membrane, `p r^2 (1 + 2 ln(R/r)) / (4 T)`
-/// in the middle of a round tray, and against the liquid's own weight.
+/// Pressure under a disc that dents a liquid by a quarter of its depth: against the membrane,
+/// `p r^2 (1 + 2 ln(R/r)) / (4 T)` in the middle of a round tray, and against the liquid's own weight.
 fn denting_pa(layer: &LiquidLayer, radius_m: f64, shorter_m: f64) -> f64 {
     let depth_m = layer.depth_mm * 1e-3;
     let spread = 1.0 + 2.0 * (0.5 * shorter_m / radius_m).max(1.0).ln();
@@ -96,8 +96,8 @@ fn moving_pa(layer: &ElementsLayer, elements: &Elements, radius_m: f64) -> f64 {
     0.58 * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m)
 }
 
-/// What a twin demonstrates by itself: one touch wanders, others are pressed and slide. About the middle of the largest circle
-/// that fits into the skin, unless the file says otherwise.
+/// What a twin demonstrates by itself: one touch wanders, others are pressed and slide. About the middle of the largest
+/// circle that fits into the skin, unless the file says otherwise.
 pub fn demonstration(skin: &Skin, press: &PressRange) -> Script {
     let softness = press.initial_pressure_pa / DEMO_PRESSURE_PA;
     match skin.twin.demonstration {

@@ -1,7 +1,7 @@
 //! Signal-to-noise ratios as two of the field's papers define them, and the noise that gives the second its figure.
 
-/// Of one channel, as a ratio of powers: `10 log10(sum V^2 / sum (V - mean)^2)` over repeated readings of a skin at rest.
-/// Infinite for readings that never change.
+/// Of one channel, as a ratio of powers: `10 log10(sum V^2 / sum (V - mean)^2)` over repeated readings of a skin at
+/// rest. Infinite for readings that never change.
 pub fn snr_db(readings: &[f64]) -> f64 {
     let mean = readings.iter().sum::<f64>() / readings.len() as f64;
     let power: f64 = readings.iter().map(|v| v * v).sum();
@@ -9,8 +9,8 @@ pub fn snr_db(readings: &[f64]) -> f64 {
     10.0 * (power / scatter).log10()
 }
 
-/// The ionic skins' signal-to-noise ratio as printed, `(1/N) sum 10 log10(mean V / std V)` over K frames, that noise of these
-/// standard deviations is expected to give: ten times the logarithm of an amplitude ratio.
+/// The ionic skins' signal-to-noise ratio as printed, `(1/N) sum 10 log10(mean V / std V)` over K frames, that noise of
+/// these standard deviations is expected to give: ten times the logarithm of an amplitude ratio.
 ///
 /// A sample's deviation is on average too small in the logarithm: `E ln(s / sd) = (psi(n/2) - ln(n/2)) / 2` with
 /// n = K - 1, here by its series `-1/(2 n) - 1/(6 n^2)`.

@@ -8,7 +8,8 @@ use crate::error::{TwinError, check};
 /// Refuses an indenter that a skin of this outline cannot bear.
 ///
 /// # Errors
-/// A middle off the skin (also in a hole of it), a face larger than the skin, with the value; and as [`Indenter::check`].
+/// A middle off the skin (also in a hole of it), a face larger than the skin, with the value; and as
+/// [`Indenter::check`].
 pub fn check_on_skin(outline: &Outline, indenter: &Indenter) -> Result<(), TwinError> {
     indenter.check()?;
     let [x, y] = indenter.centre_m;

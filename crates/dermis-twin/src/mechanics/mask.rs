@@ -7,8 +7,8 @@ use crate::error::{TwinError, check};
 /// Most rows, and most columns, of a [`Mask`].
 pub const MOST_MASK_CELLS: usize = 32;
 
-/// A picture of square cells that press (`#`) or do not (`.`), row 0 at the top (+y), its middle at the indenter's centre.
-/// As text: a list of rows of equal length.
+/// A picture of square cells that press (`#`) or do not (`.`), row 0 at the top (+y), its middle at the indenter's
+/// centre. As text: a list of rows of equal length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<String>", into = "Vec<String>")]
 pub struct Mask {

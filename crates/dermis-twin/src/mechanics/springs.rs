@@ -1,15 +1,15 @@
-//! Rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling
-//! drags its neighbours along; springs are linear first and stiffen as coils close or foam densifies, so that the travel
-//! saturates: with x the travel of the linear grid, `(k + c L) x = F` (L the Laplacian of the grid's graph), the travel is
-//! `x / (1 + (x/limit)^n)^(1/n)`.
+//! Rigid elements on springs or on cut sponge. Each carries the load on its own cell; a weak elastic coupling drags its
+//! neighbours along; springs are linear first and stiffen as coils close or foam densifies, so that the travel
+//! saturates: with x the travel of the linear grid, `(k + c L) x = F` (L the Laplacian of the grid's graph), the travel
+//! is `x / (1 + (x/limit)^n)^(1/n)`.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Cover, Indenter};
 use crate::error::{TwinError, check, check_positive};
 
-/// Largest distance between the places at which an indenter's pressure on a cell is summed, metres, and least number of them
-/// along a cell.
+/// Largest distance between the places at which an indenter's pressure on a cell is summed, metres, and least number of
+/// them along a cell.
 const SAMPLE_M: f64 = 3e-3;
 const LEAST_SAMPLES: f64 = 4.0;
 /// Smoothing of the pressure over that distance, so that the sum is the force.
@@ -78,12 +78,12 @@ pub struct SpringGrid {
 }
 
 impl SpringGrid {
-    /// Elements in the middles of cells of this width and height, metres. Those one cell apart along x or y, within a tenth of
-    /// a cell, are neighbours.
+    /// Elements in the middles of cells of this width and height, metres. Those one cell apart along x or y, within a
+    /// tenth of a cell, are neighbours.
     ///
     /// # Errors
-    /// Springs that make no sense, no or more than 1024 elements, places that are not finite, a cell without area, cells that
-    /// overlap.
+    /// Springs that make no sense, no or more than 1024 elements, places that are not finite, a cell without area,
+    /// cells that overlap.
     pub fn new(springs: Springs, places_m: Vec<[f64; 2]>, cell_m: [f64; 2]) -> Result<Self, TwinError> {
         springs.check()?;
         check("number of elements", places_m.len() as f64, 1.0, MOST_ELEMENTS, "1 to 1024")?;
@@ -214,7 +214,8 @@ mod tests {
         let press = |x, y| Indenter::disc([x, y], 0.004, 1.0 / (std::f64::consts::PI * 0.004 * 0.004));
         grid.forces_n(&[press(0.02, -0.04)], &mut forces);
         let total: f64 = forces.iter().sum();
-        // Cut at the edge of the skin by 10 mm, six millimetres and 2.4 deviations beyond the indenter; sampled at its smoothing.
+        // Cut at the edge of the skin by 10 mm, six millimetres and 2.4 deviations beyond the indenter; sampled at its
+        // smoothing.
         assert!((total - 1.0).abs() < 0.01 && forces[3] > 0.98, "{total} {forces:?}");
         // Between two elements: half on each.
         grid.forces_n(&[press(0.01, 0.0)], &mut forces);

@@ -1,12 +1,12 @@
 //! Cuts through a sheet: strips that conduct only a small share of what the sheet does. With f the exact share of an
 //! element's area inside the strip and d the residual share of conductance, an element crossed by a cut conducts
-//! `s / ((1 - f) + f / d)`, what a series of intact and cut material conducts across the cut, and as little along it. (A laminate
-//! that conducts along the cut would hold the potentials of its two sides together wherever elements are oblique to it: linear
-//! elements cannot jump and stay level at once. A cut of 20 mm would then act like one of 14, on any mesh.) Elements need not
-//! follow the cut. They are blocked whole, so that a cut acts as if it were longer by about their size, and by more where it
-//! runs oblique to them: whoever knows their size may shorten it beforehand ([`Cut::shortened`]). A sheet whose mesh can be slit
-//! along the cut needs none of this ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and holds back by
-//! [`Cut::joining_per_m`].
+//! `s / ((1 - f) + f / d)`, what a series of intact and cut material conducts across the cut, and as little along it.
+//! (A laminate that conducts along the cut would hold the potentials of its two sides together wherever elements are
+//! oblique to it: linear elements cannot jump and stay level at once. A cut of 20 mm would then act like one of 14, on
+//! any mesh.) Elements need not follow the cut. They are blocked whole, so that a cut acts as if it were longer by
+//! about their size, and by more where it runs oblique to them: whoever knows their size may shorten it beforehand
+//! ([`Cut::shortened`]). A sheet whose mesh can be slit along the cut needs none of this
+//! ([`super::TwoSheets::with_slits`]): as a slit the cut has no width, and holds back by [`Cut::joining_per_m`].
 
 use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};
@@ -86,8 +86,8 @@ impl Cut {
         Self { from_m: self.at(share), to_m: self.at(1.0 - share), ..*self }
     }
 
-    /// Conductance across it per length, over the sheet's conductance, 1/m: as a slit without width it holds back what its
-    /// strip does more than the sheet would, `w (1/d - 1)` metres of sheet.
+    /// Conductance across it per length, over the sheet's conductance, 1/m: as a slit without width it holds back what
+    /// its strip does more than the sheet would, `w (1/d - 1)` metres of sheet.
     pub fn joining_per_m(&self) -> f64 {
         // Never without any resistance: a joined slit is a millionth of a metre of sheet.
         1.0 / (self.width_m * (1.0 / self.residual - 1.0)).max(1e-6)

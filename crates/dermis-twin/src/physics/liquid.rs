@@ -1,10 +1,10 @@
 //! Fields of a flat tray of conducting liquid whose depth varies from place to place, with electrodes on its wall
 //! or its bottom.
 //!
-//! Averaged over the depth h the potential solves `div(sigma h grad u) = 0` in the plane, which holds where h varies slowly
-//! against itself and electrodes reach from bottom to top. In three dimensions `div(sigma grad u) = 0` is solved on
-//! tetrahedra whose nodes move with the surface, `z -> z h / h0`, with electrodes as small as they are: the field that
-//! fringes from them is then real. Complete electrode model in both.
+//! Averaged over the depth h the potential solves `div(sigma h grad u) = 0` in the plane, which holds where h varies
+//! slowly against itself and electrodes reach from bottom to top. In three dimensions `div(sigma grad u) = 0` is solved
+//! on tetrahedra whose nodes move with the surface, `z -> z h / h0`, with electrodes as small as they are: the field
+//! that fringes from them is then real. Complete electrode model in both.
 
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{
@@ -17,7 +17,8 @@ use crate::error::{TwinError, check, check_positive};
 /// Electrodes of a tray.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LiquidElectrodes {
-    /// Stretches of the rim that they cover, in order; and pads on the bottom, where fields are averaged over the depth.
+    /// Stretches of the rim that they cover, in order; and pads on the bottom, where fields are averaged over the
+    /// depth.
     pub shapes: Vec<ElectrodeShape>,
     /// Height of those on the wall, metres.
     pub height_m: f64,
@@ -85,8 +86,8 @@ impl LiquidSpec {
         check("electrode_middle_m", electrodes.middle_m, range.0, range.1, "a place within the wall")
     }
 
-    /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the impedance
-    /// of that share.
+    /// The plan as a sheet with its electrodes. Current that enters over a share of the wall's height meets the
+    /// impedance of that share.
     fn sheet(&self) -> Result<ElectrodedMesh, TwinError> {
         let electrodes = &self.electrodes;
         let mut sheet = SheetSpec::new(self.outline.clone(), electrodes.shapes.clone(), self.element_size_m);

@@ -1,6 +1,6 @@
 //! Where fabric patches lie on a sheet, and what part of it each contact cell covers. Patches are squares on a regular
-//! pitch with gaps between them, clipped to the sheet; each is cut into equal square cells, and contact is constant on a
-//! cell: a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
+//! pitch with gaps between them, clipped to the sheet; each is cut into equal square cells, and contact is constant on
+//! a cell: a cell exchanges current with its patch in proportion to the sheet's mean potential under it.
 
 use dermis_tomo::mesh::Outline;
 use serde::{Deserialize, Serialize};

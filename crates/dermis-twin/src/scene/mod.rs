@@ -101,8 +101,8 @@ impl Scene {
     /// Presses with a round indenter; a pointer that presses already moves and changes to this.
     ///
     /// # Errors
-    /// Numbers that are not finite, a radius that is not positive, a pressure below zero, a place off the skin, an indenter
-    /// larger than the skin.
+    /// Numbers that are not finite, a radius that is not positive, a pressure below zero, a place off the skin, an
+    /// indenter larger than the skin.
     pub fn press(
         &mut self,
         pointer: u64,

@@ -215,9 +215,9 @@ impl Script {
         self
     }
 
-    /// The demonstration: one touch wanders over the skin for 12 s, a second is pressed elsewhere, a third slides, then a
-    /// pause; 22 s, again and again. One at a time: the copper joins touches that press together, and a linear image does
-    /// not take them apart.
+    /// The demonstration: one touch wanders over the skin for 12 s, a second is pressed elsewhere, a third slides, then
+    /// a pause; 22 s, again and again. One at a time: the copper joins touches that press together, and a linear image
+    /// does not take them apart.
     pub fn demo() -> Self {
         let mut events = Vec::new();
         // A Lissajous figure that stays within 28 mm of the middle.

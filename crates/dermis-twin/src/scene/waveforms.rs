@@ -1,5 +1,5 @@
-//! Scripts of one round indenter whose pressure changes in time: ramps, taps, sines. They are lists of events as any other,
-//! so that they can be edited, saved and joined.
+//! Scripts of one round indenter whose pressure changes in time: ramps, taps, sines. They are lists of events as any
+//! other, so that they can be edited, saved and joined.
 
 use std::f64::consts::TAU;
 
@@ -35,8 +35,8 @@ impl Place {
 }
 
 impl Script {
-    /// Pressure that goes from one value to another in a straight line over `rise_s` and then stays for `hold_s`. Zero at
-    /// either end counts as a millionth of the other.
+    /// Pressure that goes from one value to another in a straight line over `rise_s` and then stays for `hold_s`. Zero
+    /// at either end counts as a millionth of the other.
     ///
     /// # Errors
     /// Times or pressures that are not usable, a place that no indenter has.
@@ -48,8 +48,8 @@ impl Script {
         Self::checked(rise_s + hold_s, events)
     }
 
-    /// `count` taps, `frequency_hz` a second, each pressed for the share `duty` of its period; the first at once. Touches
-    /// fade in and out as the scene says.
+    /// `count` taps, `frequency_hz` a second, each pressed for the share `duty` of its period; the first at once.
+    /// Touches fade in and out as the scene says.
     ///
     /// # Errors
     /// As [`Script::ramp`]; a duty that is not between 0 and 1, no taps.

@@ -1,5 +1,6 @@
-//! The EM-skins: coils under a membrane of conducting elements on sponge or springs. The paper gives coils, frequencies, frame
-//! rates, signal-to-noise ratios, the number of elements and their size; heights, stiffness, travel and current are assumed.
+//! The EM-skins: coils under a membrane of conducting elements on sponge or springs. The paper gives coils,
+//! frequencies, frame rates, signal-to-noise ratios, the number of elements and their size; heights, stiffness, travel
+//! and current are assumed.
 
 use dermis_mit::sheet::SheetMaterial;
 use dermis_mit::{CoilArray, Coupling, Sphere};
@@ -21,8 +22,8 @@ fn aluminium(diameter_m: f64, height_m: f64) -> Conductor {
     Conductor::Sphere(Sphere { radius_m, conductivity_s_per_m: 3.5e7, relative_permeability: 1.0 })
 }
 
-/// Eight coils at 55 kHz, 83 dB, 10 frames/s, under 5 x 5 aluminium cylinders of 10 mm (their height of 10 mm is assumed) on
-/// sponge.
+/// Eight coils at 55 kHz, 83 dB, 10 frames/s, under 5 x 5 aluminium cylinders of 10 mm (their height of 10 mm is
+/// assumed) on sponge.
 pub fn em_8() -> ElementOptions {
     ElementOptions {
         outline: Outline::Rectangle { width_m: 0.14, height_m: 0.14 },
@@ -42,8 +43,8 @@ pub fn em_8() -> ElementOptions {
     }
 }
 
-/// Sixteen round spirals at 20 kHz, 50 dB, 1 frame/s, under 8 x 8 springs of 30 mm, 22 mm wide and 13 mm apart, each with a
-/// conductor.
+/// Sixteen round spirals at 20 kHz, 50 dB, 1 frame/s, under 8 x 8 springs of 30 mm, 22 mm wide and 13 mm apart, each
+/// with a conductor.
 pub fn em_16_circular() -> ElementOptions {
     ElementOptions {
         outline: Outline::Rectangle { width_m: 0.32, height_m: 0.32 },

@@ -1,5 +1,5 @@
-//! The self-healing sandwich of Chen, Wang et al.: a 100 mm square of conductive composite with 16 pads along its rim under
-//! an air gap and a copper layer.
+//! The self-healing sandwich of Chen, Wang et al.: a 100 mm square of conductive composite with 16 pads along its rim
+//! under an air gap and a copper layer.
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolSpec};
 use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline};
@@ -25,9 +25,9 @@ pub fn healing_protocol() -> Protocol {
     .unwrap()
 }
 
-/// Conductivity 4.98 S/m (a bar of 100 x 10 x 1 mm has 2.01 kohm), 1 mm thick; 35 um of copper; contacts of 14 ohm a pad
-/// (assumed). The contact law is assumed: it puts 80 kPa at about 60 % of saturation, where current turns into the copper
-/// within `sqrt(5 mS / g)` = 2.4 mm of an indenter's edge.
+/// Conductivity 4.98 S/m (a bar of 100 x 10 x 1 mm has 2.01 kohm), 1 mm thick; 35 um of copper; contacts of 14 ohm a
+/// pad (assumed). The contact law is assumed: it puts 80 kPa at about 60 % of saturation, where current turns into the
+/// copper within `sqrt(5 mS / g)` = 2.4 mm of an indenter's edge.
 pub fn healing_square() -> SandwichOptions {
     let pad = ElectrodeShape::PadRectangle { centre_m: [0.0; 2], width_m: 6e-3, height_m: 6e-3, angle_rad: 0.0 };
     SandwichOptions {
@@ -47,8 +47,8 @@ pub fn healing_square() -> SandwichOptions {
     }
 }
 
-/// 90 C for 2 h heal; the intact bar of 100 mm goes from 2.01 to 1.92 kohm; the bar that was cut goes from 2.07 to 2.15 kohm.
-/// Assumed: 90 kJ/mol, the rise at the end of the heating, 12 h of relaxation, and how far warmth reaches.
+/// 90 C for 2 h heal; the intact bar of 100 mm goes from 2.01 to 1.92 kohm; the bar that was cut goes from 2.07 to 2.15
+/// kohm. Assumed: 90 kJ/mol, the rise at the end of the heating, 12 h of relaxation, and how far warmth reaches.
 pub fn healing_law() -> HealingLaw {
     HealingLaw {
         temperature_c: 90.0,

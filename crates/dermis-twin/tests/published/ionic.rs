@@ -1,5 +1,5 @@
-//! The ionic skins: salted water in a shallow tray under a stretched latex membrane, closed and full, with 16 bolts through
-//! its wall.
+//! The ionic skins: salted water in a shallow tray under a stretched latex membrane, closed and full, with 16 bolts
+//! through its wall.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -32,8 +32,8 @@ pub fn ionic_protocol() -> Protocol {
     .unwrap()
 }
 
-/// The round skin of 174 mm; electrode 1 at the top, numbered clockwise. Assumed: conductivity, contacts; fitted: tension and
-/// memory.
+/// The round skin of 174 mm; electrode 1 at the top, numbered clockwise. Assumed: conductivity, contacts; fitted:
+/// tension and memory.
 pub fn ionic_disc() -> LiquidOptions {
     LiquidOptions {
         outline: Outline::Disc { radius_m: 0.5 * 0.174 },
@@ -73,8 +73,8 @@ pub fn ionic_disc_with_bolts(side_m: f64, height_share: f64) -> LiquidOptions {
     }
 }
 
-/// 16 frames of 208 channels a second, and noise in proportion to each voltage that has the paper's 59.7 dB on any skin if they
-/// are an amplitude ratio as usual, `20 log10(mean / deviation)`.
+/// 16 frames of 208 channels a second, and noise in proportion to each voltage that has the paper's 59.7 dB on any skin
+/// if they are an amplitude ratio as usual, `20 log10(mean / deviation)`.
 pub fn ionic_instrument() -> InstrumentOptions {
     let channel_s = 1.0 / (IONIC_RATE_HZ * 208.0);
     InstrumentOptions {

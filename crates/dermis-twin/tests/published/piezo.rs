@@ -1,5 +1,5 @@
-//! The piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics 17, 2024): a carbon-sprayed sheet over 64
-//! small electrodes on a circuit board, under loose fabric patches on a neoprene backing.
+//! The piezoresistive skins of Sanchez-Delgado et al. (Intelligent Service Robotics 17, 2024): a carbon-sprayed sheet
+//! over 64 small electrodes on a circuit board, under loose fabric patches on a neoprene backing.
 //!
 //! The electrodes' places are taken as the regular 8 x 8 grid on the square, and as its image under the equal-area
 //! concentric map on the disc, numbered row by row to and fro from the bottom left.
@@ -41,8 +41,8 @@ fn pads(place: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<ElectrodeShape> {
     (0..64).map(pad).collect()
 }
 
-/// The square of 150 mm. The paper gives the limit of detection of 83 Pa, which fixes the reference pressure; the rest of the
-/// contact law is assumed. The backing of 5.5 mm spreads pressure evenly.
+/// The square of 150 mm. The paper gives the limit of detection of 83 Pa, which fixes the reference pressure; the rest
+/// of the contact law is assumed. The backing of 5.5 mm spreads pressure evenly.
 pub fn piezo_square() -> PatchedOptions {
     PatchedOptions {
         outline: Outline::Rectangle { width_m: 0.15, height_m: 0.15 },
@@ -69,8 +69,8 @@ pub fn piezo_disc() -> PatchedOptions {
     }
 }
 
-/// Current in steps of 2.6 uA up to 40 uA, a multiplexer of 400 ohm, a 16-bit converter of 860 samples a second with five
-/// ranges. Assumed: 20 uV and 80 dB of noise, inputs of 10 megohm and 20 pF, 10 us of settling.
+/// Current in steps of 2.6 uA up to 40 uA, a multiplexer of 400 ohm, a 16-bit converter of 860 samples a second with
+/// five ranges. Assumed: 20 uV and 80 dB of noise, inputs of 10 megohm and 20 pF, 10 us of settling.
 pub fn piezo_instrument() -> InstrumentOptions {
     let (on_resistance_ohm, input_resistance_ohm, input_capacitance_f) = (400.0, 1e7, 20e-12);
     InstrumentOptions {

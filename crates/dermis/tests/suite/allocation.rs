@@ -1,5 +1,5 @@
-//! The live pipeline allocates nothing per frame once it runs: no frame ever waits for memory. (Fits of contacts on a sandwich
-//! and of elements are the exceptions that its documentation names.)
+//! The live pipeline allocates nothing per frame once it runs: no frame ever waits for memory. (Fits of contacts on a
+//! sandwich and of elements are the exceptions that its documentation names.)
 
 use allocation_counter::measure;
 use dermis::live::pipeline::Pipeline;

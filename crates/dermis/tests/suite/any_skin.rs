@@ -1,5 +1,5 @@
-//! What holds of every skin file: its twin is made of all of its numbers, its name and its size are its own, and it can be
-//! written and read again.
+//! What holds of every skin file: its twin is made of all of its numbers, its name and its size are its own, and it can
+//! be written and read again.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -145,7 +145,8 @@ fn elements_are_made_of_all_numbers_of_their_file() {
     let CoilPlaces::Grid { rows, columns, left_out, .. } = &mut coils.places else { panic!("no grid") };
     (*rows, *columns, *left_out) = (2, 2, vec![4]);
     (coils.turns, coils.layers, coils.inductance_uh, coils.shield_mm) = (4, 2, Some(1.5), Some(-20.0));
-    // A ball's answer is known in closed form; that of a cylinder of other sizes takes edge elements and so many seconds.
+    // A ball's answer is known in closed form; that of a cylinder of other sizes takes edge elements and so many
+    // seconds.
     let elements = skin.frontend.elements.as_mut().unwrap();
     elements.shape = ElementShape::Sphere { diameter_mm: 11.0 };
     elements.places = ElementPlaces::Grid { rows: 2, columns: 2, pitch_mm: Pair::One(20.0) };

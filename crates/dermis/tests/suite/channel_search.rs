@@ -87,8 +87,8 @@ fn other_patterns_than_the_file_s_are_found() {
     assert_eq!((&best.drive, &best.measure), (&DrivePattern::Skip(2), &MeasurePattern::Skip(1)));
 }
 
-/// A long pad tells from where its electrodes are counted, but for half a turn; it is its own mirror image, so that counting
-/// the other way round reads as some other start does.
+/// A long pad tells from where its electrodes are counted, but for half a turn; it is its own mirror image, so that
+/// counting the other way round reads as some other start does.
 #[test]
 fn electrodes_counted_from_elsewhere_are_told_on_a_long_pad() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../skins/examples/gel-pad.toml");

@@ -1,5 +1,5 @@
-//! Damage told from touch on the sandwich's twin, whose mesh, physics and noise are not the model's: cuts are found and stay
-//! known, touches work beside them, drift and slow presses are told apart, and no baseline hides a damage.
+//! Damage told from touch on the sandwich's twin, whose mesh, physics and noise are not the model's: cuts are found and
+//! stay known, touches work beside them, drift and slow presses are told apart, and no baseline hides a damage.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -201,7 +201,8 @@ fn a_touch_in_the_first_baseline_is_no_damage_when_it_goes_and_a_cut_there_still
             line.run(40);
             assert_eq!((line.pipeline.damage().proposal, line.pipeline.damage().intact), (None, Some(1)));
         }
-        // With the proposal taken or not, damage is found, and where it is; a cut may leave lobes that are recorded too.
+        // With the proposal taken or not, damage is found, and where it is; a cut may leave lobes that are recorded
+        // too.
         let half = [8.0, 6.0];
         line.cut([place_mm[0] - half[0], place_mm[1] - half[1]], [place_mm[0] + half[0], place_mm[1] + half[1]]);
         line.run(80);
@@ -348,7 +349,8 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
         println!("truth {truth:.3} {state:?}");
         course.push((truth, state.joined.min(1.0)));
     }
-    // The sheet's rise about the cut and what is left of the cut answer alike in part; readings are means over a few frames.
+    // The sheet's rise about the cut and what is left of the cut answer alike in part; readings are means over a few
+    // frames.
     assert!(course.iter().all(|(truth, joined)| (truth - joined).abs() < 0.15), "{course:?}");
     assert!(course.windows(2).all(|pair| pair[1].1 >= pair[0].1 - 0.1), "{course:?}");
     assert!(course[9].1 > 0.9, "{course:?}");
@@ -357,8 +359,8 @@ fn healing_is_followed_and_ends_with_a_new_baseline() {
 
 #[test]
 fn every_cut_is_one_damage_wherever_it_lies() {
-    // Images of thin cuts have lobes as high as the cut is deep, which are no touches, and lobes at the rim, which are no
-    // damage: along and across the lines between electrodes, by the rim, in the middle, long and short.
+    // Images of thin cuts have lobes as high as the cut is deep, which are no touches, and lobes at the rim, which are
+    // no damage: along and across the lines between electrodes, by the rim, in the middle, long and short.
     for (middle_mm, length_mm, degrees) in [
         ([-20.0, -5.0], 20.0, 37.0_f64),
         ([-20.0, -5.0], 20.0, 90.0),

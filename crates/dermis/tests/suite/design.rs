@@ -125,7 +125,8 @@ fn the_search_finds_skins_at_least_as_good_and_writes_them() {
     let [_, drive] = search(&[Freedom::Drive]);
     let [_, fewer] = search(&[Freedom::Count]);
     let [_, both] = search(&[Freedom::Drive, Freedom::Electrodes]);
-    // What is freed more is not worse; adjacent pairs of all are the worst that textbooks know for the middle of a tank.
+    // What is freed more is not worse; adjacent pairs of all are the worst that textbooks know for the middle of a
+    // tank.
     assert!(drive.position_m.worst < 0.9 * own.position_m.worst, "{own:?} {drive:?}");
     assert!(protocol.position_m.worst <= drive.position_m.worst);
     assert!(fewer.position_m.worst <= own.position_m.worst);
@@ -182,8 +183,8 @@ fn the_smallest_force_of_the_liquid_skin_is_of_the_published_size() {
     let map = smallest_force(&prepared, Noise::Assumed, 5, |_, _| {}).unwrap();
     let forces = Summary::of(&map.force_n);
     println!("{forces:?} on {} mm", 2e3 * map.radius_m);
-    // One weight of 64 mN is seen at every radius (paper I) on a disc of the same 20 mm; on the twin at 9 to 15 deviations
-    // of a peak pixel, so that 3.3 of all channels together is a small part of it.
+    // One weight of 64 mN is seen at every radius (paper I) on a disc of the same 20 mm; on the twin at 9 to 15
+    // deviations of a peak pixel, so that 3.3 of all channels together is a small part of it.
     assert!(map.radius_m == 0.01 && forces.worst < 0.064 && forces.best > 0.0005, "{forces:?}");
     // Twice the noise, twice the force, within the 2 % of the search: the membrane is linear so far below its depth.
     let at = |volts: f64| Summary::of(&smallest_force(&prepared, Noise::Volts(volts), 5, |_, _| {}).unwrap().force_n);

@@ -1,5 +1,5 @@
-//! The EM-skins from file to touches: the numbers of their files reach twins and models, single presses are found on the right element under the
-//! model's and the measured Jacobian.
+//! The EM-skins from file to touches: the numbers of their files reach twins and models, single presses are found on
+//! the right element under the model's and the measured Jacobian.
 
 use dermis::lab::twin_bench::Rig;
 use dermis::live::calibration::CalibratedImager;

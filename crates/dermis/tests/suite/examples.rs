@@ -1,4 +1,5 @@
-//! The skins that no paper has (`skins/examples`): each has a twin from its file alone, and presses at random places are found.
+//! The skins that no paper has (`skins/examples`): each has a twin from its file alone, and presses at random places
+//! are found.
 
 use std::path::{Path, PathBuf};
 
@@ -64,8 +65,8 @@ fn place_mm(indenter: &Indenter) -> [f64; 2] {
     indenter.centre_m.map(|value| 1e3 * value)
 }
 
-/// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen as
-/// several.
+/// Median distance of touches from single presses at so many random places, and how many presses were not seen, or seen
+/// as several.
 fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     let places = random_presses(&skin.outline(), &press_range(&skin), presses, 11).unwrap();
     let found = touches_of(skin, &places, 1);
@@ -80,7 +81,8 @@ fn median_mm(skin: Skin, presses: usize) -> (f64, usize, usize) {
     (errors[presses / 2], missed, several)
 }
 
-/// Of so many pairs of presses a quarter of the longer side apart, those of which both were found, each nearer than half of that.
+/// Of so many pairs of presses a quarter of the longer side apart, those of which both were found, each nearer than
+/// half of that.
 fn pairs_found(skin: Skin, pairs: usize) -> usize {
     let (low, high) = skin.outline().bounds_m();
     let apart_mm = 0.25e3 * (high[0] - low[0]).max(high[1] - low[1]);

@@ -1,6 +1,6 @@
-//! Random sequences of presses, cuts, faults, damaged frames, clock jumps, commands and recordings on the real twin and the
-//! real pipeline in one process, with what must hold whatever happens. Sequences that fail shrink, and their seeds are kept
-//! in `proptest-regressions` beside this file.
+//! Random sequences of presses, cuts, faults, damaged frames, clock jumps, commands and recordings on the real twin and
+//! the real pipeline in one process, with what must hold whatever happens. Sequences that fail shrink, and their seeds
+//! are kept in `proptest-regressions` beside this file.
 
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;

@@ -51,7 +51,8 @@ impl Bench {
         }
     }
 
-    /// The same without solving the fields anew: what was read last, again, as a skin held still would read without noise.
+    /// The same without solving the fields anew: what was read last, again, as a skin held still would read without
+    /// noise.
     fn process(&mut self) {
         let time_ns = self.frames * PERIOD_NS;
         let at = HostStamp { monotonic_ns: time_ns, wall_ns: time_ns };
@@ -128,7 +129,8 @@ fn a_moving_press_keeps_its_number() {
     assert_eq!(bench.begun, 1);
 }
 
-/// The copper joins two presses, and the linear image shows a bar between them; contacts with the copper tell them apart.
+/// The copper joins two presses, and the linear image shows a bar between them; contacts with the copper tell them
+/// apart.
 #[test]
 fn presses_45_mm_apart_are_touches_of_their_own() {
     let mut bench = Bench::new();

@@ -1,5 +1,5 @@
-//! A skin with a broken instrument: what is broken is known within ten frames, touches stay where they are without it, and a
-//! sound twin, pressed or not, raises no alarm.
+//! A skin with a broken instrument: what is broken is known within ten frames, touches stay where they are without it,
+//! and a sound twin, pressed or not, raises no alarm.
 
 use dermis::lab::twin_bench::Rig;
 use dermis::live::imager::Imager;
@@ -292,8 +292,8 @@ fn places_hold_with_electrodes_lost() {
 
 #[test]
 fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
-    // The presses of the book's table, and the pairs that lose most: adjacent pairs leave the sound electrode between them
-    // without a channel too.
+    // The presses of the book's table, and the pairs that lose most: adjacent pairs leave the sound electrode between
+    // them without a channel too.
     let places: Vec<[f64; 2]> = [0.0, 0.34, 0.69]
         .iter()
         .flat_map(|ring| (0..6).map(move |k| (*ring, 0.4 + std::f64::consts::TAU / 6.0 * f64::from(k))))

@@ -1,5 +1,5 @@
-//! Skin files, cases, calibrations and tables of pokes made of arbitrary bytes, and of damaged real ones: refused or read,
-//! never a panic. `PROPTEST_CASES` sets how many are tried.
+//! Skin files, cases, calibrations and tables of pokes made of arbitrary bytes, and of damaged real ones: refused or
+//! read, never a panic. `PROPTEST_CASES` sets how many are tried.
 
 use std::path::Path;
 

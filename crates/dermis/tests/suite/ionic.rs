@@ -1,4 +1,5 @@
-//! The built-in liquid skins of paper I, twin to touches: weights lie on the noisy twins and the whole pipeline says where.
+//! The built-in liquid skins of paper I, twin to touches: weights lie on the noisy twins and the whole pipeline says
+//! where.
 
 use dermis::live::imager::Imager;
 use dermis::live::pipeline::Pipeline;
@@ -171,8 +172,8 @@ fn an_idle_skin_has_no_touches() {
 
 #[test]
 fn a_standing_skin_is_touched_north_east_south_and_west() {
-    // The liquid is 5 mm deeper below and shallower above, while the image's model knows an even one. Changes relative to
-    // each channel's own baseline make up for that; with one gain for the whole frame errors reach 15 mm.
+    // The liquid is 5 mm deeper below and shallower above, while the image's model knows an even one. Changes relative
+    // to each channel's own baseline make up for that; with one gain for the whole frame errors reach 15 mm.
     let mut standing = Skin::open("ionic-disc").unwrap();
     liquid(&mut standing).gravity_m_per_s2 = [0.0, -9.81, 0.0];
     let mut bench = Bench::with(Skin::open("ionic-disc").unwrap(), AnyTwin::from_skin(&standing).unwrap());

@@ -87,8 +87,8 @@ fn the_simulated_skin_is_not_the_model_of_the_images() {
     assert!((1e-4..0.1).contains(&error), "{error}");
 }
 
-/// In a sandwich touches are contacts with a floating shortcut and cuts are cut: no channel knows a word of classes, yet
-/// touches let the drive's own voltage fall and cuts let it rise.
+/// In a sandwich touches are contacts with a floating shortcut and cuts are cut: no channel knows a word of classes,
+/// yet touches let the drive's own voltage fall and cuts let it rise.
 #[test]
 fn touches_and_cuts_of_a_sandwich_change_voltages_in_their_own_ways() {
     let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
@@ -326,8 +326,8 @@ fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
     };
     let (rest, pressed) = (read(&[]), read(&[Indenter::disc([0.01, -0.02], 0.01, 80e3)]));
     let (mut frame, mut known, mut seen) = (Frame::default(), Vec::new(), None);
-    // The network needs some milliseconds; how many frames those are depends on the machine. All frames are classified at
-    // once as well, so that classes that come late are compared too.
+    // The network needs some milliseconds; how many frames those are depends on the machine. All frames are classified
+    // at once as well, so that classes that come late are compared too.
     for number in 0..2000 {
         let values = if number < 40 { &rest } else { &pressed };
         let stamp = HostStamp { monotonic_ns: number * 20_000_000, wall_ns: number };

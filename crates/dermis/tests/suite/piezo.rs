@@ -1,5 +1,5 @@
-//! The piezoresistive skins, twin to touches: their noisy twins are pressed and the whole pipeline says where. One backend
-//! file serves all three.
+//! The piezoresistive skins, twin to touches: their noisy twins are pressed and the whole pipeline says where. One
+//! backend file serves all three.
 
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;

@@ -1,5 +1,5 @@
-//! A device that is unplugged and plugged in again a hundred times, stalls, and is taken for another: the stream resumes, every
-//! gap is counted, and touches end and begin as they should.
+//! A device that is unplugged and plugged in again a hundred times, stalls, and is taken for another: the stream
+//! resumes, every gap is counted, and touches end and begin as they should.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
@@ -76,8 +76,8 @@ fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) {
     }
 }
 
-/// What the skin feels during a connection: nothing, or a press at one of the places. Every third time it is the same place as
-/// the time before.
+/// What the skin feels during a connection: nothing, or a press at one of the places. Every third time it is the same
+/// place as the time before.
 fn state(connection: u64) -> usize {
     [0, 1, 2, 2][(connection % 4) as usize]
 }

@@ -71,7 +71,8 @@ fn every_element_of_the_em_skins_is_located() {
     // All but the element over the array's empty place, which is weakly seen, and some beside it.
     let alike = value(&report, "8 coils: model's against measured Jacobian, correlation, median of 25");
     assert!(alike > 0.98, "{:?}", report.rows);
-    // Heights make one touch of one element; in the linear image elements that travel far have a side lobe here and there.
+    // Heights make one touch of one element; in the linear image elements that travel far have a side lobe here and
+    // there.
     assert_eq!(value(&report, "8 coils, heights: share with one touch, there"), 1.0, "{:?}", report.rows);
 }
 

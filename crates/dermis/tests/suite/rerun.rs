@@ -37,8 +37,8 @@ impl Result {
     }
 }
 
-/// Runs the twin's demonstration for `frames` frames with a forced tare and another lambda on the way, recording from frame
-/// `from` on and leaving out every frame in `lost`.
+/// Runs the twin's demonstration for `frames` frames with a forced tare and another lambda on the way, recording from
+/// frame `from` on and leaving out every frame in `lost`.
 fn live(path: &Path, frames: u64, from: u64, lost: &[u64]) -> Vec<Result> {
     let (source, _commands) = TwinSource::new(&Skin::open(SKIN).unwrap()).unwrap();
     let mut source = source.unpaced();

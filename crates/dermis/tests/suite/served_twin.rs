@@ -1,5 +1,5 @@
-//! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin that is
-//! killed and started again is found again with its gap counted.
+//! A twin behind the real wire on a loopback socket: what comes out of the stream is what the twin read, and a twin
+//! that is killed and started again is found again with its gap counted.
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
@@ -60,7 +60,8 @@ fn collect(source: &mut StreamSource, count: usize) -> Vec<Frame> {
     seen
 }
 
-/// What is still on its way once the instrument has gone: the host has read all of it when it says that the connection ended.
+/// What is still on its way once the instrument has gone: the host has read all of it when it says that the connection
+/// ended.
 fn drain(source: &mut StreamSource, seen: &mut Vec<Frame>) {
     let began = Instant::now();
     while source.problem().is_none() {

@@ -74,8 +74,8 @@ impl Trial {
     }
 }
 
-/// Two thirds of the errors within one sigma an axis: 60 to 76 % is asked for of many presses; 120 errors scatter by 4 %,
-/// and those of one press are not independent.
+/// Two thirds of the errors within one sigma an axis: 60 to 76 % is asked for of many presses; 120 errors scatter by 4
+/// %, and those of one press are not independent.
 #[test]
 fn errors_of_presses_anywhere_lie_within_their_sigmas() {
     let mut wrong = Vec::new();

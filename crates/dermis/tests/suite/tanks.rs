@@ -1,5 +1,5 @@
-//! Four tanks measured by others, from file to images and touches by the same call as `dermis reconstruct`. The data are
-//! not part of this repository; without them the tests count as skipped.
+//! Four tanks measured by others, from file to images and touches by the same call as `dermis reconstruct`. The data
+//! are not part of this repository; without them the tests count as skipped.
 
 mod golfball;
 mod ktc;
@@ -92,8 +92,8 @@ fn read_images(path: &Path) -> Images {
 }
 
 impl Images {
-    /// Bilinear value at a place given from -1 to 1 across the image, y up; pixels outside the skin count as the nearest
-    /// one inside.
+    /// Bilinear value at a place given from -1 to 1 across the image, y up; pixels outside the skin count as the
+    /// nearest one inside.
     pub(crate) fn at(&self, frame: usize, x: f64, y: f64) -> f64 {
         let column = 0.5 * (x + 1.0) * self.columns as f64 - 0.5;
         let row = 0.5 * (1.0 - y) * self.rows as f64 - 0.5;

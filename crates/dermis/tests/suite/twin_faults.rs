@@ -1,5 +1,5 @@
-//! A broken or turned instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and an open
-//! electrode reaches the channels that use it.
+//! A broken or turned instrument, from the skin file to the pipeline: frames lost and repeated are counted exactly, and
+//! an open electrode reaches the channels that use it.
 
 use std::time::Duration;
 
@@ -26,7 +26,8 @@ fn run(skin: &Skin, frames: usize) -> (Vec<u64>, Vec<Vec<f64>>) {
     (numbers, raw)
 }
 
-/// The same, and what the acquisition has counted when its queue is full and the counts are as expected, or after a minute.
+/// The same, and what the acquisition has counted when its queue is full and the counts are as expected, or after a
+/// minute.
 fn run_until(
     skin: &Skin,
     frames: usize,

@@ -15,8 +15,8 @@ pub(super) struct Assembly {
 }
 
 impl Assembly {
-    /// Takes a part whose first byte came at `at`; true when the frame is whole. A part that does not continue what has come
-    /// ends it: the next whole frame's number tells that this one is missing.
+    /// Takes a part whose first byte came at `at`; true when the frame is whole. A part that does not continue what has
+    /// come ends it: the next whole frame's number tells that this one is missing.
     pub(super) fn take(&mut self, part: &Part<'_>, at: HostStamp) -> bool {
         if part.first == 0 {
             self.frame.clear();

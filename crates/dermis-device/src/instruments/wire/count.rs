@@ -1,4 +1,5 @@
-//! Which frames did not come: the device's sequence numbers, which wrap and start anew, against the host's, which do not.
+//! Which frames did not come: the device's sequence numbers, which wrap and start anew, against the host's, which do
+//! not.
 
 use crate::HostStamp;
 use crate::stream::Inbox;
@@ -55,8 +56,8 @@ impl Count {
             return None;
         }
         let missed = if anew {
-            // What the device would have sent since the last frame, of which this frame is one; its numbers say nothing of
-            // that.
+            // What the device would have sent since the last frame, of which this frame is one; its numbers say nothing
+            // of that.
             let elapsed_s = at.monotonic_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
             ((elapsed_s * f64::from(frames_per_s)).round() as u64).saturating_sub(1)
         } else {

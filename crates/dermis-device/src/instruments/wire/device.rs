@@ -37,9 +37,9 @@ pub struct DeviceInfo {
 }
 
 /// The device's side of a conversation over the wire. It obeys start, stop and single shot and sends readings as f32 in
-/// volts. Amplitude, frequency and rate are fixed: whatever is asked for, the answer is what it has, the nearest that it can
-/// come; its one gain has code 0. Self-test and impedance check are answered where [`WireDevice::set_measured`] has said
-/// with what. It has no other protocol than its own.
+/// volts. Amplitude, frequency and rate are fixed: whatever is asked for, the answer is what it has, the nearest that
+/// it can come; its one gain has code 0. Self-test and impedance check are answered where [`WireDevice::set_measured`]
+/// has said with what. It has no other protocol than its own.
 #[derive(Debug)]
 pub struct WireDevice {
     info: DeviceInfo,
@@ -72,8 +72,8 @@ impl WireDevice {
         }
     }
 
-    /// What it measures of itself from now on: the answers to a self-test and to an impedance check (ohm, one an electrode, NaN
-    /// where open). Where one is empty, the device does not have that command.
+    /// What it measures of itself from now on: the answers to a self-test and to an impedance check (ohm, one an
+    /// electrode, NaN where open). Where one is empty, the device does not have that command.
     pub fn set_measured(&mut self, self_test: &[f32], impedances_ohm: &[f32]) {
         self.self_test.clear();
         self.self_test.extend_from_slice(self_test);

@@ -1,4 +1,5 @@
-//! The host's side: hello, describe, settings, start, frames, calls in between; and exact counting of what did not come.
+//! The host's side: hello, describe, settings, start, frames, calls in between; and exact counting of what did not
+//! come.
 
 use std::sync::PoisonError;
 use std::time::Duration;
@@ -107,8 +108,9 @@ impl WireHost {
         }
     }
 
-    /// One that sets the device first, with every connection on which it is not as it was set, and takes calls. Settings that
-    /// the device does not have, and those that the wire cannot hold, are left out. Without `start` it waits for calls.
+    /// One that sets the device first, with every connection on which it is not as it was set, and takes calls.
+    /// Settings that the device does not have, and those that the wire cannot hold, are left out. Without `start` it
+    /// waits for calls.
     pub fn with_control(setup: Vec<Order>, start: bool) -> (Self, WireControl) {
         let (control, controlled) = WireControl::pair();
         (Self { setup, start, control: Some(controlled), ..Self::new() }, control)
@@ -141,8 +143,9 @@ impl WireHost {
         }
     }
 
-    /// What must be asked of the device before it starts: nothing if it is as this host has set it, as after a lost connection
-    /// over which it went on measuring; else the setup, as far as it has such settings, of a device that stands still.
+    /// What must be asked of the device before it starts: nothing if it is as this host has set it, as after a lost
+    /// connection over which it went on measuring; else the setup, as far as it has such settings, of a device that
+    /// stands still.
     fn plan(&self) -> Vec<Order> {
         let Some(known) = &self.known else { return Vec::new() };
         if self.set.as_ref().is_some_and(|set| is_still(set, known)) {
@@ -305,7 +308,8 @@ impl WireHost {
         if settled { self.settle(false) } else { Ok(()) }
     }
 
-    /// The device is set, `anew` if it was not before: it must have the channels that frames had so far, and may count anew.
+    /// The device is set, `anew` if it was not before: it must have the channels that frames had so far, and may count
+    /// anew.
     fn settle(&mut self, anew: bool) -> Result<(), String> {
         let Some(known) = &self.known else { return Ok(()) };
         match self.streamed {

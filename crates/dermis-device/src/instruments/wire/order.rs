@@ -19,8 +19,8 @@ const LONG: Duration = Duration::from_secs(30);
 /// A command, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Order {
-    /// Measure this list: electrode where the current enters, where it leaves, where the voltage is taken, against which; from
-    /// 0, or [`dermis_wire::NO_ELECTRODE`].
+    /// Measure this list: electrode where the current enters, where it leaves, where the voltage is taken, against
+    /// which; from 0, or [`dermis_wire::NO_ELECTRODE`].
     Protocol(Vec<[u8; 4]>),
     /// Measure a list that the device knows by name.
     ProtocolName(String),
@@ -180,8 +180,8 @@ pub(super) struct Call {
 
 /// Calls to a device whose frames another thread reads.
 ///
-/// Every call waits for the device's reply, and no longer than is good: three seconds for a setting, thirty for what must be
-/// measured.
+/// Every call waits for the device's reply, and no longer than is good: three seconds for a setting, thirty for what
+/// must be measured.
 #[derive(Debug, Clone)]
 pub struct WireControl {
     calls: Sender<Call>,
@@ -207,9 +207,9 @@ impl WireControl {
         self.known.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Has the device do something; the numbers of its reply: what was set for an amplitude (A), a frequency (Hz) or a rate
-    /// (frames/s), what was measured for a self-test (as the device's manual says) or the impedance check (ohm for each
-    /// electrode, NaN or infinite where open), none for others.
+    /// Has the device do something; the numbers of its reply: what was set for an amplitude (A), a frequency (Hz) or a
+    /// rate (frames/s), what was measured for a self-test (as the device's manual says) or the impedance check (ohm for
+    /// each electrode, NaN or infinite where open), none for others.
     ///
     /// # Errors
     /// [`DeviceError::Refused`] with the device's reason, or that there was no answer.

@@ -1,4 +1,5 @@
-//! Slopes against finite differences of the definition in double precision, and the same weights on any number of threads.
+//! Slopes against finite differences of the definition in double precision, and the same weights on any number of
+//! threads.
 
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};

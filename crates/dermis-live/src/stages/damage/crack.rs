@@ -1,11 +1,11 @@
 //! What a straight cut does to the voltages of a sheet, from the fields of the intact sheet alone. Across a cut of half
 //! length a the potential jumps by `w(x) = sum_k c_k sqrt(1 - x^2) U_k(x)`, `x` in units of a, `U_k` the Chebyshev
 //! polynomials of the second kind, for which the normal field of the jump is `-(k + 1) c_k U_k / 2a` (finite part of
-//! `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai and Korsunsky, *Solution of Crack Problems*, 1996).
-//! The current that crosses it is `s E_n = g w`, with s the sheet's conductance and g that of the joined faces per length;
-//! with `l = s/g` and E the normal field of the intact sheet,
-//! `sum_k ((pi/4a) (l+1) delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes by `s int w E' dx`,
-//! E' the adjoint field. The rim's answer to the cut is left out: of order (a / distance)^2 / 4.
+//! `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai and Korsunsky, *Solution of Crack
+//! Problems*, 1996). The current that crosses it is `s E_n = g w`, with s the sheet's conductance and g that of the
+//! joined faces per length; with `l = s/g` and E the normal field of the intact sheet,
+//! `sum_k ((pi/4a) (l+1) delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes by
+//! `s int w E' dx`, E' the adjoint field. The rim's answer to the cut is left out: of order (a / distance)^2 / 4.
 
 use dermis_skin::Modality;
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
@@ -190,7 +190,8 @@ fn chebyshev_points() -> [(f64, f64, [f64; TERMS]); POINTS] {
     })
 }
 
-/// `M_kl = int (1 - x^2) U_k U_l dx`, in x = cos t: `int sin((k+1) t) sin((l+1) t) sin t dt` over 0 to pi, in closed form.
+/// `M_kl = int (1 - x^2) U_k U_l dx`, in x = cos t: `int sin((k+1) t) sin((l+1) t) sin t dt` over 0 to pi, in closed
+/// form.
 fn overlaps() -> [[f64; TERMS]; TERMS] {
     std::array::from_fn(|k| {
         std::array::from_fn(|l| {

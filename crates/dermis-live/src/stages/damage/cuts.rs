@@ -1,5 +1,5 @@
-//! The cuts that are known by their fit: what they make of the channels and of the image, how far they have healed, and the
-//! scars that they leave.
+//! The cuts that are known by their fit: what they make of the channels and of the image, how far they have healed, and
+//! the scars that they leave.
 
 use dermis_touch::damage::{Damage, DamageShape, DamageState};
 
@@ -26,7 +26,8 @@ pub(super) struct KnownCuts {
     healing: HealingMonitor,
     /// Joining of a healed scar, 1/m.
     healed_per_m: f64,
-    /// What the fitted cuts make of the channels and of the image, as far as they are open; stale after any has changed.
+    /// What the fitted cuts make of the channels and of the image, as far as they are open; stale after any has
+    /// changed.
     response: Vec<f64>,
     present: Vec<f64>,
     image: Vec<f32>,
@@ -80,8 +81,8 @@ impl KnownCuts {
         self.is_stale = true;
     }
 
-    /// Brings the response up to date: what is to be imaged, without the channels that `difference` lacks, and where to.
-    /// `None` where the image is still that of the response.
+    /// Brings the response up to date: what is to be imaged, without the channels that `difference` lacks, and where
+    /// to. `None` where the image is still that of the response.
     pub fn update_response(&mut self, difference: &[f64]) -> Option<(&[f64], &mut [f32])> {
         if !std::mem::take(&mut self.is_stale) {
             return None;
@@ -99,8 +100,8 @@ impl KnownCuts {
         self.fitted.iter().any(|(id, _)| *id != damage)
     }
 
-    /// Fits a cut to a new damage. `change` (model volts) holds what all other cuts make of the channels, as modelled, where
-    /// `with_others`. The shape found.
+    /// Fits a cut to a new damage. `change` (model volts) holds what all other cuts make of the channels, as modelled,
+    /// where `with_others`. The shape found.
     pub fn fit(
         &mut self,
         damage: &Damage,

@@ -1,5 +1,5 @@
-//! A cut's place, direction and length from difference data: the response of [`CrackModel`] fitted by damped least squares
-//! ([`dermis_tomo::least_squares`]), from several starts, with a change of the whole sheet beside it.
+//! A cut's place, direction and length from difference data: the response of [`CrackModel`] fitted by damped least
+//! squares ([`dermis_tomo::least_squares`]), from several starts, with a change of the whole sheet beside it.
 
 use dermis_tomo::least_squares::{
     Acceptance, Control, Damping, Error as StepError, NormalEquations, Params, Problem, Scratch, Tolerances, Trial,
@@ -65,8 +65,9 @@ impl CutEstimate {
     }
 }
 
-/// Fits a cut to difference data against the intact skin (model volts, NaN where missing, of standard deviations `noise`):
-/// its middle, direction and length with their covariance. `start` is where the image has it. None where none fits.
+/// Fits a cut to difference data against the intact skin (model volts, NaN where missing, of standard deviations
+/// `noise`): its middle, direction and length with their covariance. `start` is where the image has it. None where none
+/// fits.
 ///
 /// # Errors
 /// Data or noise of another length than the skin's channels.
@@ -233,8 +234,8 @@ impl Problem for FitUnderWay<'_, '_> {
     }
 }
 
-/// Fits a cut of the given joining (0: open) to the data, near a place that the image gives, metres, and within `reach_m` of
-/// it at the start. None where no cut fits at all.
+/// Fits a cut of the given joining (0: open) to the data, near a place that the image gives, metres, and within
+/// `reach_m` of it at the start. None where no cut fits at all.
 fn fit(data: &CutData<'_>, near_m: [f64; 2], reach_m: f64, joined_per_m: f64) -> Option<CutEstimate> {
     let present = |v: &&f64| v.is_finite();
     let energy: f64 = data.difference.iter().filter(present).map(|v| v * v).sum();

@@ -1,12 +1,13 @@
-//! How far a fitted cut has healed, from difference data against the intact skin: what is left of the open cut's response,
-//! beside a rise of conductivity about it (heat heals, and leaves the sheet more conductive) and a change of the whole
-//! sheet. What is left says how well the faces are joined; a healed scar is not the intact sheet, so the length of sheet
-//! that it is worth sets the scale. Once the rise has come to rest, a new baseline is due.
+//! How far a fitted cut has healed, from difference data against the intact skin: what is left of the open cut's
+//! response, beside a rise of conductivity about it (heat heals, and leaves the sheet more conductive) and a change of
+//! the whole sheet. What is left says how well the faces are joined; a healed scar is not the intact sheet, so the
+//! length of sheet that it is worth sets the scale. Once the rise has come to rest, a new baseline is due.
 
 use super::crack::{Crack, CrackModel, CrackScratch};
 use crate::prepare::Prepared;
 
-/// Radii within which the sheet is tried to have risen, metres: from the cut outwards, and of a round pad on its middle.
+/// Radii within which the sheet is tried to have risen, metres: from the cut outwards, and of a round pad on its
+/// middle.
 const ABOUT_M: [f64; 5] = [6e-3, 10e-3, 14e-3, 18e-3, 25e-3];
 const ROUND_M: [f64; 7] = [10e-3, 13e-3, 16e-3, 20e-3, 25e-3, 30e-3, 40e-3];
 /// Joining at which responses are tabulated: from the first to the last by this factor, 1/m.
@@ -108,8 +109,8 @@ impl HealingMonitor {
         self.publish();
     }
 
-    /// Estimates the healing from difference data (model volts, NaN where missing) of a mean over free frames. `healed_per_m`: joining of a
-    /// healed scar, one over the length of sheet that it is worth.
+    /// Estimates the healing from difference data (model volts, NaN where missing) of a mean over free frames.
+    /// `healed_per_m`: joining of a healed scar, one over the length of sheet that it is worth.
     pub fn estimate(&mut self, time_ns: u64, difference: &[f64], noise: &[f64], rest: &[f64], healed_per_m: f64) {
         let energy: f64 = difference.iter().filter(|d| d.is_finite()).map(|d| d * d).sum();
         let floor = MODEL_ERROR * (energy / difference.len().max(1) as f64).sqrt();

@@ -5,9 +5,9 @@ use dermis_touch::Baseline;
 use super::frame::DamageFrame;
 use super::readings::mean_difference;
 
-/// A frame reads as the intact skin does if it is off by no more than this many standard deviations, root mean square over the
-/// channels. Noise alone makes 1.0, within 0.05 for 208 channels; with the noise of a reference of few frames and with drift it
-/// was seen at 1.1 to 1.5.
+/// A frame reads as the intact skin does if it is off by no more than this many standard deviations, root mean square
+/// over the channels. Noise alone makes 1.0, within 0.05 for 208 channels; with the noise of a reference of few frames
+/// and with drift it was seen at 1.1 to 1.5.
 const AS_INTACT_SIGMA: f64 = 2.0;
 
 /// The reference that damage is judged by, and the frame at hand against it.

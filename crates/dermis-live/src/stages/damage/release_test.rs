@@ -1,6 +1,6 @@
-//! A fall that is no damage: the reference was taken while something touched the skin, and now that has gone. The skin then
-//! comes nearer to what the model has for an intact sheet, by as much as it changes; damage takes it away from there. And
-//! what has changed is what touches do, with the opposite sign, which a cut is not.
+//! A fall that is no damage: the reference was taken while something touched the skin, and now that has gone. The skin
+//! then comes nearer to what the model has for an intact sheet, by as much as it changes; damage takes it away from
+//! there. And what has changed is what touches do, with the opposite sign, which a cut is not.
 
 use dermis_skin::GainMatch;
 
@@ -12,8 +12,8 @@ const LEAST_EXPLAINED: f64 = 0.9;
 /// Of the way to the intact sheet's model, on a scale on which damage is 0 and a release 1.
 const LEAST_NEARER: f64 = 0.5;
 
-/// Whether `change` (model volts, of the free skin against the reference, NaN where missing) is the release of something that
-/// touched the skin when `reference` (as measured) was taken.
+/// Whether `change` (model volts, of the free skin against the reference, NaN where missing) is the release of
+/// something that touched the skin when `reference` (as measured) was taken.
 pub(super) fn is_release(change: &[f64], reference: &[f64], frame: &DamageFrame<'_>, prepared: &Prepared) -> bool {
     let offset: Vec<f64> =
         reference.iter().zip(frame.scale).zip(&prepared.voltages).map(|((r, scale), v)| scale * r - v).collect();
@@ -26,9 +26,10 @@ pub(super) fn is_release(change: &[f64], reference: &[f64], frame: &DamageFrame<
     explained.is_some_and(|share| share >= LEAST_EXPLAINED)
 }
 
-/// By how much of itself a change leads from the reference's offset towards no offset at all, the common gain left aside:
-/// `-<offset, change> / <change, change>`. Model errors do not look like the change, so that it is about 1 where the
-/// change undoes what the reference had too much, and about 0 where it has nothing to do with it. None without a change.
+/// By how much of itself a change leads from the reference's offset towards no offset at all, the common gain left
+/// aside: `-<offset, change> / <change, change>`. Model errors do not look like the change, so that it is about 1 where
+/// the change undoes what the reference had too much, and about 0 where it has nothing to do with it. None without a
+/// change.
 fn nearer(change: &[f64], offset: &[f64], model: &[f64]) -> Option<f64> {
     let present = |values: &[f64]| -> Vec<f64> {
         let both = values.iter().zip(change).zip(offset);

@@ -1,5 +1,5 @@
-//! The skin at rest: a suspicion may be a touch that was in the reference and has gone, and a skin that has rested for long
-//! enough at other values than its baseline's does well to have a new one, which is proposed and never taken.
+//! The skin at rest: a suspicion may be a touch that was in the reference and has gone, and a skin that has rested for
+//! long enough at other values than its baseline's does well to have a new one, which is proposed and never taken.
 
 use dermis_touch::Baseline;
 use dermis_touch::damage::{Damage, DamageMonitor, DamageState};
@@ -27,7 +27,8 @@ pub(super) struct Rest {
     since_ns: Option<u64>,
     /// When a suspicion began, or was last looked at.
     looked_ns: u64,
-    /// Since when it is known that the baseline was taken under a touch; the intact reference is then what was read after it.
+    /// Since when it is known that the baseline was taken under a touch; the intact reference is then what was read
+    /// after it.
     released_ns: Option<u64>,
     proposal: Option<Proposal>,
 }

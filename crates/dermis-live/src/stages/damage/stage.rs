@@ -1,6 +1,6 @@
 //! The second look at each frame: against the intact skin. The monitor tells from that image what is damaged; the parts
-//! beside it know the intact skin, the fitted cuts, what no touch explains, the rest and the warmth. None of them changes
-//! another: this stage hands on what they find, and returns what follows for the baseline of touches.
+//! beside it know the intact skin, the fitted cuts, what no touch explains, the rest and the warmth. None of them
+//! changes another: this stage hands on what they find, and returns what follows for the baseline of touches.
 
 use dermis_touch::damage::{
     Damage, DamageEvent, DamageFrame as MonitorFrame, DamageMonitor, DamageParams, DamageState,
@@ -21,8 +21,8 @@ use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::sandwich_contacts::SheetCut;
 
-/// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes of a
-/// cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
+/// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes
+/// of a cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
 const LOBE_SHARE: f64 = 0.8;
 /// Fewest frames in a mean that healing is estimated from.
 const FEWEST_FOR_HEALING: usize = 8;
@@ -82,8 +82,8 @@ impl DamageStage {
         })
     }
 
-    /// A new baseline stands. It becomes the intact reference only where nothing is damaged or suspected: re-zeroing never
-    /// hides damage.
+    /// A new baseline stands. It becomes the intact reference only where nothing is damaged or suspected: re-zeroing
+    /// never hides damage.
     pub fn set_baseline(&mut self, baseline: &Baseline, noise: Vec<f32>) {
         self.noise = noise;
         let adopted = baseline.records().last().is_some_and(|record| record.origin == ReferenceOrigin::Damage);
@@ -109,8 +109,8 @@ impl DamageStage {
         self.cuts.in_sheet(self.monitor.damages())
     }
 
-    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to. `difference` and `scale` are
-    /// as in [`DamageFrame`].
+    /// Takes the difference of a frame from the intact skin: what is to be imaged, and where to. `difference` and
+    /// `scale` are as in [`DamageFrame`].
     pub fn compare(&mut self, baseline: &Baseline, difference: &[f64], scale: &[f64]) -> (&[f64], &mut [f32]) {
         self.intact.compare(baseline, difference, scale)
     }
@@ -128,7 +128,8 @@ impl DamageStage {
         let lags = self.pending.is_some();
         // Of a free skin nothing is asked: what was gathered waits for the next frame that is not free.
         let is_cut = frame.loaded && self.unexplained.is_cut(frame, &self.intact, &self.cuts, lags, prepared)?;
-        // What begins no touch on a healed or renewed skin that reads as the intact one is in the baseline of touches alone.
+        // What begins no touch on a healed or renewed skin that reads as the intact one is in the baseline of touches
+        // alone.
         let damages = self.monitor.damages();
         let is_mended = !damages.is_empty() && !damages.iter().any(Damage::is_open);
         let is_intact = frame.loaded && is_mended && frame.touches.is_empty() && self.intact.is_read(frame.noise);
@@ -165,8 +166,9 @@ impl DamageStage {
         Ok(DamageDecision { adopt, hold_drift: self.monitor.is_suspicious(), follow_rest, is_free: is_intact })
     }
 
-    /// Fits cuts to damage that is new or has grown. Where the baseline of touches has all the others, a new one is what
-    /// differs from it, as measured; otherwise it is what differs from the intact skin with the others as modelled.
+    /// Fits cuts to damage that is new or has grown. Where the baseline of touches has all the others, a new one is
+    /// what differs from it, as measured; otherwise it is what differs from the intact skin with the others as
+    /// modelled.
     fn fit_new_damage(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) -> Result<(), Error> {
         for index in 0..self.monitor.events().len() {
             let (damage, is_new) = match &self.monitor.events()[index] {
@@ -192,8 +194,8 @@ impl DamageStage {
         Ok(())
     }
 
-    /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from what is
-    /// read now, and a new baseline is proposed, which alone mends the image of touches.
+    /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from
+    /// what is read now, and a new baseline is proposed, which alone mends the image of touches.
     fn look_for_release(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
         if !self.rest.is_look_due(frame, &self.readings, &self.monitor) {
             return;

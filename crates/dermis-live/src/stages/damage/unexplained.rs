@@ -1,6 +1,6 @@
-//! Frames in which something is on the skin that begins no touch: is it a cut? A thin cut raises the image almost as much
-//! beside it as it lowers it, because no isotropic conductivity does what a cut does; the rise is taken for something that
-//! touches.
+//! Frames in which something is on the skin that begins no touch: is it a cut? A thin cut raises the image almost as
+//! much beside it as it lowers it, because no isotropic conductivity does what a cut does; the rise is taken for
+//! something that touches.
 
 use dermis_touch::damage::DamageShape;
 
@@ -12,11 +12,12 @@ use super::intact::IntactReference;
 use crate::Error;
 use crate::prepare::Prepared;
 
-/// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is it a cut?
-/// Each look in vain doubles the time to the next, up to the most.
+/// What is on the skin and begins no touch is looked at so often, seconds, in the mean of at least so many frames: is
+/// it a cut? Each look in vain doubles the time to the next, up to the most.
 const UNEXPLAINED_S: [f64; 2] = [0.4, 12.8];
 const FEWEST_UNEXPLAINED: u32 = 8;
-/// It is one if a cut explains so much of the mean's weighted energy, and remains one while it explains so much of a frame's.
+/// It is one if a cut explains so much of the mean's weighted energy, and remains one while it explains so much of a
+/// frame's.
 const CUT_EXPLAINS: [f64; 2] = [0.9, 0.8];
 
 /// What is gathered of frames that no touch explains.
@@ -43,8 +44,8 @@ impl Unexplained {
         (self.frames, self.wait_s, self.cut) = (0, UNEXPLAINED_S[0], None);
     }
 
-    /// Whether what is on the skin in a loaded frame and begins no touch is a cut: the frame is then one of a free skin. `lags`
-    /// says that the baseline of touches does not include yet what is known by now.
+    /// Whether what is on the skin in a loaded frame and begins no touch is a cut: the frame is then one of a free
+    /// skin. `lags` says that the baseline of touches does not include yet what is known by now.
     pub fn is_cut(
         &mut self,
         frame: &DamageFrame<'_>,
@@ -100,8 +101,8 @@ impl Unexplained {
     }
 }
 
-/// Share of a change's energy (missing channels `NaN`) that a cut explains, together with a change of all resting voltages by
-/// the same share.
+/// Share of a change's energy (missing channels `NaN`) that a cut explains, together with a change of all resting
+/// voltages by the same share.
 fn explained(change: &mut dyn Iterator<Item = f64>, cut: &[f64], rest: &[f64]) -> f64 {
     let (mut energy, mut left, mut along, mut square) = (0.0, 0.0, 0.0, 0.0);
     for ((change, cut), rest) in change.zip(cut).zip(rest).filter(|((change, _), _)| change.is_finite()) {

@@ -27,8 +27,8 @@ impl ProposalReason {
     }
 }
 
-/// A new baseline would do the skin good: it has rested, without touch and without change of damage. Taking it is left to
-/// a tare.
+/// A new baseline would do the skin good: it has rested, without touch and without change of damage. Taking it is left
+/// to a tare.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Proposal {
     /// Why.

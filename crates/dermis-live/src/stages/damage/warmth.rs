@@ -9,15 +9,15 @@ use super::readings::Readings;
 
 /// Healing is estimated so often, seconds.
 const HEALING_S: f64 = 0.5;
-/// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a touch
-/// but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
+/// What rests on a damage for so long, no higher than this in the image and without moving farther than this, is not a
+/// touch but warmth: heat heals, and makes the sheet more conductive. Published indenters reach 0.7 and more on a cut.
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
 const WARM_TRAVEL_M: f64 = 3e-3;
 /// It lies within so much of the damage, metres. What lies there for so long and begins no touch at all is warmth too.
 const WARM_REACH_M: f64 = 20e-3;
-/// And so is what came on steadily there, however high and wherever it moves: between two looks ([`HEALING_S`]) the readings
-/// changed by less than this share of the open cut's response. A press comes on within one.
+/// And so is what came on steadily there, however high and wherever it moves: between two looks ([`HEALING_S`]) the
+/// readings changed by less than this share of the open cut's response. A press comes on within one.
 const STEADY: f64 = 0.25;
 
 /// What the next estimate of healing is made from.
@@ -131,8 +131,8 @@ impl Warmth {
         Some(adoption)
     }
 
-    /// Whether healing is to be estimated in this frame, and from what. `change` is that of the frame against the intact skin
-    /// and `open_square` the size of an open cut's, where healing is followed at all.
+    /// Whether healing is to be estimated in this frame, and from what. `change` is that of the frame against the
+    /// intact skin and `open_square` the size of an open cut's, where healing is followed at all.
     pub fn look(&mut self, frame: &DamageFrame<'_>, change: &[f64], open_square: Option<f64>) -> Look {
         let Some(open_square) = open_square else {
             self.course.broken = true;

@@ -1,4 +1,5 @@
-//! The monitor of one skin, fed with what the operator makes of its frames. It returns what follows for the other stages.
+//! The monitor of one skin, fed with what the operator makes of its frames. It returns what follows for the other
+//! stages.
 
 use dermis_tomo::inverse::{LeaveOneOutResidual, Operator};
 use dermis_touch::Baseline;
@@ -43,7 +44,8 @@ pub(crate) struct HealthFrame<'a> {
     pub scale: &'a [f64],
     /// Difference data, model volts.
     pub difference: &'a [f64],
-    /// What the channels that are left let expect of all: [`HealthStage::mask`], filled in. `None` where too few are left.
+    /// What the channels that are left let expect of all: [`HealthStage::mask`], filled in. `None` where too few are
+    /// left.
     pub expected: Option<&'a [f64]>,
 }
 
@@ -132,8 +134,8 @@ impl HealthStage {
         Ok(self.monitor.begin(&reference)?)
     }
 
-    /// Difference data without the channels that had no say in the last frame (NaN); `None` where too few are left to fill
-    /// these in.
+    /// Difference data without the channels that had no say in the last frame (NaN); `None` where too few are left to
+    /// fill these in.
     pub fn mask(&mut self, difference: &[f64]) -> Option<&[f64]> {
         self.masked.clear();
         let kept = |(d, excluded): (&f64, &bool)| if *excluded { f64::NAN } else { *d };

@@ -1,6 +1,6 @@
-//! Patches looked for anew, a bounded amount of work a frame: the best set of one patch is fitted, then of two, and so on, until
-//! one more explains little. All of it takes some 10 ms, which frames at a kilohertz must not wait for; slow frames have the
-//! answer at once.
+//! Patches looked for anew, a bounded amount of work a frame: the best set of one patch is fitted, then of two, and so
+//! on, until one more explains little. All of it takes some 10 ms, which frames at a kilohertz must not wait for; slow
+//! frames have the answer at once.
 
 use dermis_tomo::eit::contacts::{
     ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, Looked, PatchFit, PatchSearch, PatchSets,
@@ -8,8 +8,8 @@ use dermis_tomo::eit::contacts::{
 
 use super::plausible::{BELIEVED, plausible};
 
-/// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a fit may
-/// settle beside the best pair.
+/// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a
+/// fit may settle beside the best pair.
 const RADII: [f64; 2] = [1.0, 0.75];
 /// One more patch must lower the cost of a fit (squared standard deviations) by this and to this share.
 const WORTH: (f64, f64) = (20.0, 0.5);
@@ -19,8 +19,8 @@ const GOOD: f64 = 0.2;
 const STEPS: usize = 15;
 /// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
 const PORTION: f64 = 2000.0;
-/// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit of n
-/// patches n squared times that. Rough figures, by which work is shared out among frames.
+/// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit
+/// of n patches n squared times that. Rough figures, by which work is shared out among frames.
 const SET_NS: f64 = 600.0;
 const STEP_NS: f64 = 0.15e6;
 

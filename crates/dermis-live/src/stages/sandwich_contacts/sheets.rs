@@ -1,6 +1,6 @@
-//! The sheet that contacts are fitted on and the one that they are looked for on, slit where the skin is cut. New ones take
-//! the better part of a second and are worked out beside the stream; they take effect at a time that is set in the frames'
-//! own time when they are ordered, so that a replay does the same.
+//! The sheet that contacts are fitted on and the one that they are looked for on, slit where the skin is cut. New ones
+//! take the better part of a second and are worked out beside the stream; they take effect at a time that is set in the
+//! frames' own time when they are ordered, so that a replay does the same.
 
 use std::sync::Arc;
 use std::thread::JoinHandle;
@@ -13,17 +13,17 @@ use crate::Error;
 use crate::prepare::Prepared;
 use dermis_skin::Skin;
 
-/// Elements of the mesh that contacts are fitted on, about 2.5 mm on a skin of 100 mm, and of the one that they are looked for
-/// on, where a fit takes a fifth of the time and sizes are a tenth off.
+/// Elements of the mesh that contacts are fitted on, about 2.5 mm on a skin of 100 mm, and of the one that they are
+/// looked for on, where a fit takes a fifth of the time and sizes are a tenth off.
 const ELEMENTS: usize = 4000;
 const COARSE_ELEMENTS: usize = 2000;
-/// Edges of patches are blurred over so many of the finer elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm this one
-/// placed and sized indenters of 20 and 25 mm best on the twin.
+/// Edges of patches are blurred over so many of the finer elements: 7 mm on a skin of 100 mm. Of widths from 3 to 7 mm
+/// this one placed and sized indenters of 20 and 25 mm best on the twin.
 const EDGE: f64 = 4.25;
 /// Places that are searched, along the shorter side.
 const PLACES: usize = 10;
-/// What is left of the conductance of an element that a cut crosses which no slit can follow: it blocks the current, and no
-/// matrix becomes singular.
+/// What is left of the conductance of an element that a cut crosses which no slit can follow: it blocks the current,
+/// and no matrix becomes singular.
 const LEFT_BY_A_CUT: f64 = 1e-4;
 /// Sheets that are ordered take effect so much later, nanoseconds.
 const READY_NS: u64 = 1_000_000_000;
@@ -139,7 +139,8 @@ impl CutSheets {
         Ok(Self { bare, cuts: Vec::new(), now, coming: None })
     }
 
-    /// Orders sheets with these cuts, in place of any that were ordered before. Does nothing where the last ones have them.
+    /// Orders sheets with these cuts, in place of any that were ordered before. Does nothing where the last ones have
+    /// them.
     pub fn order(&mut self, time_ns: u64, cuts: &[SheetCut]) {
         if self.cuts == cuts {
             return;

@@ -23,15 +23,15 @@ const PAUSE_NS: [u64; 2] = [30_000_000, 450_000_000];
 const LOG_DEVIATIONS: [f64; 2] = [0.5, 0.5];
 /// A peak so many times as high as the image is low stands out by itself.
 const OUTSTANDING: f64 = 2.0;
-/// Least time between two fits, nanoseconds: what is pressed by hand or robot moves less than the uncertainty of its place
-/// meanwhile.
+/// Least time between two fits, nanoseconds: what is pressed by hand or robot moves less than the uncertainty of its
+/// place meanwhile.
 const INTERVAL_NS: u64 = 5_000_000;
 /// Frames that come faster than this may still take half of it, nanoseconds.
 const LEAST_NS: f64 = 500_000.0;
 /// Shares of a search below this are hurried, nanoseconds.
 const HURRIED_NS: f64 = 5e6;
-/// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since by the
-/// second: 2 % in ten minutes.
+/// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since
+/// by the second: 2 % in ten minutes.
 const DRIFT_PER_S: f64 = 0.02 / 600.0;
 /// Steps of a fit: from the frame before, and from what a search found.
 const STEPS: [usize; 2] = [4, 15];
@@ -179,10 +179,9 @@ impl PatchStage {
         self.search.restart();
     }
 
-    /// Replaces the contacts of an image by the patches of its frame (model volts), or by those of the last fit where that is
-    /// only a moment ago. Those of a frame that patches do not explain
-    /// stay as the image has them; they begin no touch, unless one stands far out of the image, of which `lowest` is the lowest
-    /// value.
+    /// Replaces the contacts of an image by the patches of its frame (model volts), or by those of the last fit where
+    /// that is only a moment ago. Those of a frame that patches do not explain stay as the image has them; they begin
+    /// no touch, unless one stands far out of the image, of which `lowest` is the lowest value.
     ///
     /// # Errors
     /// A sheet with new cuts that cannot be meshed or solved.
@@ -331,8 +330,8 @@ impl PatchStage {
         Tools { sheet: coarse, search, options: &self.options, half_width_m: self.rule.half_width_m }
     }
 
-    /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were found
-    /// that explain this frame too.
+    /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were
+    /// found that explain this frame too.
     fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
         let under_way = self.search.seek.take();
         let tools = self.tools();
@@ -360,8 +359,9 @@ impl PatchStage {
         found
     }
 
-    /// How much of a change of the free skin (model volts, NaN where missing) is that of touches that have gone, which the
-    /// reference holds: the share of its weighted energy that patches of the opposite sign explain, none where no patches do.
+    /// How much of a change of the free skin (model volts, NaN where missing) is that of touches that have gone, which
+    /// the reference holds: the share of its weighted energy that patches of the opposite sign explain, none where no
+    /// patches do.
     pub(crate) fn released_share(&self, change: &[f64]) -> Option<f64> {
         let absent = self.channels.absent();
         let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;

@@ -5,8 +5,8 @@ use dermis_tomo::mesh::PixelGrid;
 
 use crate::prepare::Prepared;
 
-/// Patches of less than this share of the strongest one's effect, or less certain of their place than this, relative to half
-/// the shorter side, are not touches.
+/// Patches of less than this share of the strongest one's effect, or less certain of their place than this, relative to
+/// half the shorter side, are not touches.
 const LEAST_SHARE: f64 = 0.05;
 const LEAST_CERTAIN: f64 = 0.1;
 
@@ -37,8 +37,8 @@ impl TouchRule {
     }
 
     /// What a patch does to a uniform current, as the square of the radius of a short circuit that does the same:
-    /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is at the
-    /// mean potential of its rim by symmetry.
+    /// `r^2 I2(kr) / I0(kr)` with `k^2 = g / sheet conductance`, from `lap v = k^2 v` within the patch, whose layer is
+    /// at the mean potential of its rim by symmetry.
     pub fn effect_m2(&self, patch: &ContactPatch) -> f64 {
         let x = (patch.conductance_s_per_m2 / self.sheet_s).sqrt() * patch.radius_m;
         let [zeroth, second] = bessel_i0_i2(x);

@@ -21,8 +21,8 @@ pub struct PatchSearch {
     patches: Vec<ContactPatch>,
     /// Ports x ports, ohm: on the diagonal a port's own resistance, contact included.
     resistance: Vec<Vec<f64>>,
-    /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and measuring
-    /// pattern.
+    /// Ports x channels: what a port does by itself, volts, and its potentials under the channel's stimulation and
+    /// measuring pattern.
     alone_v: Vec<Vec<[f32; LANES]>>,
     driven: Vec<Vec<[f32; LANES]>>,
     measured: Vec<Vec<[f32; LANES]>>,
@@ -60,8 +60,8 @@ impl Ports {
     }
 }
 
-/// The sets of one frame, larger by a patch each time: [`PatchSearch::look`] looks for them one size after the other, since
-/// larger sets take longer and are seldom needed.
+/// The sets of one frame, larger by a patch each time: [`PatchSearch::look`] looks for them one size after the other,
+/// since larger sets take longer and are seldom needed.
 #[derive(Clone, Debug)]
 pub struct PatchSets {
     /// Changes of the channels over their standard deviations, and one over these; 0 where missing.
@@ -200,9 +200,10 @@ impl PatchSearch {
         (p[0] - q[0]).hypot(p[1] - q[1])
     }
 
-    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are unknowns,
-    /// since all add up to nothing: with differences `d` of fields from the last port's and `D_jk = R_jk - R_jn - R_nk + R_nn`,
-    /// a channel changes by the sum of what ports do by themselves less `d_m' D^-1 d_s`.
+    /// Whitened energy that a set leaves, at the scale that suits it best. The currents of all ports but the last are
+    /// unknowns, since all add up to nothing: with differences `d` of fields from the last port's and
+    /// `D_jk = R_jk - R_jn - R_nk + R_nn`, a channel changes by the sum of what ports do by themselves less
+    /// `d_m' D^-1 d_s`.
     #[inline(always)]
     fn left(&self, ports: &Ports, sets: &PatchSets) -> f64 {
         let (ports, unknowns) = (ports.list(), ports.count - 1);

@@ -37,12 +37,13 @@ pub struct FitOutcome {
 const OF_SPOT: usize = 4;
 /// Steps at most.
 const MOST_STEPS: usize = 12;
-/// A fit has converged when no place moves by more than this share of its radius, and no logarithm of a radius by ten times
-/// that.
+/// A fit has converged when no place moves by more than this share of its radius, and no logarithm of a radius by ten
+/// times that.
 const CONVERGED: f64 = 2e-3;
 /// Standard deviation of the logarithm of the radius before anything is measured.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
-/// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide spots.
+/// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide
+/// spots.
 const UNIFORM_DEVIATION: f64 = 0.2;
 /// Rules of the fit, beside when it has converged.
 const PARAMS: Params = Params {
@@ -115,11 +116,12 @@ impl SpotModel {
         }
     }
 
-    /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates nothing.
+    /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates
+    /// nothing.
     ///
     /// # Errors
-    /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or one
-    /// outside the skin.
+    /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or
+    /// one outside the skin.
     pub fn fit(
         &self,
         difference: &[f64],
@@ -145,8 +147,8 @@ impl SpotModel {
         Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
     }
 
-    /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the inverse of
-    /// the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
+    /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the
+    /// inverse of the Fisher matrix of the spot and the uniform change, with the priors of [`SpotModel::fit`].
     ///
     /// # Errors
     /// A place or radius outside the table; channels that do not tell the parameters apart.
@@ -265,9 +267,9 @@ impl SpotModel {
         energy + radii + (uniform / UNIFORM_DEVIATION).powi(2)
     }
 
-    /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then the
-    /// uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and strong, and a step along
-    /// that valley would otherwise be cut short.
+    /// `G'G` with the priors and `G'r` at the state. Columns in the order x, y, amplitude, log r of every spot, then
+    /// the uniform change. The radius is varied at constant `a r^2`: wide and weak looks like narrow and strong, and a
+    /// step along that valley would otherwise be cut short.
     fn normal_equations(&self, uniform: f64, scratch: &mut FitScratch, equations: &mut NormalEquations) {
         let length = self.combinations();
         let FitScratch { rows, columns, residual, state, .. } = scratch;
@@ -295,8 +297,8 @@ impl SpotModel {
         right[parameters - 1] -= UNIFORM_DEVIATION.powi(-2) * uniform;
     }
 
-    /// The trial state at the end of a step: the largest move (see [`CONVERGED`]), the uniform change and the cost there.
-    /// `None` where the step leaves the table.
+    /// The trial state at the end of a step: the largest move (see [`CONVERGED`]), the uniform change and the cost
+    /// there. `None` where the step leaves the table.
     fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
         let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, .. } = scratch;

@@ -1,6 +1,6 @@
-//! Responses of spots in the combinations of channels of one model. The table is made once and shared by all models that
-//! come of it (another noise, channels left out): each has its own small matrix from the table's combinations to its own, which
-//! is applied to what a fit asks for instead of to the whole table.
+//! Responses of spots in the combinations of channels of one model. The table is made once and shared by all models
+//! that come of it (another noise, channels left out): each has its own small matrix from the table's combinations to
+//! its own, which is applied to what a fit asks for instead of to the whole table.
 
 use std::sync::Arc;
 

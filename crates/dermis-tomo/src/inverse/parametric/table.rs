@@ -71,8 +71,8 @@ impl Table {
         Self { low_m, step_m, columns, rows, log_first, log_step, radii, length: reduced.nrows(), values }
     }
 
-    /// Response at a place and log radius, then its derivatives by x, y (per metre) and log r, one after the other in `out`
-    /// (four times the length). `None` outside the table.
+    /// Response at a place and log radius, then its derivatives by x, y (per metre) and log r, one after the other in
+    /// `out` (four times the length). `None` outside the table.
     pub(super) fn evaluate(&self, position_m: [f64; 2], log_radius: f64, out: &mut [f32]) -> Option<()> {
         let (column, x) = cell((position_m[0] - self.low_m[0]) / self.step_m, self.columns)?;
         let (row, y) = cell((position_m[1] - self.low_m[1]) / self.step_m, self.rows)?;

@@ -70,7 +70,8 @@ fn arcs_end_on_the_circle_and_chords_fall_short_by_the_stated_amount() {
         assert!(faces.len() >= 4, "{}", faces.len());
         let expected = (0.06_f64).powi(2) / (24.0 * (faces.len() as f64).powi(2));
         let short = 1.0 - length / 0.006;
-        // The next term of the series is smaller by (w/r/n)^2; uneven edges add up to a few times the loss of even ones.
+        // The next term of the series is smaller by (w/r/n)^2; uneven edges add up to a few times the loss of even
+        // ones.
         assert!(short > 0.9 * expected && short < 4.0 * expected, "{short:e} {expected:e}");
         let radius = |node: u32| {
             let p = mesh.mesh.nodes()[node as usize];

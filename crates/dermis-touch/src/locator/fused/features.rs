@@ -1,7 +1,8 @@
 //! From a raw frame to what the two experts see.
 //!
-//! u = w f / |w f|: weighted by the channels' noise and of unit length, so that a light touch looks like a hard one. The
-//! forward expert sees u, or u companded: t_k = asinh(u_k / m_k), again of unit length, with m_k the channel's median
+//! u = w f / |w f|: weighted by the channels' noise and of unit length, so that a light touch looks like a hard one.
+//! The forward expert sees u, or u companded: t_k = asinh(u_k / m_k), again of unit length, with m_k the channel's
+//! median
 //! |u_k|, so that few strong channels do not rule. The inverse expert sees u beside its signed square root.
 
 use crate::locator::data::{Examples, MIN_CHANNELS};

@@ -1,5 +1,5 @@
-//! The product of both experts: w(p) ~ exp(b L(p)) (1 + d(p)^2 / 4 s^2)^(-3 c), L the forward expert's log-likelihood at
-//! p, d the distance from p to the inverse expert's place and s its local deviation: a Student t with 4 degrees of
+//! The product of both experts: w(p) ~ exp(b L(p)) (1 + d(p)^2 / 4 s^2)^(-3 c), L the forward expert's log-likelihood
+//! at p, d the distance from p to the inverse expert's place and s its local deviation: a Student t with 4 degrees of
 //! freedom, so that neither expert can veto the other. The temperature b and the power c are those with which the
 //! left-out examples are predicted best; b = 0 and c = 0, either expert alone, are among them.
 //!
@@ -60,7 +60,8 @@ impl Cells {
         Self { neighbours, spacing_m }
     }
 
-    /// Slope and curvature (downwards) of `values` along an axis, per metre and square metre; the curvature not negative.
+    /// Slope and curvature (downwards) of `values` along an axis, per metre and square metre; the curvature not
+    /// negative.
     fn shape(&self, values: &[f64], p: usize, axis: usize) -> (f64, f64) {
         let [low, high] = [self.neighbours[p][2 * axis], self.neighbours[p][2 * axis + 1]];
         let at = |i: u32| values[i as usize];

@@ -22,7 +22,8 @@ fn the_cup_is_followed_from_the_frame_it_enters() {
         last.frame,
         touches.len()
     );
-    // Measured: correlation 0.9968, frames 59 to 225, largest step 5.9 mm. Frames are counted from 0; the cup is said to enter at frame 60 +- 2.
+    // Measured: correlation 0.9968, frames 59 to 225, largest step 5.9 mm. Frames are counted from 0; the cup is said
+    // to enter at frame 60 +- 2.
     assert!((58..=62).contains(&first.frame), "{first:?}");
     // It is out of the water from frame 226 on.
     assert!((220..=230).contains(&last.frame), "{last:?}");

@@ -1,5 +1,5 @@
-//! The Kuopio tank, segmented: labels against the photographed truth by the challenge's own score, with as many electrodes
-//! lost as at the challenge's hardest level.
+//! The Kuopio tank, segmented: labels against the photographed truth by the challenge's own score, with as many
+//! electrodes lost as at the challenge's hardest level.
 
 use dermis::live::reference::Reference;
 use std::path::Path;
@@ -47,8 +47,8 @@ fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
     assert!(mean > 0.74, "{found:.3?}");
 }
 
-// Measured: 0.935, 0.935, 0.971, 0.857 with all electrodes, 0.722, 0.844, 0.910, 0.847 without twelve. The network was trained
-// on simulations alone.
+// Measured: 0.935, 0.935, 0.971, 0.857 with all electrodes, 0.722, 0.844, 0.910, 0.847 without twelve. The network was
+// trained on simulations alone.
 #[test]
 fn the_network_segments_the_phantoms_with_all_electrodes_and_without_twelve() {
     let Some(directory) = measured("ktc", "") else { return };

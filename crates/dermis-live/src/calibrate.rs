@@ -1,0 +1,91 @@
+//! From pokes to the calibration that places touches best: by the pokes alone or fused with signatures of the model
+//! ([`Calibration`]), or by all that the running skin does without a calibration, refinement included, corrected by the
+//! pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
+
+use dermis_touch::ContactStrength;
+use dermis_touch::locator::SeenPoke;
+
+use crate::Error;
+use crate::calibration::{CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of};
+use crate::prepare::Prepared;
+use crate::reconstructor::Reconstructor;
+use crate::stages::refinement::Refinement;
+
+/// So many pokes, evenly drawn, are looked at by the model.
+const MOST_LOOKED_AT: usize = 200;
+/// Between frames that have nothing to do with each other, nanoseconds.
+const APART_NS: u64 = 1_000_000_000;
+
+/// Fits a calibration to pokes: see [`Calibration::fit_with`]. The model is tried beside it where
+/// [`CalibrationOptions::physics`] allows that and the skin's wiring is known.
+///
+/// # Errors
+/// As [`Calibration::fit_with`].
+pub fn calibrate(
+    prepared: &Prepared,
+    measured: PokeFrames<'_>,
+    pokes: &Pokes,
+    options: &CalibrationOptions<'_>,
+) -> Result<Calibration, Error> {
+    let mut calibration = Calibration::fit_with(prepared, measured, pokes, options)?;
+    let backend = &prepared.skin.backend;
+    if options.physics && backend.wiring.is_known() && backend.circuit.is_none() {
+        // What the model cannot read (another order of channels, say) the pokes still place.
+        match seen_by_model(prepared, measured, pokes) {
+            Ok(seen) => {
+                calibration.try_model(&seen, prepared)?;
+            }
+            Err(error) => tracing::debug!("the model places no pokes: {error}"),
+        }
+    }
+    Ok(calibration)
+}
+
+/// Pokes as the model sees them.
+fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<Vec<Option<SeenPoke>>, Error> {
+    let (reference, differences) = differences_of(prepared, measured)?;
+    let CalibratedImager { imager, reference, placement } =
+        CalibratedImager::new(prepared, None, reference, &differences)?;
+    let refinement = if Refinement::is_wanted(prepared, None) {
+        Refinement::new(prepared, &reference.noise)?.taking_time()
+    } else {
+        Refinement::none()
+    };
+    let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
+    let step = differences.len().div_ceil(MOST_LOOKED_AT).max(1);
+    let looked_at: Vec<usize> = (0..differences.len()).step_by(step).collect();
+    let touches = single_touches(&mut reconstructor, prepared, looked_at.iter().map(|&i| &differences[i][..]))?;
+    let load_share = |i: usize| match &pokes.loads {
+        Some((_, loads)) => loads[i] * loads.len() as f64 / loads.iter().sum::<f64>(),
+        None => 1.0,
+    };
+    let poke = |(&i, touch): (&usize, Option<([f64; 2], f64)>)| {
+        let (seen_m, amplitude) = touch?;
+        Some(SeenPoke { seen_m, amplitude, truth_m: pokes.positions_m[i], load_share: load_share(i) })
+    };
+    Ok(looked_at.iter().zip(touches).map(poke).collect())
+}
+
+/// Place (metres) and amplitude of the touch that stands alone in each frame of difference data (model volts); `None`
+/// where there is none, or several.
+///
+/// # Errors
+/// Frames of another length than the skin's channels.
+pub fn single_touches<'a>(
+    reconstructor: &mut Reconstructor,
+    prepared: &Prepared,
+    differences: impl Iterator<Item = &'a [f64]>,
+) -> Result<Vec<Option<([f64; 2], f64)>>, Error> {
+    let mut image = vec![f32::NAN; prepared.map.grid().len()];
+    let look = |(number, difference): (usize, &[f64])| {
+        let time_ns = (number as u64 + 1) * APART_NS;
+        reconstructor.forget(time_ns);
+        reconstructor.image(difference, &mut image)?;
+        reconstructor.follow_touches(time_ns, &image, None)?;
+        let mut strong =
+            reconstructor.touches.contacts().iter().filter(|contact| contact.strength == ContactStrength::Strong);
+        let only = strong.next().filter(|_| strong.next().is_none());
+        Ok(only.map(|contact| (contact.centroid_m, contact.amplitude)))
+    };
+    differences.enumerate().map(look).collect()
+}
