@@ -292,7 +292,11 @@ impl Layer {
             Self::Liquid(layer) => {
                 checker.within(&key("depth_mm"), layer.depth_mm, 1e-2, 1e4)?;
                 checker.within(&key("density_kg_per_m3"), layer.density_kg_per_m3, 1.0, 1e5)?;
-                checker.within(&key("tension_n_per_m"), layer.tension_n_per_m, 0.0, 1e6)?;
+                // A membrane with hardly any tension is neither a membrane nor an open tank.
+                if layer.tension_n_per_m != 0.0 && !(1e-3..=1e6).contains(&layer.tension_n_per_m) {
+                    let expected = "0 for an open tank, or 0.001 to 1e6";
+                    return Err(checker.refused(&key("tension_n_per_m"), layer.tension_n_per_m, expected));
+                }
                 let gravity = layer.gravity_m_per_s2;
                 gravity.iter().try_for_each(|&g| checker.within(&key("gravity_m_per_s2"), g, -1e3, 1e3))?;
                 if layer.tension_n_per_m == 0.0 && gravity[2] >= 0.0 {

@@ -14,6 +14,9 @@ const MM: f64 = 1e-3;
 const MOST_ELEMENTS: usize = 1024;
 /// Most coils of a skin.
 const MOST_COILS: usize = 64;
+/// Least and largest self inductance of a coil, microhenries: a millimetre of wire has about a thousandth of one, and a
+/// coil of 10,000 turns a metre wide has some hundred henries.
+const INDUCTANCE_UH: [f64; 2] = [1e-3, 1e9];
 
 /// Coils of a skin, all alike.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -252,6 +255,19 @@ impl Coils {
         checker.count(&key("turns"), self.turns, 1, 10_000)?;
         checker.count(&key("layers"), self.layers, 1, 1000)?;
         checker.within(&key("layer_pitch_mm"), self.layer_pitch_mm, 0.0, 1e3)?;
+        match self.conductor {
+            CoilConductor::PitchShare(share) => checker.within(&key("conductor.pitch-share"), share, 1e-3, 1.0)?,
+            CoilConductor::Wire { diameter_mm } => {
+                checker.length_mm(&key("conductor.wire.diameter_mm"), diameter_mm)?
+            }
+            CoilConductor::Track { width_mm, thickness_mm } => {
+                checker.length_mm(&key("conductor.track.width_mm"), width_mm)?;
+                checker.length_mm(&key("conductor.track.thickness_mm"), thickness_mm)?;
+            }
+        }
+        if let Some(inductance_uh) = self.inductance_uh {
+            checker.within(&key("inductance_uh"), inductance_uh, INDUCTANCE_UH[0], INDUCTANCE_UH[1])?;
+        }
         if let Some(z_mm) = self.shield_mm {
             checker.within(&key("shield_mm"), z_mm, -1e4, -1e-3)?;
         }

@@ -7,6 +7,11 @@ use crate::check::{Checker, LEAST_MM, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 
+/// Latest time of a fault or a treatment, seconds after the first frame: 30 years.
+const MOST_S: f64 = 1e9;
+/// Largest reading of a channel that is stuck or noisy, millivolts: a megavolt.
+const MOST_MV: f64 = 1e9;
+
 /// The table `[twin]`. Hardware and recordings know nothing of it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -281,7 +286,7 @@ impl PressSettings {
 impl TwinTreatment {
     fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
         let key = |name: &str| format!("twin.treatments.action.{name}");
-        checker.within("twin.treatments.at_s", self.at_s, 0.0, 1e9)?;
+        checker.within("twin.treatments.at_s", self.at_s, 0.0, MOST_S)?;
         match self.action {
             TwinAction::Cut { from_mm, to_mm } => {
                 checker.place_mm(&key("cut.from_mm"), &from_mm)?;
@@ -331,12 +336,11 @@ impl TwinFaults {
                 return Err(checker.refused(field, share, "0 to 1"));
             }
         }
-        if !(self.from_s >= 0.0 && self.from_s.is_finite()) {
-            return Err(checker.refused("twin.faults.from_s", self.from_s, "0 or more"));
-        }
+        checker.within("twin.faults.from_s", self.from_s, 0.0, MOST_S)?;
         match self.until_s {
-            Some(until) if !(until > self.from_s && until.is_finite()) => {
-                Err(checker.refused("twin.faults.until_s", until, "a number above from_s"))
+            Some(until) if !(until > self.from_s && until <= MOST_S) => {
+                let expected = format!("a number above from_s, at most {MOST_S:e}");
+                Err(checker.refused("twin.faults.until_s", until, expected))
             }
             _ => Ok(()),
         }
@@ -350,16 +354,13 @@ impl TwinFaults {
         if let Some((field, channel)) = stuck.chain(noisy).find(|(_, channel)| !(1..=most).contains(channel)) {
             return Err(checker.refused(field, channel, expected));
         }
-        if let Some(stuck) = self.stuck_channels.iter().find(|stuck| !stuck.value_mv.is_finite()) {
-            return Err(checker.refused("twin.faults.stuck_channels.value_mv", stuck.value_mv, "a finite number"));
+        for stuck in &self.stuck_channels {
+            checker.within("twin.faults.stuck_channels.value_mv", stuck.value_mv, -MOST_MV, MOST_MV)?;
         }
-        let good = |noise_mv: f64| noise_mv >= 0.0 && noise_mv.is_finite();
-        match self.noisy_channels.iter().find(|noisy| !good(noisy.noise_mv)) {
-            Some(noisy) => {
-                Err(checker.refused("twin.faults.noisy_channels.noise_mv", noisy.noise_mv, "zero or more, finite"))
-            }
-            None => Ok(()),
+        for noisy in &self.noisy_channels {
+            checker.within("twin.faults.noisy_channels.noise_mv", noisy.noise_mv, 0.0, MOST_MV)?;
         }
+        Ok(())
     }
 }
 
