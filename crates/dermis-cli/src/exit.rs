@@ -28,13 +28,21 @@ pub enum Outcome {
 
 impl Outcome {
     /// Data lost if any frame was, which is said with the counts: by the source, on the way, or by a recording, which
-    /// may also have failed without losing one.
-    pub fn of_frames(counters: AcquisitionCounters, not_recorded: u64, recording_failed: bool) -> Self {
+    /// may also have failed without losing one. `incomplete` is what could not be read of the source, in words.
+    pub fn of_frames(
+        counters: AcquisitionCounters,
+        incomplete: Option<&str>,
+        not_recorded: u64,
+        recording_failed: bool,
+    ) -> Self {
+        if let Some(incomplete) = incomplete {
+            tracing::error!("{incomplete}");
+        }
         if counters.repeated > 0 {
             tracing::warn!(repeated = counters.repeated, "copies of frames were left out");
         }
         if counters.total() + not_recorded == 0 {
-            return if recording_failed { Outcome::DataLost } else { Outcome::Done };
+            return if recording_failed || incomplete.is_some() { Outcome::DataLost } else { Outcome::Done };
         }
         let AcquisitionCounters { dropped, lost, bad: damaged, .. } = counters;
         tracing::error!(dropped, lost, damaged, not_recorded, "frames were lost");

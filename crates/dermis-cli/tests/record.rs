@@ -194,6 +194,36 @@ fn a_full_disk_stops_the_recording_and_not_the_stream() {
     assert!(message(&output).contains("frames were lost") && text(&output).contains("lost"), "{}", message(&output));
 }
 
+#[test]
+fn every_command_that_reads_a_damaged_recording_ends_with_3_and_says_so() {
+    let desk = tempfile::tempdir().expect("a directory");
+    resting(&desk.path().join("whole.mcap"), 1500);
+    let whole = std::fs::read(desk.path().join("whole.mcap")).expect("a file");
+    std::fs::write(desk.path().join("cut.mcap"), &whole[..whole.len() / 2]).expect("a file");
+    let mut flipped = whole.clone();
+    flipped[whole.len() / 2] ^= 4;
+    std::fs::write(desk.path().join("flipped.mcap"), flipped).expect("a file");
+    for (file, code) in [("whole.mcap", 0), ("cut.mcap", 3), ("flipped.mcap", 3)] {
+        for command in [
+            &["run", "--headless", "--only-touches", "--speed", "0", "--source", file][..],
+            &["record", "--speed", "0", "--out", "again.mcap", "--source", file],
+            &["replay", file, "--only-touches"],
+            &["export", file, "--out", "table.csv"],
+        ] {
+            let output = dermis(desk.path(), command);
+            let said = message(&output);
+            assert_eq!(output.status.code(), Some(code), "{command:?}: {said}");
+            assert!(code == 0 || said.contains("ERROR"), "{command:?}: {said}");
+            let is_named = said.contains(&format!("{file} could not be read whole"));
+            assert!(code == 0 || command[0] == "replay" || is_named, "{command:?}: {said}");
+            for made in ["again.mcap", "table.csv"] {
+                // Only one of the commands makes each.
+                let _ = std::fs::remove_file(desk.path().join(made));
+            }
+        }
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_disk_that_is_full_from_the_start_is_refused() {

@@ -22,13 +22,23 @@ struct Shared {
     repeated: AtomicU64,
     /// Why no frames come.
     problem: Mutex<Option<String>>,
+    /// What could not be read of a file that has ended.
+    incomplete: Mutex<Option<String>>,
 }
 
 impl Shared {
-    /// A text that no panic leaves half written.
     fn problem(&self) -> MutexGuard<'_, Option<String>> {
-        self.problem.lock().unwrap_or_else(PoisonError::into_inner)
+        text(&self.problem)
     }
+
+    fn incomplete(&self) -> MutexGuard<'_, Option<String>> {
+        text(&self.incomplete)
+    }
+}
+
+/// A text that no panic leaves half written.
+fn text(shared: &Mutex<Option<String>>) -> MutexGuard<'_, Option<String>> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A source being read by a thread of its own.
@@ -144,6 +154,11 @@ impl Acquisition {
         self.shared.problem().clone()
     }
 
+    /// What could not be read of a file, in words, once it has ended.
+    pub fn incomplete(&self) -> Option<String> {
+        self.shared.incomplete().clone()
+    }
+
     fn join(&mut self) -> Result<(), DeviceError> {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(result)) => result,
@@ -190,7 +205,10 @@ fn read(
                 troubled = true;
                 *shared.problem() = source.problem();
             }
-            SourceEvent::End => return Ok(()),
+            SourceEvent::End => {
+                *shared.incomplete() = source.incomplete();
+                return Ok(());
+            }
             SourceEvent::Frame if last == Some(frame.sequence) => {
                 shared.repeated.fetch_add(1, Ordering::Relaxed);
                 spare = Some(frame);

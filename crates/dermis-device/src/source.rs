@@ -37,6 +37,11 @@ pub trait Source: Send {
     fn problem(&self) -> Option<String> {
         None
     }
+
+    /// What could not be read of a file, in words, once it has ended; `None` where nothing is missing.
+    fn incomplete(&self) -> Option<String> {
+        None
+    }
 }
 
 /// What [`Source::next_frame`] came back with.

@@ -2,6 +2,7 @@
 //! cannot be read is passed over and counted.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -82,6 +83,29 @@ impl Damage {
     #[must_use]
     pub fn is_none(&self) -> bool {
         !self.cut_off && (self.bytes, self.chunks, self.messages) == (0, 0, 0) && self.frames == LostFrames::Exactly(0)
+    }
+}
+
+impl fmt::Display for Damage {
+    /// What is missing, in words: "2 damaged chunks, 5120 bytes unreadable, 40 frames missing".
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counted = |count: u64, what: &str| (count > 0).then(|| format!("{count} {what}"));
+        let parts = [
+            self.cut_off.then(|| "its end is missing".to_owned()),
+            counted(self.chunks, "damaged chunks"),
+            counted(self.messages, "malformed messages"),
+            counted(self.bytes, "bytes unreadable"),
+            match self.frames {
+                LostFrames::Exactly(count) => counted(count, "frames missing"),
+                LostFrames::Unknown { in_damaged_chunks: 0 } => None,
+                LostFrames::Unknown { in_damaged_chunks } => {
+                    Some(format!("at most {in_damaged_chunks} frames missing"))
+                }
+            },
+        ];
+        let parts: Vec<String> = parts.into_iter().flatten().collect();
+        out.write_str(if parts.is_empty() { "nothing is missing" } else { "" })?;
+        out.write_str(&parts.join(", "))
     }
 }
 

@@ -184,4 +184,9 @@ impl<R: Read + Seek + Send> Source for Replay<R> {
         let bad = self.bad_before.saturating_add(self.recording.damage().messages);
         Counters { bad, ..self.counters }
     }
+
+    fn incomplete(&self) -> Option<String> {
+        let damage = self.recording.damage();
+        (!damage.is_none()).then(|| format!("{} could not be read whole: {damage}", self.recording.path().display()))
+    }
 }

@@ -43,7 +43,7 @@ impl Arguments {
         if exported.damage.is_none() {
             return Ok(Outcome::Done);
         }
-        tracing::error!("{} could not be read whole: {:?}", self.file.display(), exported.damage);
+        tracing::error!("{} could not be read whole: {}", self.file.display(), exported.damage);
         Ok(Outcome::DataLost)
     }
 }

@@ -67,14 +67,14 @@ impl Arguments {
         let mut acquisition = Acquisition::spawn(opened.source, QUEUE, opened.wait);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut recording);
         let end = recording.finish();
-        let counters = acquisition.counters();
+        let (counters, incomplete) = (acquisition.counters(), acquisition.incomplete());
         drop(acquisition);
         writeln!(out, "{}: {} frames, {} lost", end.path.display(), end.frames, counters.total() + end.lost)?;
         if let Some(error) = &end.error {
             tracing::error!("the recording is not whole: {error}");
         }
         outcome?;
-        Ok(Outcome::of_frames(counters, end.lost, end.error.is_some()))
+        Ok(Outcome::of_frames(counters, incomplete.as_deref(), end.lost, end.error.is_some()))
     }
 
     fn follow(

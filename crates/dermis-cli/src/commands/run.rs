@@ -109,7 +109,7 @@ impl Arguments {
         let requests = page.as_ref().map(|(_, requests)| requests);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, out);
         run.stop_recording();
-        let counters = acquisition.counters();
+        let (counters, incomplete) = (acquisition.counters(), acquisition.incomplete());
         drop(acquisition);
         let has_ended = matches!(outcome, Ok(true)) && opened.is_file;
         if let Some((server, _)) = page {
@@ -119,7 +119,7 @@ impl Arguments {
         if has_ended {
             eprintln!("{name} has ended after {} frames", pipeline.frames());
         }
-        Ok(run.outcome(counters))
+        Ok(run.outcome(counters, incomplete.as_deref()))
     }
 
     /// The network asked for, or the one that ships with the skin as long as the skin is what it was trained on.

@@ -109,9 +109,9 @@ impl Running {
         self.feed.status()
     }
 
-    /// What a run with these losses came to.
-    pub(in crate::commands) fn outcome(&self, counters: AcquisitionCounters) -> Outcome {
-        Outcome::of_frames(counters, self.not_recorded, self.recording_failed)
+    /// What a run with these losses came to; `incomplete` is what could not be read of its source.
+    pub(in crate::commands) fn outcome(&self, counters: AcquisitionCounters, incomplete: Option<&str>) -> Outcome {
+        Outcome::of_frames(counters, incomplete, self.not_recorded, self.recording_failed)
     }
 
     /// There will be no more frames.
