@@ -41,6 +41,13 @@ pub struct Imager {
     scratch: Scratch,
 }
 
+/// An operator made apart from its imager: [`Imager::work_out`].
+#[derive(Debug)]
+pub(crate) struct NewOperator {
+    operator: Operator,
+    live: LiveOperator,
+}
+
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     filled: Vec<f64>,
@@ -130,13 +137,31 @@ impl Imager {
     /// # Errors
     /// A lambda that is not positive and finite, or so small that the system cannot be solved.
     pub fn set_hyperparameter(&mut self, lambda: f64, noise: &[f64]) -> Result<(), Error> {
-        let operator = self.problem.operator(lambda)?;
+        let new = self.work_out(lambda)()?;
+        self.replace_operator(new, noise)
+    }
+
+    /// The work of making the operator at another lambda, which takes longer than a frame and may be done elsewhere.
+    pub(crate) fn work_out(&self, lambda: f64) -> impl FnOnce() -> Result<NewOperator, Error> + Send + 'static {
+        let (problem, polarity) = (self.problem.clone(), self.polarity);
+        move || {
+            let operator = problem.operator(lambda)?;
+            Ok(NewOperator { live: LiveOperator::new(&operator, polarity), operator })
+        }
+    }
+
+    /// Goes on with another operator of the same problem. After an error the imager is what it was.
+    ///
+    /// # Errors
+    /// An operator that cannot do without the channels left out, or noise that is not positive, where elements are
+    /// solved for.
+    pub(crate) fn replace_operator(&mut self, new: NewOperator, noise: &[f64]) -> Result<(), Error> {
+        let NewOperator { operator, live } = new;
         let left_out = match &self.left_out {
             Some(missing) => Some(MissingChannels::new(&operator, missing.channels())?),
             None => None,
         };
-        self.live = LiveOperator::new(&operator, self.polarity);
-        self.operator = operator;
+        (self.live, self.operator) = (live, operator);
         self.left_out = left_out;
         self.missing = None;
         self.set_noise(noise)

@@ -34,24 +34,4 @@
 //! | [`driver`], [`clock`], [`latency`] | the loop over frames; their times; how long they took |
 //! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | what pokes, presses and training have taught |
 
-pub mod calibrate;
-pub mod calibration;
-pub mod channels;
-pub mod clock;
-pub mod driver;
-mod error;
-pub mod forces;
-pub mod frame_noise;
-mod image_cells;
-pub mod imager;
-pub mod latency;
-pub mod magnetic_model;
-pub mod network;
-pub mod output;
-pub mod pipeline;
-pub mod prepare;
-pub mod reconstructor;
-pub mod reference;
-pub mod stages;
-
-pub use error::Error;
+mod beside;

@@ -20,9 +20,11 @@ use dermis_touch::{
 };
 
 use crate::Error;
+use crate::beside::Beside;
 use crate::calibration::{Calibration, LoadQuantity, check_wiring};
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
+use crate::imager::NewOperator;
 use crate::output::Output;
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
@@ -35,6 +37,10 @@ use state::{Choices, Running, Starting, State};
 
 /// Frames averaged by a tare.
 pub const TARE_FRAMES: usize = 32;
+
+/// An operator for another lambda is in use so much later, nanoseconds of the frames' time: several times what it takes
+/// to make one on one slow core.
+const OPERATOR_READY_NS: u64 = 300_000_000;
 
 /// Before the first baseline, a frame counts where one in so many of its channels has a reading.
 const LEAST_START: usize = 4;
@@ -53,8 +59,19 @@ pub struct Pipeline {
     /// A network that classifies pixels, where there is one.
     classes: Option<ClassStage>,
     state: State,
+    operators: Operators,
     buffers: Buffers,
     timing: Timing,
+}
+
+/// Operators for other hyperparameters.
+#[derive(Debug)]
+struct Operators {
+    /// The lambda of the one that is being made.
+    making: Option<f64>,
+    coming: Beside<Result<NewOperator, Error>>,
+    /// What was asked for last, while another one is being made.
+    next: Option<f64>,
 }
 
 /// The frame at hand on its way to an image.
@@ -118,6 +135,7 @@ impl Pipeline {
             damage,
             classes: None,
             state: State::Starting(Box::new(starting)),
+            operators: Operators { making: None, coming: Beside::new(), next: None },
             buffers: Buffers { channels: Vec::new(), difference: Vec::new(), image },
             timing: Timing::default(),
             prepared,
@@ -147,6 +165,7 @@ impl Pipeline {
             // The frames before this one were lost for so long that other touches may have begun.
             running.reconstructor.interrupt(time_ns);
         }
+        self.take_up_operator(time_ns)?;
         let at = (frame.host_monotonic_ns, frame.sequence);
         let change = match self.is_blank() {
             // Nothing to learn from: the baseline begins with the first frame that has readings.
@@ -448,24 +467,65 @@ impl Pipeline {
         self.restore_baseline(record, &baseline, &as_measured)
     }
 
-    /// Rebuilds the operator at another lambda.
+    /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
+    /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
+    /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
+    /// kept for it.
     ///
     /// # Errors
     /// A lambda that is not positive and finite.
     pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
         // Before the start it is only kept: what is wrong with it has to be said now.
         check_hyperparameter(lambda)?;
-        if let State::Running(running) = &mut self.state {
-            let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
-            imager.set_hyperparameter(lambda, &running.reference.noise)?;
-            touches.set_noise(imager.noise_image());
-            if let Some(damage) = &mut self.damage {
-                damage.set_noise(imager.noise_image());
+        self.choices.hyperparameter = Some(lambda);
+        if self.operators.making.is_some() {
+            self.operators.next = Some(lambda);
+        } else if self.hyperparameter().is_some_and(|in_use| in_use != lambda) {
+            self.make_operator(lambda);
+        }
+        Ok(())
+    }
+
+    /// Begins to make the operator at another lambda.
+    fn make_operator(&mut self, lambda: f64) {
+        let State::Running(running) = &self.state else { return };
+        let work = running.reconstructor.imager.work_out(lambda);
+        let due_ns = self.timing.clock.time_ns().saturating_add(OPERATOR_READY_NS);
+        self.operators.making = Some(lambda);
+        self.operators.coming.begin(due_ns, move |_| Some(work()));
+    }
+
+    /// Takes up an operator that was made, if its time has come.
+    fn take_up_operator(&mut self, time_ns: u64) -> Result<(), Error> {
+        let Some(made) = self.operators.coming.take(time_ns) else { return Ok(()) };
+        let lambda = self.operators.making.take().unwrap_or(f64::NAN);
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
+        match made.and_then(|operator| imager.replace_operator(operator, &running.reference.noise)) {
+            Ok(()) => {
+                touches.set_noise(imager.noise_image());
+                if let Some(damage) = &mut self.damage {
+                    damage.set_noise(imager.noise_image());
+                }
+                self.compare_with_reference()?;
+            }
+            Err(error) => {
+                let in_use = imager.hyperparameter();
+                tracing::warn!("the hyperparameter {lambda:.3e} cannot be used ({error}); going on with {in_use:.3e}");
+                self.choices.hyperparameter = Some(in_use);
             }
         }
-        self.compare_with_reference()?;
-        self.choices.hyperparameter = Some(lambda);
+        if let Some(next) = self.operators.next.take().filter(|next| Some(*next) != self.hyperparameter()) {
+            self.make_operator(next);
+        }
         Ok(())
+    }
+
+    /// Frames that have waited for work beside the stream: operators for other hyperparameters, sheets with new cuts.
+    /// None does on a machine that is as fast as the stream needs.
+    pub fn waits(&self) -> u64 {
+        let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
+        self.operators.coming.waits() + of_sheets
     }
 
     /// Classifies the pixels of frames by a network from now on, or no longer.

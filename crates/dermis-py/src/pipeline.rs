@@ -204,7 +204,7 @@ impl PyPipeline {
         run(py, || Ok(lock(&self.running).pipeline.tare(force, "asked for")?))
     }
 
-    /// Uses another lambda from now on.
+    /// Asks for another lambda, which is in use 0.3 seconds of the frames' time later.
     fn set_hyperparameter(&self, py: Python<'_>, hyperparameter: f64) -> PyResult<()> {
         run(py, || Ok(lock(&self.running).pipeline.set_hyperparameter(hyperparameter)?))
     }

@@ -109,6 +109,9 @@ impl Arguments {
         let requests = page.as_ref().map(|(_, requests)| requests);
         let outcome = self.follow(&mut acquisition, &mut pipeline, &mut run, requests, out);
         run.stop_recording();
+        if pipeline.waits() > 0 {
+            tracing::info!(frames = pipeline.waits(), "frames waited for what was not worked out in time");
+        }
         let (counters, incomplete) = (acquisition.counters(), acquisition.incomplete());
         drop(acquisition);
         let has_ended = matches!(outcome, Ok(true)) && opened.is_file;

@@ -150,6 +150,11 @@ impl Refinement {
         Ok(())
     }
 
+    /// Frames that have waited for what touches are fitted on.
+    pub(crate) fn waits(&self) -> u64 {
+        self.patches().map_or(0, PatchStage::waits)
+    }
+
     /// True while it is being worked out what touches the skin.
     pub(crate) fn is_seeking(&self) -> bool {
         matches!(&self.by, By::Patches(patches) if patches.is_seeking())

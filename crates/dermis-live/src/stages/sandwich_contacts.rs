@@ -13,7 +13,7 @@ mod touch_rule;
 mod whitening;
 
 pub(crate) use sheets::SheetCut;
-pub(crate) use stage::PatchStage;
+pub(crate) use stage::{PatchStage, ReleaseLook, Released};
 
 use crate::prepare::Prepared;
 

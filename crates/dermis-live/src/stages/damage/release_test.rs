@@ -6,24 +6,40 @@ use dermis_skin::GainMatch;
 
 use super::frame::DamageFrame;
 use crate::prepare::Prepared;
+use crate::stages::sandwich_contacts::{ReleaseLook, Released};
 
 /// A change that is a touch's has at least so much of its weighted energy explained by touches.
 const LEAST_EXPLAINED: f64 = 0.9;
 /// Of the way to the intact sheet's model, on a scale on which damage is 0 and a release 1.
 const LEAST_NEARER: f64 = 0.5;
 
-/// Whether `change` (model volts, of the free skin against the reference, NaN where missing) is the release of
-/// something that touched the skin when `reference` (as measured) was taken.
-pub(super) fn is_release(change: &[f64], reference: &[f64], frame: &DamageFrame<'_>, prepared: &Prepared) -> bool {
+/// Begins to look whether `change` (model volts, of the free skin against the reference, NaN where missing) is the
+/// release of something that touched the skin when `reference` (as measured) was taken; `None` where it is not.
+pub(super) fn begin_look(
+    change: &[f64],
+    reference: &[f64],
+    frame: &DamageFrame<'_>,
+    prepared: &Prepared,
+) -> Option<ReleaseLook> {
     let offset: Vec<f64> =
         reference.iter().zip(frame.scale).zip(&prepared.voltages).map(|((r, scale), v)| scale * r - v).collect();
     // Where every channel is scaled to the model by itself, the reference cannot be off it.
     let knows = prepared.skin.imaging.gain != GainMatch::Channel;
     let nearer = nearer(change, &offset, &prepared.voltages).filter(|_| knows);
     let may_be = nearer.is_none_or(|share| share >= LEAST_NEARER);
-    let explained = frame.patches.filter(|_| may_be).and_then(|patches| patches.released_share(change));
-    tracing::debug!(?nearer, ?explained, "is this fall a touch that has gone?");
-    explained.is_some_and(|share| share >= LEAST_EXPLAINED)
+    tracing::debug!(?nearer, "is this fall a touch that has gone?");
+    frame.patches.filter(|_| may_be).and_then(|patches| patches.look_for_release(change))
+}
+
+/// Goes on with a look, which a frame does for a bounded time only; `None` where it has to go on in the next one.
+pub(super) fn is_release(look: &mut ReleaseLook, frame: &DamageFrame<'_>) -> Option<bool> {
+    let found = frame.patches.map_or(Released::Unknown, |patches| patches.go_on_looking(look));
+    tracing::debug!(?found, "is this fall a touch that has gone?");
+    match found {
+        Released::UnderWay => None,
+        Released::Unknown => Some(false),
+        Released::Share(explained) => Some(explained >= LEAST_EXPLAINED),
+    }
 }
 
 /// By how much of itself a change leads from the reference's offset towards no offset at all, the common gain left

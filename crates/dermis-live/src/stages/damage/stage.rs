@@ -11,7 +11,7 @@ use super::cuts::KnownCuts;
 use super::frame::{Adoption, DamageDecision, DamageFrame};
 use super::intact::IntactReference;
 use super::readings::{Readings, mean_difference};
-use super::release_test::is_release;
+use super::release_test::{begin_look, is_release};
 use super::rest::Rest;
 use super::unexplained::Unexplained;
 use super::view::DamageView;
@@ -19,7 +19,7 @@ use super::warmth::{Look, Warmth};
 use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
-use crate::stages::sandwich_contacts::SheetCut;
+use crate::stages::sandwich_contacts::{ReleaseLook, SheetCut};
 
 /// Rises of the touch image below this part of its deepest fall are lobes of damage not yet in the baseline. The lobes
 /// of a cut reach 0.62 of its fall on the sandwich's twin, the falls about a press 0.13 of its rise.
@@ -37,6 +37,8 @@ pub(crate) struct DamageStage {
     cuts: KnownCuts,
     unexplained: Unexplained,
     rest: Rest,
+    /// Whether what is suspected is a touch that has gone, while that is being worked out.
+    release: Option<ReleaseLook>,
     warmth: Warmth,
     /// Mean readings over frames of a free skin.
     readings: Readings,
@@ -74,6 +76,7 @@ impl DamageStage {
             cuts: KnownCuts::new(prepared)?,
             unexplained: Unexplained::new(),
             rest: Rest::new(channels),
+            release: None,
             warmth: Warmth::default(),
             readings: Readings::with_capacity(channels),
             noise: Vec::new(),
@@ -94,6 +97,7 @@ impl DamageStage {
             self.cuts.retain(self.monitor.damages());
         }
         self.unexplained.clear();
+        self.release = None;
         self.rest.restart();
     }
 
@@ -101,6 +105,7 @@ impl DamageStage {
     pub fn set_noise(&mut self, noise: Vec<f32>) {
         self.noise = noise;
         self.cuts.invalidate_image();
+        self.release = None;
         self.monitor.restart();
     }
 
@@ -146,6 +151,7 @@ impl DamageStage {
         let began = std::mem::replace(&mut self.suspicious, self.monitor.is_suspicious());
         if frame.loaded || (self.suspicious && !began) {
             self.readings.restart();
+            self.release = None;
             self.rest.postpone_look(frame.time_ns);
         }
         self.fit_new_damage(frame, prepared)?;
@@ -197,11 +203,16 @@ impl DamageStage {
     /// A suspicion may be a touch that was in the reference and has gone. Then no damage comes of it: it is judged from
     /// what is read now, and a new baseline is proposed, which alone mends the image of touches.
     fn look_for_release(&mut self, frame: &DamageFrame<'_>, prepared: &Prepared) {
-        if !self.rest.is_look_due(frame, &self.readings, &self.monitor) {
-            return;
+        if self.release.is_none() && self.rest.is_look_due(frame, &self.readings, &self.monitor) {
+            let change = self.intact.change_of(&self.readings.mean, frame);
+            self.release = begin_look(&change, self.intact.readings(), frame, prepared);
         }
-        let change = self.intact.change_of(&self.readings.mean, frame);
-        if is_release(&change, self.intact.readings(), frame, prepared) {
+        if frame.loaded || !self.monitor.is_suspicious() || self.monitor.damages().iter().any(Damage::is_open) {
+            self.release = None;
+        }
+        let Some(is_release) = self.release.as_mut().and_then(|look| is_release(look, frame)) else { return };
+        self.release = None;
+        if is_release {
             self.intact.set_readings(&self.readings.mean, frame.baseline.drift_factor());
             self.rest.note_release(frame.time_ns);
             self.monitor.dismiss();

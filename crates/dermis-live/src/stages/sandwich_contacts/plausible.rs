@@ -18,6 +18,10 @@ pub(super) fn plausible(fits: &[ContactFit], summary: &FitSummary, half_width_m:
         distance < APART * (a.radius_m + b.radius_m)
     };
     let overlap = (1..fits.len()).any(|k| fits[..k].iter().any(|other| near(&fits[k].patch, &other.patch)));
-    let large = fits.iter().any(|fit| fit.patch.radius_m > LARGEST * half_width_m);
-    !overlap && !large && summary.misfit <= EXPLAINED * summary.energy
+    !overlap && !are_large(fits, half_width_m) && summary.misfit <= EXPLAINED * summary.energy
+}
+
+/// Whether any patch is larger than a touch.
+pub(super) fn are_large(fits: &[ContactFit], half_width_m: f64) -> bool {
+    fits.iter().any(|fit| fit.patch.radius_m > LARGEST * half_width_m)
 }

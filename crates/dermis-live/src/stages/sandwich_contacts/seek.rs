@@ -6,7 +6,7 @@ use dermis_tomo::eit::contacts::{
     ContactFit, ContactPatch, ContactSheet, FitOptions, FitSummary, Looked, PatchFit, PatchSearch, PatchSets,
 };
 
-use super::plausible::{BELIEVED, plausible};
+use super::plausible::{BELIEVED, are_large, plausible};
 
 /// Radii that a search starts from, relative to the typical one: radius and conductance trade with each other, and a
 /// fit may settle beside the best pair.
@@ -20,7 +20,8 @@ const STEPS: usize = 15;
 /// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
 const PORTION: f64 = 2000.0;
 /// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit
-/// of n patches n squared times that. Rough figures, by which work is shared out among frames.
+/// of n patches n squared times that, n being the typical patches that would cover as much where that is more. Rough
+/// figures, by which work is shared out among frames.
 const SET_NS: f64 = 600.0;
 const STEP_NS: f64 = 0.15e6;
 
@@ -53,6 +54,8 @@ enum Work {
 #[derive(Debug)]
 struct Fit {
     start: Vec<ContactPatch>,
+    /// The patches found so far.
+    patches: Vec<ContactPatch>,
     /// `None` before the first step.
     at: Option<PatchFit>,
     steps: usize,
@@ -130,8 +133,8 @@ impl Seek {
         fit: &mut Fit,
         nanoseconds: &mut f64,
     ) -> Option<Option<(Vec<ContactFit>, FitSummary)>> {
-        let patches = fit.start.len() as f64;
-        let allowed = (*nanoseconds / (STEP_NS * patches * patches)).ceil().clamp(1.0, STEPS as f64) as usize;
+        let step_ns = STEP_NS * fit.typical_patches(tools.options).powi(2);
+        let allowed = (*nanoseconds / step_ns).ceil().clamp(1.0, STEPS as f64) as usize;
         let options = FitOptions { most_steps: allowed.min(STEPS - fit.steps).max(1), ..*tools.options };
         let at = match &mut fit.at {
             Some(at) => at,
@@ -142,8 +145,16 @@ impl Seek {
         };
         let result = tools.sheet.go_on(&self.change, &self.deviation, at, &options, &mut self.left);
         let Ok((fits, summary)) = result else { return Some(None) };
-        *nanoseconds -= STEP_NS * patches * patches * summary.steps.max(1) as f64;
+        fit.patches.clear();
+        fit.patches.extend(fits.iter().map(|fit| fit.patch));
+        let step_ns = STEP_NS * fit.typical_patches(tools.options).powi(2);
+        *nanoseconds -= step_ns * summary.steps.max(1) as f64;
         fit.steps += summary.steps;
+        // Patches that grow over the whole skin would take the time of many frames, and are not believed in the end. At
+        // a desk they may shrink again.
+        if nanoseconds.is_finite() && are_large(&fits, tools.half_width_m) {
+            return Some(None);
+        }
         let ended = summary.settled || fit.steps >= STEPS;
         ended.then_some(Some((fits, summary)))
     }
@@ -192,6 +203,12 @@ impl Seek {
 
 impl Fit {
     fn new(start: Vec<ContactPatch>) -> Self {
-        Self { start, at: None, steps: 0 }
+        Self { patches: start.clone(), start, at: None, steps: 0 }
+    }
+
+    /// How many patches of the typical size would cover as much as these, at least as many as these are.
+    fn typical_patches(&self, options: &FitOptions) -> f64 {
+        let covered: f64 = self.patches.iter().map(|patch| (patch.radius_m / options.radius_m).powi(2)).sum();
+        covered.max(self.patches.len() as f64)
     }
 }

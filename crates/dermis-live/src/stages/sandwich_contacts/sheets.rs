@@ -1,15 +1,14 @@
 //! The sheet that contacts are fitted on and the one that they are looked for on, slit where the skin is cut. New ones
-//! take the better part of a second and are worked out beside the stream; they take effect at a time that is set in the
-//! frames' own time when they are ordered, so that a replay does the same.
+//! take the better part of a second and are worked out beside the stream ([`crate::beside`]).
 
 use std::sync::Arc;
-use std::thread::JoinHandle;
 
 use dermis_tomo::eit::contacts::{ContactPatch, ContactSheet, PatchSearch};
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{SlitEdge, SlitMesh};
 
 use crate::Error;
+use crate::beside::{Beside, Wanted};
 use crate::prepare::Prepared;
 use dermis_skin::Skin;
 
@@ -25,8 +24,8 @@ const PLACES: usize = 10;
 /// What is left of the conductance of an element that a cut crosses which no slit can follow: it blocks the current,
 /// and no matrix becomes singular.
 const LEFT_BY_A_CUT: f64 = 1e-4;
-/// Sheets that are ordered take effect so much later, nanoseconds.
-const READY_NS: u64 = 1_000_000_000;
+/// Sheets that are ordered take effect so much later, nanoseconds: several times what they take on one slow core.
+const READY_NS: u64 = 3_000_000_000;
 
 /// Both ends, metres.
 type Ends = [[f64; 2]; 2];
@@ -61,16 +60,21 @@ struct Bare {
 }
 
 impl Bare {
-    fn with(&self, cuts: &[SheetCut]) -> Result<Sheets, Error> {
+    /// With these cuts; `None` where they are wanted no longer.
+    fn with(&self, cuts: &[SheetCut], wanted: &Wanted) -> Option<Result<Sheets, Error>> {
         let lines: Vec<Ends> = cuts.iter().map(|cut| cut.ends_m).collect();
-        self.on(self.skin.slit_mesh(ELEMENTS, &lines)?, self.skin.slit_mesh(COARSE_ELEMENTS, &lines)?, cuts)
+        let mesh = |elements: usize| self.skin.slit_mesh(elements, &lines).map_err(Error::from);
+        let meshed = mesh(ELEMENTS).and_then(|fine| Ok((fine, mesh(COARSE_ELEMENTS)?)));
+        meshed.map_or_else(|error| Some(Err(error)), |(fine, coarse)| self.on(fine, coarse, cuts, wanted).transpose())
     }
 
-    /// On these meshes with the cuts, which say of each whether it is slit.
-    fn on(&self, fine: Meshed, coarse: Meshed, cuts: &[SheetCut]) -> Result<Sheets, Error> {
-        let (fine, coarse) = (self.sheet(fine, cuts)?, self.sheet(coarse, cuts)?);
+    /// On these meshes with the cuts, which say of each whether it is slit; `None` where they are wanted no longer.
+    fn on(&self, fine: Meshed, coarse: Meshed, cuts: &[SheetCut], wanted: &Wanted) -> Result<Option<Sheets>, Error> {
+        let coarse = self.sheet(coarse, cuts)?;
+        let Some(()) = wanted.go_on() else { return Ok(None) };
         let search = PatchSearch::new(&coarse, self.typical, &self.places)?;
-        Ok(Sheets { fine, coarse, search })
+        let Some(()) = wanted.go_on() else { return Ok(None) };
+        Ok(Some(Sheets { fine: self.sheet(fine, cuts)?, coarse, search }))
     }
 
     fn sheet(&self, meshed: Meshed, cuts: &[SheetCut]) -> Result<ContactSheet, Error> {
@@ -101,13 +105,6 @@ impl Bare {
     }
 }
 
-/// Sheets that are being worked out.
-#[derive(Debug)]
-struct Coming {
-    due_ns: u64,
-    work: JoinHandle<Result<Sheets, Error>>,
-}
-
 /// The sheets in use, and those to come.
 #[derive(Debug)]
 pub(super) struct CutSheets {
@@ -115,7 +112,7 @@ pub(super) struct CutSheets {
     /// The cuts of the sheets that were ordered last.
     cuts: Vec<SheetCut>,
     pub now: Sheets,
-    coming: Option<Coming>,
+    coming: Beside<Result<Sheets, Error>>,
 }
 
 impl CutSheets {
@@ -135,8 +132,9 @@ impl CutSheets {
         let (fine, coarse) = (skin.slit_mesh(ELEMENTS, &[])?, skin.slit_mesh(COARSE_ELEMENTS, &[])?);
         let edge_m = EDGE * fine.0.mesh.mesh.element_size_m();
         let bare = Arc::new(Bare { skin, protocol, edge_m, typical, places });
-        let now = bare.on(fine, coarse, &[])?;
-        Ok(Self { bare, cuts: Vec::new(), now, coming: None })
+        let (fine, coarse) = (bare.sheet(fine, &[])?, bare.sheet(coarse, &[])?);
+        let now = Sheets { search: PatchSearch::new(&coarse, typical, &bare.places)?, fine, coarse };
+        Ok(Self { bare, cuts: Vec::new(), now, coming: Beside::new() })
     }
 
     /// Orders sheets with these cuts, in place of any that were ordered before. Does nothing where the last ones have
@@ -147,16 +145,18 @@ impl CutSheets {
         }
         self.cuts = cuts.to_vec();
         let (bare, cuts) = (self.bare.clone(), cuts.to_vec());
-        let work = std::thread::spawn(move || bare.with(&cuts));
-        self.coming = Some(Coming { due_ns: time_ns.saturating_add(READY_NS), work });
+        self.coming.begin(time_ns.saturating_add(READY_NS), move |wanted| bare.with(&cuts, wanted));
+    }
+
+    /// Frames that have waited for sheets.
+    pub fn waits(&self) -> u64 {
+        self.coming.waits()
     }
 
     /// Takes up what was ordered, if its time has come; true where it was. Waits for it if need be.
     pub fn take_up(&mut self, time_ns: u64) -> Result<bool, Error> {
-        let due = |coming: &mut Coming| time_ns >= coming.due_ns;
-        let Some(Coming { work, .. }) = self.coming.take_if(due) else { return Ok(false) };
-        // A thread that panicked brings its panic here, as if there were none.
-        self.now = work.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        let Some(sheets) = self.coming.take(time_ns) else { return Ok(false) };
+        self.now = sheets?;
         Ok(true)
     }
 }

@@ -28,12 +28,13 @@ const OUTSTANDING: f64 = 2.0;
 const INTERVAL_NS: u64 = 5_000_000;
 /// Frames that come faster than this may still take half of it, nanoseconds.
 const LEAST_NS: f64 = 500_000.0;
-/// Shares of a search below this are hurried, nanoseconds.
-const HURRIED_NS: f64 = 5e6;
+/// And a frame takes no more than this of a search, however slow frames come: those after it wait in line.
+const MOST_NS: f64 = 4e6;
 /// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since
 /// by the second: 2 % in ten minutes.
 const DRIFT_PER_S: f64 = 0.02 / 600.0;
-/// Steps of a fit: from the frame before, and from what a search found.
+/// Steps of a fit in a frame, and in one that may take all the time that it wants. What a frame leaves to be done, the
+/// next ones do.
 const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
 const SEARCH_SHARE: f64 = 0.5;
@@ -94,6 +95,31 @@ pub(crate) struct PatchStage {
     is_unhurried: bool,
     /// Since when something has been on the skin.
     touched_ns: Option<u64>,
+    /// How much of a search this frame may take, nanoseconds of a core.
+    share_ns: f64,
+    /// Sheets that were in use so far.
+    sheets_used: u64,
+}
+
+/// A look at whether a change is that of touches that have gone, under way.
+#[derive(Debug)]
+pub(crate) struct ReleaseLook {
+    seek: Seek,
+    /// Mean square of the change over its noise.
+    energy: f64,
+    /// The sheets that it is made on.
+    sheets_used: u64,
+}
+
+/// What a look at a release came to in a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Released {
+    /// There is more to do.
+    UnderWay,
+    /// Nothing can be said.
+    Unknown,
+    /// Touches of the opposite sign explain this share of the change's weighted energy.
+    Share(f64),
 }
 
 impl PatchStage {
@@ -125,7 +151,14 @@ impl PatchStage {
             seen_ns: None,
             is_unhurried: false,
             touched_ns: None,
+            share_ns: LEAST_NS,
+            sheets_used: 1,
         })
+    }
+
+    /// Frames that have waited for sheets with new cuts.
+    pub(crate) fn waits(&self) -> u64 {
+        self.sheets.waits()
     }
 
     /// As new at this noise of the channels (model volts), on the sheet as it is.
@@ -149,8 +182,8 @@ impl PatchStage {
         self.channels.set_noise(noise);
     }
 
-    /// Takes the sheet to have these cuts, from a second of the frames' time on: its Green's function has to
-    /// be worked out anew. Does nothing where they are those that it has.
+    /// Takes the sheet to have these cuts, from three seconds of the frames' time on: its Green's function has to be
+    /// worked out anew. Does nothing where they are those that it has.
     pub(crate) fn set_cuts(&mut self, time_ns: u64, cuts: &[SheetCut]) {
         self.sheets.order(time_ns, cuts);
     }
@@ -193,6 +226,7 @@ impl PatchStage {
         contacts: &mut Vec<Contact>,
     ) -> Result<(), Error> {
         if self.sheets.take_up(time_ns)? {
+            self.sheets_used += 1;
             self.forget();
         }
         self.refine_contacts(time_ns, difference, lowest, contacts);
@@ -200,8 +234,11 @@ impl PatchStage {
     }
 
     fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
-        // How long a search may take in this frame: as slow as frames come. The first one waits for nothing.
-        let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
+        let since_ns = self.seen_ns.replace(time_ns).map_or(0.0, |seen| time_ns.saturating_sub(seen) as f64);
+        self.share_ns = match self.is_unhurried {
+            true => f64::INFINITY,
+            false => (SEARCH_SHARE * since_ns.max(LEAST_NS)).min(MOST_NS),
+        };
         self.left.clear();
         self.left.extend_from_slice(difference);
         if contacts.is_empty() {
@@ -229,19 +266,18 @@ impl PatchStage {
             let mean = self.gathered.mean();
             self.left.extend_from_slice(mean);
         }
-        let share_ns = if self.is_unhurried { f64::INFINITY } else { SEARCH_SHARE * since_ns.max(LEAST_NS) };
-        self.refine_now(time_ns, share_ns, lowest, contacts);
+        self.refine_now(time_ns, lowest, contacts);
     }
 
     /// As [`PatchStage::refine`], of the frame in `left`.
-    fn refine_now(&mut self, time_ns: u64, share_ns: f64, lowest: f64, contacts: &mut Vec<Contact>) {
+    fn refine_now(&mut self, time_ns: u64, lowest: f64, contacts: &mut Vec<Contact>) {
         // Too weak to begin a touch, and none there that it could be.
         let Contact { significance, strength, .. } = contacts[0];
         if self.followed.fits.is_empty() && self.followed.shown.is_empty() && strength != ContactStrength::Strong {
             return;
         }
         self.channels.weigh(&self.left, &mut self.whitened);
-        if !self.follow(STEPS[0]) && !self.search(time_ns, share_ns) {
+        if !self.follow(STEPS[0]) && !self.search(time_ns) {
             self.followed.fits.clear();
             if self.search.seek.is_some() && !self.followed.shown.is_empty() {
                 // Until it is known what changed, a few frames at most, what was there stays where it was.
@@ -332,13 +368,13 @@ impl PatchStage {
 
     /// Goes on with the search under way, or begins one unless one in vain was just before; true where patches were
     /// found that explain this frame too.
-    fn search(&mut self, time_ns: u64, share_ns: f64) -> bool {
+    fn search(&mut self, time_ns: u64) -> bool {
         let under_way = self.search.seek.take();
         let tools = self.tools();
         let rested = self.is_unhurried || time_ns >= self.search.pause_until_ns;
         let begin = || rested.then(|| Seek::new(&tools, &self.whitened.change, &self.whitened.deviation)).flatten();
         let Some(mut seek) = under_way.or_else(begin) else { return false };
-        let found = match seek.advance(&tools, share_ns) {
+        let found = match seek.advance(&tools, self.share_ns) {
             Outcome::UnderWay => {
                 self.search.seek = Some(seek);
                 return false;
@@ -346,8 +382,7 @@ impl PatchStage {
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
                 (self.followed.fits, self.followed.misfit, self.followed.standing) = (fits, misfit, None);
-                // What a hurried frame leaves to be done, the next ones do.
-                self.follow(if share_ns < HURRIED_NS { STEPS[0] } else { STEPS[1] })
+                self.follow(STEPS[usize::from(self.is_unhurried)])
             }
         };
         if found {
@@ -359,10 +394,9 @@ impl PatchStage {
         found
     }
 
-    /// How much of a change of the free skin (model volts, NaN where missing) is that of touches that have gone, which
-    /// the reference holds: the share of its weighted energy that patches of the opposite sign explain, none where no
-    /// patches do.
-    pub(crate) fn released_share(&self, change: &[f64]) -> Option<f64> {
+    /// Begins to look whether a change of the free skin (model volts, NaN where missing) is that of touches that have
+    /// gone, which the reference holds: whether patches of the opposite sign explain it. None where that cannot be said.
+    pub(crate) fn look_for_release(&self, change: &[f64]) -> Option<ReleaseLook> {
         let absent = self.channels.absent();
         let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;
         if change.len() != absent.len() || change.iter().zip(absent).any(missing) {
@@ -373,14 +407,22 @@ impl PatchStage {
         let mut whitened = Whitened::default();
         self.channels.weigh(&opposite, &mut whitened);
         let Whitened { change, deviation } = &whitened;
-        let tools = self.tools();
-        let found = match Seek::new(&tools, change, deviation)?.advance(&tools, f64::INFINITY) {
-            Outcome::Found(_, misfit) => misfit,
-            Outcome::UnderWay | Outcome::Nothing => return None,
-        };
         let present = || change.iter().zip(deviation).filter(|(change, _)| change.is_finite());
         let energy =
             present().map(|(change, sigma)| (change / sigma).powi(2)).sum::<f64>() / present().count().max(1) as f64;
-        Some(1.0 - found / energy)
+        let seek = Seek::new(&self.tools(), change, deviation)?;
+        Some(ReleaseLook { seek, energy, sheets_used: self.sheets_used })
+    }
+
+    /// Goes on with such a look for as long as a frame may take of it.
+    pub(crate) fn go_on_looking(&self, look: &mut ReleaseLook) -> Released {
+        if look.sheets_used != self.sheets_used {
+            return Released::Unknown;
+        }
+        match look.seek.advance(&self.tools(), self.share_ns) {
+            Outcome::UnderWay => Released::UnderWay,
+            Outcome::Nothing => Released::Unknown,
+            Outcome::Found(_, misfit) => Released::Share(1.0 - misfit / look.energy),
+        }
     }
 }

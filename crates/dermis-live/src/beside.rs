@@ -1,0 +1,122 @@
+//! Work that takes longer than a frame, done beside the stream. The frame from which its result counts is set, in the
+//! frames' own time, when the work is begun, so that a replay at any pace on any machine gives the same results as the
+//! live run. A frame whose time has come before the work is done waits for it, which is counted.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+/// Tells work whether its result is still wanted.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Wanted(Arc<AtomicBool>);
+
+impl Wanted {
+    /// `None` where other work was begun in its place: the rest need not be done.
+    pub fn go_on(&self) -> Option<()> {
+        (!self.0.load(Ordering::Relaxed)).then_some(())
+    }
+}
+
+/// One piece of work at a time, and when its result is due.
+#[derive(Debug)]
+pub(crate) struct Beside<T> {
+    under_way: Option<UnderWay<T>>,
+    waits: u64,
+}
+
+#[derive(Debug)]
+struct UnderWay<T> {
+    due_ns: u64,
+    thread: JoinHandle<Option<T>>,
+    wanted: Wanted,
+}
+
+impl<T: Send + 'static> Beside<T> {
+    /// Without any work.
+    pub fn new() -> Self {
+        Self { under_way: None, waits: 0 }
+    }
+
+    /// Frames that have waited for a result.
+    pub fn waits(&self) -> u64 {
+        self.waits
+    }
+
+    /// Begins work whose result counts from a time of the frames on, in place of any that is under way. The work may
+    /// end without a result only when it is no longer wanted.
+    pub fn begin(&mut self, due_ns: u64, work: impl FnOnce(&Wanted) -> Option<T> + Send + 'static) {
+        self.drop_work();
+        let wanted = Wanted::default();
+        let told = wanted.clone();
+        let thread = std::thread::spawn(move || work(&told));
+        self.under_way = Some(UnderWay { due_ns, thread, wanted });
+    }
+
+    /// The result, in the first frame whose time has come.
+    pub fn take(&mut self, time_ns: u64) -> Option<T> {
+        let UnderWay { thread, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
+        if !thread.is_finished() {
+            self.waits += 1;
+        }
+        // A thread that panicked brings its panic here, as if there were none.
+        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+
+    fn drop_work(&mut self) {
+        if let Some(UnderWay { wanted, .. }) = self.under_way.take() {
+            wanted.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+impl<T> Drop for Beside<T> {
+    fn drop(&mut self) {
+        if let Some(UnderWay { wanted, .. }) = &self.under_way {
+            wanted.0.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    #[test]
+    fn a_result_counts_from_its_time_on_however_long_it_took() {
+        let mut quick = Beside::new();
+        quick.begin(100, |_| Some(1));
+        while !quick.under_way.as_ref().unwrap().thread.is_finished() {
+            std::thread::yield_now();
+        }
+        assert_eq!((quick.take(99), quick.take(100), quick.take(101)), (None, Some(1), None));
+        assert_eq!(quick.waits(), 0);
+        let (send, receive) = channel::<()>();
+        let mut slow = Beside::new();
+        slow.begin(100, move |_| receive.recv().ok().map(|()| 2));
+        assert_eq!(slow.take(99), None);
+        let done = std::thread::spawn(move || {
+            std::thread::sleep(std::time::Duration::from_millis(50));
+            send.send(())
+        });
+        assert_eq!(slow.take(100), Some(2));
+        assert_eq!(slow.waits(), 1);
+        done.join().unwrap().unwrap();
+    }
+
+    #[test]
+    fn other_work_takes_the_place_of_what_is_under_way_which_is_told() {
+        let (tell, told) = channel();
+        let mut beside = Beside::new();
+        beside.begin(100, move |wanted| {
+            while wanted.go_on().is_some() {
+                std::thread::yield_now();
+            }
+            tell.send(()).ok().map(|()| 1)
+        });
+        beside.begin(200, |_| Some(2));
+        assert_eq!((beside.take(150), beside.take(200)), (None, Some(2)));
+        told.recv().unwrap();
+    }
+}
