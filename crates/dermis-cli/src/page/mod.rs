@@ -42,7 +42,7 @@ pub use command::{Command, Press, Reply, Request, coalesced};
 pub use error::PageError;
 pub use hub::{Hub, HubStats};
 pub use message::Level;
-pub use protocol::PROTOCOL_VERSION;
+pub use protocol::{PROTOCOL_VERSION, judge};
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use server::{ServerHandle, serve};
 pub use shared::PageOptions;

@@ -139,6 +139,17 @@ pub(super) fn noise(values: &[f32]) -> Bytes {
     message.into()
 }
 
+/// What a page's message asks for, as the server of this scene judges it; `None` where it acknowledges an update.
+///
+/// # Errors
+/// A sentence for the page: what was wrong and what was expected.
+pub fn judge(text: &str, scene: &Scene) -> Result<Option<Command>, String> {
+    match parse(text).map_err(|(_, reason)| reason)? {
+        Said::Acknowledge(_) => Ok(None),
+        Said::Ask(_, command) => command.check(scene).map(|()| Some(command)),
+    }
+}
+
 /// Reads what a page says.
 ///
 /// # Errors

@@ -1,0 +1,12 @@
+//! Messages of pages, to the server of a real skin and to that of a twin.
+#![no_main]
+
+use dermis_cli::page::{Scene, judge};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|text: &str| {
+    for is_twin in [false, true] {
+        let scene = Scene { is_twin, is_treatable: is_twin, ..Scene::default() };
+        let _ = judge(text, &scene);
+    }
+});
