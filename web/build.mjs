@@ -1,20 +1,22 @@
 // Builds the page into the folder from which the dermis command embeds it. `node build.mjs --check` builds into memory
-// and fails when the committed files differ.
+// and fails when the committed files differ. `node build.mjs --demo FOLDER` builds the page that brings its skin with it:
+// the same files, and the worker that runs the skin's module (see scripts/wasm-demo).
 import { build } from "esbuild";
-import { readFile, writeFile } from "node:fs/promises";
+import { mkdir, readFile, writeFile } from "node:fs/promises";
 import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const assets = join(here, "../crates/dermis-cli/assets");
 const isCheck = process.argv.includes("--check");
+const demo = process.argv.includes("--demo") ? process.argv[process.argv.indexOf("--demo") + 1] : null;
 
 // Its licence asks that this text goes wherever the code goes.
 const licence = `/*! uPlot, https://github.com/leeoniya/uPlot\n${await readFile(join(here, "node_modules/uplot/LICENSE"), "utf8")}*/`;
 
 const { outputFiles } = await build({
   absWorkingDir: here,
-  entryPoints: { page: "src/main.ts" },
+  entryPoints: { page: "src/main.ts", ...(demo && { engine: "src/engine.ts" }) },
   outdir: "out",
   bundle: true,
   write: false,
@@ -27,6 +29,15 @@ const { outputFiles } = await build({
 });
 const files = new Map(outputFiles.map((file) => [file.path.split(/[\\/]/).pop(), Buffer.from(file.contents)]));
 for (const name of ["index.html", "icon.svg"]) files.set(name, await readFile(join(here, "public", name)));
+
+if (demo) {
+  // uPlot is in the page alone.
+  files.set("engine.js", Buffer.from(files.get("engine.js").toString().replace(licence, "").trimStart()));
+  files.set("index.html", Buffer.from(files.get("index.html").toString().replace("<html ", '<html data-engine="engine.js" ')));
+  await mkdir(demo, { recursive: true });
+  for (const [name, contents] of files) await writeFile(join(demo, name), contents);
+  process.exit();
+}
 
 let stale = 0;
 for (const [name, contents] of [...files].sort()) {

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Tests the live page in a real browser: against the demo, or with DERMIS_BIN=path/to/dermis against `dermis run`
-# (DERMIS_ARGS adds arguments). Installs what is missing: npm packages, and Chromium where apt can.
+# (DERMIS_ARGS adds arguments), or with BOOK=folder of the built book against the skin in its first page. Installs what is missing: npm packages, and Chromium where apt can.
 set -eu
 cd "$(dirname "$0")"
 
@@ -24,6 +24,7 @@ export CHROMIUM
 
 npm run --silent check
 node build.mjs --check
+[ -z "${BOOK:-}" ] || exec node --test tests/book.spec.mjs
 if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
     cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
 fi

@@ -1,12 +1,15 @@
 //! Messages of pages, to the server of a real skin and to that of a twin.
 #![no_main]
 
-use dermis_cli::page::{Scene, judge};
+use dermis_page::Scene;
+use dermis_page::protocol::{Said, parse};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|text: &str| {
     for is_twin in [false, true] {
         let scene = Scene { is_twin, is_treatable: is_twin, ..Scene::default() };
-        let _ = judge(text, &scene);
+        if let Ok(Said::Ask(_, command)) = parse(text) {
+            let _ = command.check(&scene);
+        }
     }
 });

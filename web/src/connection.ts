@@ -1,6 +1,7 @@
-// The WebSocket to the server: reconnects by itself, acknowledges updates so that the server sends no more than the page
-// can take, and matches answers to what was asked.
+// The connection to the server, or to the skin in the page: reconnects by itself, acknowledges updates so that no more
+// are sent than the page can take, and matches answers to what was asked.
 
+import { type Channel, openChannel } from "./channel";
 import { type Alive, type Channels, type Classes, type Command, type Image, type Notice, type Scene, type State, VERSION, decode } from "./protocol";
 
 export type Link = "connecting" | "live" | "silent" | "lost";
@@ -21,12 +22,10 @@ export interface Listener {
 const SILENCE_MS = 5000;
 /** No update for this long: the pipeline is silent. */
 const STALE_MS = 2000;
-/** The close code of a server that stops. */
-const SERVER_STOPS = 1001;
 const RETRY_MS = [250, 500, 1000, 2000, 4000];
 
 export class Connection {
-  private socket: WebSocket | null = null;
+  private channel: Channel | null = null;
   private attempts = 0;
   private nextId = 1;
   private heard = 0;
@@ -45,30 +44,29 @@ export class Connection {
   }
 
   private send(message: object): boolean {
-    if (this.socket?.readyState !== WebSocket.OPEN) return false;
-    this.socket.send(JSON.stringify(message));
+    if (!this.channel?.isOpen) return false;
+    this.channel.send(JSON.stringify(message));
     return true;
   }
 
   private open(): void {
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/ws`);
-    socket.binaryType = "arraybuffer";
-    socket.onopen = () => {
-      this.heard = performance.now();
-      this.updated = this.heard;
-    };
-    socket.onmessage = (event) => this.receive(event.data);
-    socket.onclose = (event) => {
-      if (event.code === SERVER_STOPS) this.farewell = event.reason;
-      this.lost(socket, event.reason);
-    };
-    this.socket = socket;
+    const channel = openChannel({
+      open: () => {
+        this.heard = performance.now();
+        this.updated = this.heard;
+      },
+      message: (data) => this.receive(data),
+      close: (reason, isFinal) => {
+        if (isFinal) this.farewell = reason;
+        this.lost(channel, reason);
+      },
+    });
+    this.channel = channel;
   }
 
-  private lost(socket: WebSocket, reason: string): void {
-    if (socket !== this.socket) return;
-    this.socket = null;
+  private lost(channel: Channel, reason: string): void {
+    if (channel !== this.channel) return;
+    this.channel = null;
     const wait = RETRY_MS[Math.min(this.attempts, RETRY_MS.length - 1)];
     this.attempts += 1;
     this.listener.link("lost", reason || this.farewell || "no connection; trying again");
@@ -76,12 +74,12 @@ export class Connection {
   }
 
   private watch(): void {
-    const socket = this.socket;
-    if (socket?.readyState !== WebSocket.OPEN) return;
+    const channel = this.channel;
+    if (!channel?.isOpen) return;
     const now = performance.now();
     if (now - this.heard > SILENCE_MS) {
-      socket.close();
-      this.lost(socket, "the server fell silent; trying again");
+      channel.close();
+      this.lost(channel, "the server fell silent; trying again");
     } else if (now - this.updated > STALE_MS) {
       this.listener.link("silent", `no frame for ${((now - this.updated) / 1000).toFixed(0)} s`);
     }

@@ -304,6 +304,8 @@ function countShown(): void {
 
 // The token is in a cookie by now; it need not stay in the address, where it would be copied along.
 if (location.search.includes("token=")) history.replaceState(null, "", location.pathname);
+// Inside another page there is room for the picture and the touches.
+document.body.classList.toggle("embedded", new URLSearchParams(location.search).has("embed"));
 bindControls();
 bindPicture();
 countShown();

@@ -2,6 +2,7 @@
 
 import { spawn } from "node:child_process";
 import { existsSync } from "node:fs";
+import { mkdir } from "node:fs/promises";
 import { dirname, join } from "node:path";
 import { createInterface } from "node:readline";
 import { fileURLToPath } from "node:url";
@@ -120,6 +121,14 @@ export async function pressAt(page, x_mm, y_mm) {
   const { x, y } = await windowFromSkin(page, x_mm, y_mm);
   await page.mouse.move(x, y);
   await page.mouse.down();
+}
+
+/** A picture of the window, where PAGE_PICTURES names a folder. */
+export async function keepPicture(page, name) {
+  const folder = process.env.PAGE_PICTURES;
+  if (!folder) return;
+  await mkdir(folder, { recursive: true });
+  await page.screenshot({ path: join(folder, `${name}.png`) });
 }
 
 /** Damage as the list shows it. */

@@ -2,10 +2,8 @@
 // and read from what the page shows. One server for all of them, in order, as one visitor would do it.
 
 import assert from "node:assert/strict";
-import { mkdir } from "node:fs/promises";
-import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { baselineRows, classesSeen, damageRows, isDemo, openPage, pressAt, processedFrames, startBrowser, startServer, touchRows, waitForRows, waitUntil, windowFromSkin } from "./browser.mjs";
+import { baselineRows, classesSeen, damageRows, isDemo, keepPicture, openPage, pressAt, processedFrames, startBrowser, startServer, touchRows, waitForRows, waitUntil, windowFromSkin } from "./browser.mjs";
 
 // The demo has no sheet to cut.
 const real = { skip: isDemo };
@@ -62,14 +60,6 @@ async function stroke(page, from_mm, to_mm) {
   await page.mouse.up();
 }
 
-/** A picture of the window, where PAGE_PICTURES names a folder. */
-async function picture(page, name) {
-  const folder = process.env.PAGE_PICTURES;
-  if (!folder) return;
-  await mkdir(folder, { recursive: true });
-  await page.screenshot({ path: join(folder, `${name}.png`) });
-}
-
 test("a press raises compressed pixels where it is, which vanish after it; the overlay can be switched off", real, async () => {
   const { page } = opened;
   await untouched(page);
@@ -92,7 +82,7 @@ test("a press raises compressed pixels where it is, which vanish after it; the o
   assert.equal((await classesSeen(page)).isShown, false, "switched off");
   await page.locator("#classes-box").press("Space");
   assert.equal((await classesSeen(page)).isShown, true, "and on again");
-  await picture(page, "pressed");
+  await keepPicture(page, "pressed");
   await page.mouse.up();
   await classes(({ compressed }) => compressed.weight === 0);
   await untouched(page);
@@ -116,7 +106,7 @@ test("a cut drawn with the mouse is listed with place, length and since when", r
   await waitUntil(page, "damaged pixels", () => classesSeen(page), ({ damaged }) => damaged.weight === 0 || near(CUT.middle, 10)(damaged), SLOW);
   const baselines = await waitUntil(page, "a baseline with the damage", () => baselineRows(page), (rows) => rows.length === 2, SLOW);
   assert.deepEqual(baselines.map((row) => [row.origin, row.isIntact]), [["start", true], ["damage taken in", false]]);
-  await picture(page, "cut");
+  await keepPicture(page, "cut");
 });
 
 test("touches elsewhere are found at their place while the skin is cut", real, async () => {
@@ -139,7 +129,7 @@ test("a press on the cut is a touch, and the damage stays in the list under it a
   await touches(page, (rows) => rows.length === 1 && near(CUT.middle, 6)(rows[0]));
   const [covered] = await damages(page, (rows) => rows.length === 1 && rows[0].state === "covered");
   assert.deepEqual([covered.id, covered.x_mm, covered.length_mm], [before.id, before.x_mm, before.length_mm]);
-  await picture(page, "pressed-on-cut");
+  await keepPicture(page, "pressed-on-cut");
   await page.mouse.up();
   await untouched(page);
   const [after] = await damages(page, (rows) => rows.length === 1 && rows[0].state === "confirmed");
@@ -172,7 +162,7 @@ test("heat heals the cut in time-lapse, and its progress rises to the end", real
     return now?.state === "healing" || now?.state === "healed";
   });
   assert.match(await page.locator("#damages tr").first().textContent(), /heal(ing|ed).*%/);
-  await picture(page, "healing");
+  await keepPicture(page, "healing");
   await damages(page, ([now]) => {
     if (now && now.healed !== course.at(-1)) course.push(now.healed);
     return now?.state === "healed" && now.healed > 0.9;
@@ -182,7 +172,7 @@ test("heat heals the cut in time-lapse, and its progress rises to the end", real
   course.forEach((share, index) => assert.ok(share >= Math.max(...course.slice(0, index + 1)) - 0.15, `it does not fall: ${course}`));
   assert.ok(course[0] < 0.2, `it begins with an open cut: ${course}`);
   assert.equal(await page.locator("#damage-count").textContent(), "0", "what is healed is no damage");
-  await picture(page, "healed");
+  await keepPicture(page, "healed");
 });
 
 test("a new sheet in its place is at rest; the new baseline that is proposed forgets the scar", real, async () => {
@@ -194,7 +184,7 @@ test("a new sheet in its place is at rest; the new baseline that is proposed for
   await waitUntil(page, "a proposal", () => page.locator("#proposal").isVisible(), Boolean, { ms: 180_000, frames: 4000 });
   assert.match(await page.locator("#proposal-text").textContent(), /at rest for/);
   await untouched(page);
-  await picture(page, "proposed");
+  await keepPicture(page, "proposed");
   const known = (await baselineRows(page)).length;
   await page.locator("#proposal-take").click();
   const baselines = await waitUntil(page, "the proposed baseline", () => baselineRows(page), (rows) => rows.length > known, SLOW);

@@ -4,9 +4,11 @@
 //! Buckets divide every octave of nanoseconds into 32 equal parts, so that a quantile is at most 1/32 = 3.1 % above the
 //! true one and never below it.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use serde::Serialize;
+
+use crate::instant::Instant;
 
 /// Parts of an octave, as a power of two.
 const PART_BITS: u32 = 5;

@@ -31,7 +31,29 @@
 //! | [`channels`], [`reference`](mod@reference) | an instrument's readings to the skin's channels; baselines to the model's volts |
 //! | [`imager`], [`reconstructor`] | differences to images; images to touches |
 //! | [`pipeline`], [`stages`], [`output`] | all of it for every frame, in memory that does not grow; what it says |
-//! | [`driver`], [`clock`], [`latency`] | the loop over frames; their times; how long they took |
+//! | [`driver`], [`clock`], [`latency`], [`instant`] | the loop over frames; their times; how long they took |
 //! | [`mod@calibrate`], [`calibration`], [`forces`], [`network`] | what pokes, presses and training have taught |
 
 mod beside;
+pub mod calibrate;
+pub mod calibration;
+pub mod channels;
+pub mod clock;
+pub mod driver;
+mod error;
+pub mod forces;
+pub mod frame_noise;
+mod image_cells;
+pub mod imager;
+pub mod instant;
+pub mod latency;
+pub mod magnetic_model;
+pub mod network;
+pub mod output;
+pub mod pipeline;
+pub mod prepare;
+pub mod reconstructor;
+pub mod reference;
+pub mod stages;
+
+pub use error::Error;

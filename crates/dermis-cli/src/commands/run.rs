@@ -1,7 +1,6 @@
 //! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, the page's server
 //! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
 
-mod page_feed;
 mod running;
 pub mod source;
 

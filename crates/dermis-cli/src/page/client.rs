@@ -11,12 +11,13 @@ use std::time::Duration;
 use axum::body::Bytes;
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use crossbeam_channel::TrySendError;
+use dermis_page::Command;
+use dermis_page::message::{Answer, Level, Notice};
+use dermis_page::protocol::{self, Encoded, Said};
 use tokio::sync::{broadcast, mpsc, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 
-use super::command::{Command, Reply, Request};
-use super::message::{Answer, Level, Notice};
-use super::protocol::{self, Encoded, Said};
+use super::request::{Reply, Request};
 use super::shared::Shared;
 
 /// Updates sent and not yet acknowledged: enough for 60 a second over a round trip of 130 ms.

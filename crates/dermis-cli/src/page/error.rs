@@ -3,6 +3,8 @@
 use std::io;
 use std::net::SocketAddr;
 
+use dermis_page::UpdateError;
+
 /// Why the page could not be served, or an update not shown.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -59,28 +61,7 @@ pub enum PageError {
         /// What the system said.
         source: io::Error,
     },
-    /// An image whose values do not fill its grid.
-    #[error("image of frame {frame} has {values} values; expected {rows} x {cols}, each side at most 65535")]
-    ImageShape {
-        /// Frame number of the update.
-        frame: u64,
-        /// Rows stated.
-        rows: usize,
-        /// Columns stated.
-        cols: usize,
-        /// Values found.
-        values: usize,
-    },
-    /// Channel values that do not match their indices.
-    #[error(
-        "channels of frame {frame}: {indices} indices for {values} values; expected as many, or none for all channels in order"
-    )]
-    ChannelShape {
-        /// Frame number of the update.
-        frame: u64,
-        /// Indices found.
-        indices: usize,
-        /// Values found.
-        values: usize,
-    },
+    /// An update that contradicts itself.
+    #[error(transparent)]
+    Update(#[from] UpdateError),
 }

@@ -6,12 +6,9 @@ use std::mem;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use serde::Serialize;
+use dermis_page::message::{HubStats, Level, Notice};
+use dermis_page::{Update, UpdateError};
 use tokio::sync::{Notify, broadcast, watch};
-
-use super::PageError;
-use super::message::{Level, Notice};
-use super::update::Update;
 
 /// Notices that a page may leave unread before it loses the oldest.
 const NOTICE_BACKLOG: usize = 64;
@@ -46,19 +43,6 @@ pub(super) struct Counts {
     pub(super) dropped: AtomicU64,
 }
 
-/// How the pages keep up.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-pub struct HubStats {
-    /// Pages connected.
-    pub clients: usize,
-    /// Updates published.
-    pub published: u64,
-    /// Updates overwritten by a newer one before the server sent any: frames beyond the page's rate.
-    pub coalesced: u64,
-    /// Updates sent to some pages but skipped for a slow one, summed over pages.
-    pub dropped: u64,
-}
-
 impl Default for Hub {
     fn default() -> Self {
         Self::new()
@@ -83,9 +67,9 @@ impl Hub {
     /// allocates only while its buffers grow.
     ///
     /// # Errors
-    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] when the update contradicts itself; it is then not
+    /// [`UpdateError`] when the update contradicts itself; it is then not
     /// shown.
-    pub fn publish(&self, update: &Update) -> Result<(), PageError> {
+    pub fn publish(&self, update: &Update) -> Result<(), UpdateError> {
         update.check()?;
         let inner = &self.inner;
         let mut back = lock(&inner.back);

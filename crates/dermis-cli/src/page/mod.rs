@@ -26,27 +26,21 @@
 
 mod access;
 mod client;
-mod command;
 mod connections;
 mod error;
 mod hub;
-mod message;
-mod protocol;
-mod scene;
+mod request;
 mod server;
 mod shared;
-mod update;
 
 pub use access::Token;
-pub use command::{Command, Press, Reply, Request, coalesced};
-pub use error::PageError;
-pub use hub::{Hub, HubStats};
-pub use message::Level;
-pub use protocol::{PROTOCOL_VERSION, judge};
-pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
-pub use server::{ServerHandle, serve};
-pub use shared::PageOptions;
-pub use update::{
-    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
-    PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+pub use dermis_page::message::{HubStats, Level};
+pub use dermis_page::protocol::PROTOCOL_VERSION;
+pub use dermis_page::{
+    BaselineRow, ChannelValues, ClassImage, Command, Counter, DamageRow, DamageView, ElectrodeView, FaultView,
+    GridView, HealthView, Image, PipelineState, Press, PressLimits, ProposalView, Scene, SourceState, StageLatency,
+    TareState, TouchPhase, TouchView, Update, UpdateError,
 };
+pub use error::PageError;
+pub use hub::Hub;
+pub use request::{Reply, Request, coalesced};

@@ -15,6 +15,8 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use crossbeam_channel::Sender;
+use dermis_page::protocol::{self, Encoded};
+use dermis_page::{Scene, Update};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{Semaphore, watch};
 use tokio::time::{Instant, sleep_until};
@@ -22,13 +24,10 @@ use tokio::time::{Instant, sleep_until};
 use super::PageError;
 use super::access::{Access, Token, bracketed};
 use super::client;
-use super::command::Request;
 use super::connections::Bounded;
 use super::hub::Hub;
-use super::protocol::{self, Encoded};
-use super::scene::Scene;
+use super::request::Request;
 use super::shared::{PageOptions, Shared};
-use super::update::Update;
 
 /// A running server. Dropping it stops it.
 #[derive(Debug)]

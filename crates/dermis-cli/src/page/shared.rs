@@ -5,13 +5,13 @@ use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use crossbeam_channel::Sender;
+use dermis_page::Scene;
+use dermis_page::protocol::Encoded;
 use tokio::sync::{Semaphore, watch};
 
 use super::access::{Access, Token};
-use super::command::Request;
 use super::hub::Hub;
-use super::protocol::Encoded;
-use super::scene::Scene;
+use super::request::Request;
 
 /// How the page is served.
 #[derive(Debug, Clone)]

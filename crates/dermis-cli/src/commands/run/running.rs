@@ -7,15 +7,15 @@ use crate::page::{self, Command, Hub, Level, PageOptions, Reply, Request, Server
 use crossbeam_channel::Receiver;
 use dermis::device::acquire::{Acquisition, AcquisitionCounters};
 use dermis::lab::twin_commands::{CommandRefused, TwinCommand};
-use dermis::live::clock::FrameAnomalies;
 use dermis::live::output::Output;
 use dermis::live::pipeline::Pipeline;
-use dermis::live::stages::health::{HealthChange, HealthWatch};
-use dermis::record::{LiveRecording, RecordingEnd, RecordingHead, SkinView};
+use dermis::record::{LiveRecording, RecorderStatus, RecordingEnd, RecordingHead, SkinView};
 use dermis::twin::from_skin::treatment_of;
-use dermis_device::Frame;
+use dermis_device::{Frame, HostStamp};
+use dermis_page::Announcer;
+use dermis_page::feed::{PageFeed, RecordingView};
+use dermis_page::message::Notice;
 
-use super::page_feed::{self, PageFeed};
 use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 
@@ -29,7 +29,7 @@ pub(in crate::commands) struct Running {
     not_recorded: u64,
     recording_failed: bool,
     head: RecordingHead,
-    health: HealthWatch,
+    announcer: Announcer,
     hub: Hub,
     feed: PageFeed,
 }
@@ -49,7 +49,7 @@ impl Running {
             not_recorded: 0,
             recording_failed: false,
             head,
-            health: HealthWatch::new(&pipeline.prepared().skin),
+            announcer: Announcer::new(&pipeline.prepared().skin),
             hub: Hub::new(),
             feed,
         }
@@ -63,7 +63,7 @@ impl Running {
         pipeline: &Pipeline,
     ) -> anyhow::Result<(ServerHandle, Receiver<Request>)> {
         let (commands, requests) = crossbeam_channel::bounded(MOST_REQUESTS);
-        let scene = page_feed::scene(pipeline.prepared(), self.twin.as_ref().map(|twin| twin.press));
+        let scene = dermis_page::scene(pipeline.prepared(), self.twin.as_ref().map(|twin| twin.press));
         Ok((page::serve(address, options, self.hub.clone(), scene, commands)?, requests))
     }
 
@@ -76,7 +76,7 @@ impl Running {
 
     /// No frame came.
     pub(in crate::commands) fn wait(&mut self, acquisition: &Acquisition) -> anyhow::Result<()> {
-        if self.feed.wait(acquisition.problem()) {
+        if self.feed.wait(acquisition.problem(), HostStamp::now().monotonic_ns) {
             self.hub.publish(self.feed.update())?;
         }
         Ok(())
@@ -125,30 +125,20 @@ impl Running {
         if let Some(recorder) = &mut self.recorder {
             recorder.results(output);
         }
-        self.feed.show(output);
-        for event in output.damage.events {
-            let text = dermis::live::stages::damage::describe(event);
+        self.feed.show(output, HostStamp::now().monotonic_ns);
+        for Notice { level, text } in self.announcer.notices(output) {
             tracing::warn!(frame = output.sequence, "{text}");
-            self.hub.announce(Level::Warning, text);
-        }
-        for HealthChange { detail, is_fault, .. } in self.health.changes(output.health) {
-            tracing::warn!(frame = output.sequence, "{detail}");
-            self.hub.announce(if is_fault { Level::Warning } else { Level::Info }, detail);
-        }
-        let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
-        if clock_jump_ns != 0 || renumbered {
-            let jump_s = clock_jump_ns as f64 * 1e-9;
-            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
-            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
-            tracing::warn!(frame = output.sequence, "{text}");
-            self.hub.announce(Level::Warning, text);
+            self.hub.announce(level, text);
         }
     }
 
     /// Brings the page up to date.
     fn publish(&mut self, acquisition: &Acquisition, pipeline: &Pipeline) -> anyhow::Result<()> {
-        self.feed
-            .count(acquisition.counters(), self.recorder.as_ref().map(|recorder| (recorder.path(), recorder.status())));
+        let recording = self.recorder.as_ref().map(|recorder| {
+            let RecorderStatus { written, dropped, .. } = recorder.status();
+            RecordingView { path: recorder.path(), written, dropped }
+        });
+        self.feed.count(acquisition.counters(), recording);
         self.feed.describe(pipeline);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {

@@ -1,16 +1,14 @@
-//! What people ask of the pipeline from the page, and how it answers.
+//! What people ask of the pipeline from the page, and what no pipeline could do of it.
 
-use dermis::skin::TwinAction;
+use dermis_skin::TwinAction;
+use dermis_twin::from_skin::treatment_of;
 use serde::Deserialize;
-use tokio::sync::mpsc;
 
-use super::message::Answer;
-use super::scene::Scene;
+use crate::scene::Scene;
 
 /// A request of the page. Lengths are millimetres in the skin's frame.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-#[non_exhaustive]
 pub enum Command {
     /// Take a new baseline.
     Tare {
@@ -56,68 +54,6 @@ pub struct Press {
     pub pressure_kpa: f64,
 }
 
-/// A command with the way to answer it.
-#[derive(Debug)]
-pub struct Request {
-    /// Number of the page that asks, for logs.
-    pub client: u64,
-    /// What is asked.
-    pub command: Command,
-    /// The way back; dropped without an answer, the page shows nothing.
-    pub reply: Reply,
-}
-
-/// Answers one request in the page that made it. Answering never blocks.
-#[derive(Debug)]
-pub struct Reply {
-    pub(super) id: u64,
-    pub(super) answers: Option<mpsc::Sender<Answer>>,
-}
-
-impl Reply {
-    /// A reply that nobody reads, for requests that come from elsewhere than a page.
-    pub fn unheard() -> Self {
-        Self { id: 0, answers: None }
-    }
-
-    /// Says that it was done: `tared over 25 frames`.
-    pub fn accept(self, text: impl Into<String>) {
-        self.send(true, text.into());
-    }
-
-    /// Says that it was not, and why: `tare refused: a touch is on the skin`.
-    pub fn refuse(self, text: impl Into<String>) {
-        self.send(false, text.into());
-    }
-
-    fn send(self, ok: bool, text: String) {
-        if let Some(answers) = self.answers {
-            // A page that went away, or that has this many answers unread, has nobody waiting for this one.
-            let _ = answers.try_send(Answer { id: self.id, ok, text });
-        }
-    }
-}
-
-/// Requests in their order, without those that a later one of them makes pointless: of hyperparameters and
-/// tares the last counts. Whoever asked for one of the others is told.
-pub fn coalesced(requests: impl IntoIterator<Item = Request>) -> Vec<Request> {
-    let kind = |command: &Command| match command {
-        Command::Hyperparameter(_) => Some((0, 0)),
-        // A tare that is forced is not the same as one that is not.
-        Command::Tare { force } => Some((1, u8::from(*force))),
-        _ => None,
-    };
-    let mut kept: Vec<Request> = Vec::new();
-    for request in requests {
-        let same = kind(&request.command).and_then(|new| kept.iter().position(|old| kind(&old.command) == Some(new)));
-        if let Some(index) = same {
-            kept.remove(index).reply.accept("replaced by a later one");
-        }
-        kept.push(request);
-    }
-    kept
-}
-
 impl Command {
     /// Most channels that can be chosen for display at once.
     pub const MOST_CHANNELS: usize = 64;
@@ -125,7 +61,10 @@ impl Command {
     pub const MOST_PRESSES: usize = 16;
 
     /// Refuses what no pipeline could do: presses on a real skin, values outside the scene's limits.
-    pub(super) fn check(&self, scene: &Scene) -> Result<(), String> {
+    ///
+    /// # Errors
+    /// A sentence for the page: what was refused, and what was expected.
+    pub fn check(&self, scene: &Scene) -> Result<(), String> {
         match self {
             Self::Tare { .. } | Self::RecordStart | Self::RecordStop => Ok(()),
             Self::Hyperparameter(value) if value.is_finite() && *value > 0.0 => Ok(()),
@@ -141,9 +80,7 @@ impl Command {
             Self::Treat(_) if !scene.is_treatable => {
                 Err("treatment refused: only the twin of a self-healing skin is cut and healed here".into())
             }
-            Self::Treat(action) => dermis::twin::from_skin::treatment_of(*action)
-                .check()
-                .map_err(|error| format!("treatment refused: {error}")),
+            Self::Treat(action) => treatment_of(*action).check().map_err(|error| format!("treatment refused: {error}")),
             Self::ChooseChannels(indices) => check_channels(indices, scene),
         }
     }
@@ -195,20 +132,5 @@ fn check_channels(indices: &[u32], scene: &Scene) -> Result<(), String> {
     match indices.iter().find(|&&index| index as usize >= count) {
         Some(index) => Err(format!("channel {index} refused: expected an index below {count}")),
         None => Ok(()),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn of_a_burst_the_last_hyperparameter_counts_and_recordings_keep_their_order() {
-        let request = |command| Request { client: 1, command, reply: Reply::unheard() };
-        let mut burst: Vec<Request> = (1..=300).map(|k| request(Command::Hyperparameter(f64::from(k)))).collect();
-        burst.insert(100, request(Command::RecordStart));
-        burst.insert(200, request(Command::RecordStop));
-        let left: Vec<Command> = coalesced(burst).into_iter().map(|request| request.command).collect();
-        assert_eq!(left, [Command::RecordStart, Command::RecordStop, Command::Hyperparameter(300.0)]);
     }
 }

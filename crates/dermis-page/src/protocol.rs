@@ -1,14 +1,13 @@
 //! The messages on the wire, version 1: binary little-endian ones for images, channels and noise, JSON for the rest.
 //! `docs/src/page-protocol.md` describes them for other programs; keep the two together.
 
-use axum::body::Bytes;
+use bytes::Bytes;
 use serde::{Deserialize, Serialize};
 
-use super::command::Command;
-use super::hub::HubStats;
-use super::message::{Answer, Notice};
-use super::scene::Scene;
-use super::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
+use crate::command::Command;
+use crate::message::{Answer, HubStats, Notice};
+use crate::scene::Scene;
+use crate::update::{ClassImage, Counter, DamageView, HealthView, PipelineState, StageLatency, TouchView, Update};
 
 /// Version of the messages, in every one of them.
 pub const PROTOCOL_VERSION: u16 = 1;
@@ -23,18 +22,22 @@ const HEADER_BYTES: usize = 32;
 
 /// One update, encoded once for all pages.
 #[derive(Debug)]
-pub(super) struct Encoded {
+pub struct Encoded {
     /// Counts encoded updates from 1; pages acknowledge it, and its gaps are what a page missed.
-    pub(super) sequence: u64,
-    pub(super) image: Bytes,
-    pub(super) channels: Bytes,
-    pub(super) classes: Option<Bytes>,
-    pub(super) state: String,
+    pub sequence: u64,
+    /// The image, binary.
+    pub image: Bytes,
+    /// The channels, binary.
+    pub channels: Bytes,
+    /// The classes, binary, where a network gives any.
+    pub classes: Option<Bytes>,
+    /// The state, JSON; sent last.
+    pub state: String,
 }
 
 /// What a page says.
 #[derive(Debug, PartialEq)]
-pub(super) enum Said {
+pub enum Said {
     /// It has shown the update with this sequence number.
     Acknowledge(u64),
     /// It asks for something; the number comes back in the answer.
@@ -90,7 +93,8 @@ struct Incoming {
 }
 
 impl Encoded {
-    pub(super) fn new(sequence: u64, update: &Update) -> Self {
+    /// The messages of one update.
+    pub fn new(sequence: u64, update: &Update) -> Self {
         let state = State {
             sequence,
             frame: update.frame,
@@ -113,48 +117,37 @@ impl Encoded {
 }
 
 /// The scene, sent first.
-pub(super) fn scene(scene: &Scene) -> String {
+pub fn scene(scene: &Scene) -> String {
     json("scene", scene)
 }
 
 /// An answer to one request.
-pub(super) fn answer(answer: &Answer) -> String {
+pub fn answer(answer: &Answer) -> String {
     json("answer", answer)
 }
 
 /// Something told to every page.
-pub(super) fn notice(notice: &Notice) -> String {
+pub fn notice(notice: &Notice) -> String {
     json("notice", notice)
 }
 
 /// Sent every second, so that a page knows a silent pipeline from a lost connection.
-pub(super) fn alive(missed: u64, hub: HubStats) -> String {
+pub fn alive(missed: u64, hub: HubStats) -> String {
     json("alive", Alive { missed, hub })
 }
 
 /// Channel noise: kind 3.
-pub(super) fn noise(values: &[f32]) -> Bytes {
+pub fn noise(values: &[f32]) -> Bytes {
     let mut message = header(KIND_NOISE, 0, 0, [values.len() as u32, 0], values.len());
     put_values(&mut message, values);
     message.into()
-}
-
-/// What a page's message asks for, as the server of this scene judges it; `None` where it acknowledges an update.
-///
-/// # Errors
-/// A sentence for the page: what was wrong and what was expected.
-pub fn judge(text: &str, scene: &Scene) -> Result<Option<Command>, String> {
-    match parse(text).map_err(|(_, reason)| reason)? {
-        Said::Acknowledge(_) => Ok(None),
-        Said::Ask(_, command) => command.check(scene).map(|()| Some(command)),
-    }
 }
 
 /// Reads what a page says.
 ///
 /// # Errors
 /// A sentence for the page: what was wrong and what was expected, with the request's number where it was readable.
-pub(super) fn parse(text: &str) -> Result<Said, (u64, String)> {
+pub fn parse(text: &str) -> Result<Said, (u64, String)> {
     let incoming: Incoming =
         serde_json::from_str(text).map_err(|error| (0, format!("message not understood: {error}")))?;
     let id = incoming.id.unwrap_or(0);
@@ -222,7 +215,8 @@ fn put_values(message: &mut Vec<u8>, values: &[f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::page::{Image, Press};
+    use crate::command::Press;
+    use crate::update::Image;
 
     #[test]
     fn an_image_message_has_the_documented_layout() {

@@ -1,8 +1,9 @@
 //! Damage and baselines as the page lists them.
 
-use crate::page::{BaselineRow, DamageRow, DamageView, ProposalView};
-use dermis::live::stages::damage::DamageView as Known;
+use dermis_live::stages::damage::DamageView as Known;
 use dermis_touch::ReferenceOrigin;
+
+use crate::update::{BaselineRow, DamageRow, DamageView, ProposalView};
 
 /// Millimetres of a metre.
 const MM: f64 = 1e3;

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use serde::Serialize;
 
-use super::PageError;
+use crate::error::UpdateError;
 
 /// Everything the page shows of one frame.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -325,16 +325,16 @@ impl Update {
     /// Checks that the image fills its grid and that channel indices match values.
     ///
     /// # Errors
-    /// [`PageError::ImageShape`] or [`PageError::ChannelShape`] with the sizes found.
-    pub(super) fn check(&self) -> Result<(), PageError> {
+    /// [`UpdateError::ImageShape`] or [`UpdateError::ChannelShape`] with the sizes found.
+    pub fn check(&self) -> Result<(), UpdateError> {
         let Image { rows, cols, ref values } = self.image;
         let side = usize::from(u16::MAX);
         if rows > side || cols > side || rows * cols != values.len() {
-            return Err(PageError::ImageShape { frame: self.frame, rows, cols, values: values.len() });
+            return Err(UpdateError::ImageShape { frame: self.frame, rows, cols, values: values.len() });
         }
         let ChannelValues { indices, values } = &self.channels;
         if !indices.is_empty() && indices.len() != values.len() {
-            return Err(PageError::ChannelShape { frame: self.frame, indices: indices.len(), values: values.len() });
+            return Err(UpdateError::ChannelShape { frame: self.frame, indices: indices.len(), values: values.len() });
         }
         Ok(())
     }

@@ -2,45 +2,47 @@
 
 mod damage;
 
-use dermis::live::imager::Imager;
-use dermis::live::reference::Reference;
 use std::borrow::Cow;
 use std::path::Path;
-use std::time::{Duration, Instant};
 
-use crate::page::{
-    Counter, ElectrodeView, FaultView, GridView, PressLimits, Scene, SourceState, StageLatency, TareState, TouchPhase,
-    TouchView, Update,
-};
-use dermis::device::acquire::AcquisitionCounters;
-use dermis::live::output::Output;
-use dermis::live::pipeline::Pipeline;
-use dermis::live::prepare::Prepared;
-use dermis::record::RecorderStatus;
-use dermis::skin::Bend;
-use dermis::twin::PressRange;
+use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
-use dermis_tomo::mesh::{Contact, Outline};
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
+
+use crate::update::{Counter, FaultView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update};
 
 const MM: f64 = 1e3;
 /// Quantiles are looked up this often, in frames: they cost more than a frame's touches.
 const LATENCY_EVERY: u64 = 25;
-/// Without frames for so long, a source is waited for.
-const SILENCE: Duration = Duration::from_secs(1);
+/// Without frames for so long, a source is waited for, nanoseconds.
+const SILENCE_NS: u64 = 1_000_000_000;
+/// Frames are counted for so long before their rate is told, nanoseconds.
+const RATE_NS: u64 = 500_000_000;
 /// Channels listed at most.
 const MOST_CHANNEL_FAULTS: usize = 64;
+
+/// A recording in progress.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordingView<'a> {
+    /// Its file.
+    pub path: &'a Path,
+    /// Frames in it.
+    pub written: u64,
+    /// Frames that could not be written.
+    pub dropped: u64,
+}
 
 /// The update that is refilled for every frame.
 #[derive(Debug)]
 pub struct PageFeed {
     update: Update,
     rate: Rate,
-    skipped: f32,
     tared_at_ns: Option<u64>,
     records: usize,
-    waiting_since: Option<Instant>,
+    waiting_since_ns: Option<u64>,
 }
 
 impl PageFeed {
@@ -63,7 +65,7 @@ impl PageFeed {
             })
             .to_vec();
         update.state.baseline_age_s = f64::NAN;
-        Self { update, rate: Rate::new(), skipped: 0.0, tared_at_ns: None, records: 0, waiting_since: None }
+        Self { update, rate: Rate::default(), tared_at_ns: None, records: 0, waiting_since_ns: None }
     }
 
     /// What the page is to show.
@@ -76,8 +78,8 @@ impl PageFeed {
         self.update.state.demonstrates = demonstrates;
     }
 
-    /// Takes over one frame's results.
-    pub fn show(&mut self, output: &Output<'_>) {
+    /// Takes over one frame's results. `now_ns` is any clock that does not run back, nanoseconds; of all calls the same.
+    pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;
         update.time_ns = output.time_ns;
@@ -88,8 +90,8 @@ impl PageFeed {
         update.touches.extend(output.touches.iter().map(view));
         let ended = output.events.iter().filter(|event| matches!(event, TouchEvent::End(_)));
         update.touches.extend(ended.map(|event| TouchView { phase: TouchPhase::End, ..view(event.touch()) }));
-        update.fps = self.rate.count();
-        self.waiting_since = None;
+        update.fps = self.rate.count(now_ns);
+        self.waiting_since_ns = None;
         if update.state.source != SourceState::Running {
             update.state.source = SourceState::Running;
         }
@@ -135,12 +137,13 @@ impl PageFeed {
         }));
     }
 
-    /// No frame came: true where there is something new to show of that. `problem` is the source's own word for it.
-    pub fn wait(&mut self, problem: Option<String>) -> bool {
-        let since = *self.waiting_since.get_or_insert_with(Instant::now);
+    /// No frame came until `now_ns`: true where there is something new to show of that. `problem` is the source's own word
+    /// for it.
+    pub fn wait(&mut self, problem: Option<String>, now_ns: u64) -> bool {
+        let since_ns = *self.waiting_since_ns.get_or_insert(now_ns);
         let source = match problem {
             Some(reason) => SourceState::Lost { reason },
-            None if since.elapsed() < SILENCE => return false,
+            None if now_ns.saturating_sub(since_ns) < SILENCE_NS => return false,
             None => SourceState::Waiting { reason: "connected, but no frames come".into() },
         };
         let changed = self.update.state.source != source;
@@ -152,9 +155,9 @@ impl PageFeed {
     }
 
     /// Takes over the losses and the state of the recording.
-    pub fn count(&mut self, lost: AcquisitionCounters, recording: Option<(&Path, RecorderStatus)>) {
+    pub fn count(&mut self, lost: AcquisitionCounters, recording: Option<RecordingView<'_>>) {
         let (not_recorded, state) = match &recording {
-            Some((_, status)) => (status.dropped, Some(status.written)),
+            Some(recording) => (recording.dropped, Some(recording.written)),
             None => (0, None),
         };
         let values =
@@ -162,7 +165,7 @@ impl PageFeed {
         self.update.counters.iter_mut().zip(values).for_each(|(counter, value)| counter.value = value);
         self.update.state.recorded_frames = state.unwrap_or(0);
         match recording {
-            Some((path, _)) if self.update.state.recording.is_none() => {
+            Some(RecordingView { path, .. }) if self.update.state.recording.is_none() => {
                 self.update.state.recording = Some(path.display().to_string());
             }
             None => self.update.state.recording = None,
@@ -192,7 +195,6 @@ impl PageFeed {
                 shown.p99_us = histogram.quantile_us(0.99);
             }
         }
-        self.skipped = self.update.counters[1].value as f32;
     }
 
     /// The source has ended.
@@ -200,7 +202,7 @@ impl PageFeed {
         self.update.state.source = SourceState::Ended;
     }
 
-    /// One line for the terminal.
+    /// Frames per second, touches, latencies and losses in one line.
     pub fn status(&self) -> String {
         let total = self.update.latency.last();
         format!(
@@ -215,25 +217,21 @@ impl PageFeed {
 }
 
 /// Rate over the last second or so.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Rate {
-    since: Instant,
+    since_ns: Option<u64>,
     frames: u32,
     per_s: f32,
 }
 
 impl Rate {
-    fn new() -> Self {
-        Self { since: Instant::now(), frames: 0, per_s: 0.0 }
-    }
-
-    fn count(&mut self) -> f32 {
+    fn count(&mut self, now_ns: u64) -> f32 {
+        let since_ns = *self.since_ns.get_or_insert(now_ns);
         self.frames += 1;
-        let elapsed = self.since.elapsed().as_secs_f32();
-        if elapsed > 0.5 {
-            self.per_s = self.frames as f32 / elapsed;
-            self.since = Instant::now();
-            self.frames = 0;
+        let elapsed_ns = now_ns.saturating_sub(since_ns);
+        if elapsed_ns > RATE_NS {
+            self.per_s = self.frames as f32 / (elapsed_ns as f32 * 1e-9);
+            (self.since_ns, self.frames) = (Some(now_ns), 0);
         }
         self.per_s
     }
@@ -256,103 +254,4 @@ fn view(touch: &Touch) -> TouchView {
         force_n: touch.force.and_then(|force| force.nearest_n()),
         force_range: touch.force.map(|force| force.range()),
     }
-}
-
-/// What does not change while the skin runs; `press`: what its twin may be pressed with, if it is one.
-pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
-    let grid = prepared.map.grid();
-    let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
-    let lambda = typical_hyperparameter(prepared);
-    Scene {
-        skin: prepared.skin.name.clone(),
-        modality: prepared.skin.modality.name().into(),
-        is_twin: press.is_some(),
-        watches_damage: prepared.skin.damage.watch,
-        is_treatable: press.is_some() && matches!(prepared.skin.frontend.layer, dermis::skin::Layer::Sandwich(_)),
-        outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
-        bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
-        electrodes: electrodes(prepared),
-        grid: GridView {
-            rows: grid.rows,
-            cols: grid.columns,
-            x_min_mm: grid.left_m * MM,
-            x_max_mm: (grid.left_m + grid.columns as f64 * grid.pixel_m) * MM,
-            y_min_mm: (grid.top_m - grid.rows as f64 * grid.pixel_m) * MM,
-            y_max_mm: grid.top_m * MM,
-        },
-        channel_labels: (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect(),
-        channel_unit: "V".into(),
-        image_quantity: prepared.skin.modality.image_quantity().into(),
-        image_unit: String::new(),
-        range_hint: Some([0.0, 0.5]),
-        hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
-        press: press.map_or_else(PressLimits::default, limits),
-    }
-}
-
-fn limits(range: PressRange) -> PressLimits {
-    PressLimits {
-        radius_mm: range.radius_m.map(|m| m * MM),
-        pressure_kpa: range.pressure_pa.map(|pa| pa * 1e-3),
-        initial_radius_mm: range.initial_radius_m * MM,
-        initial_pressure_kpa: range.initial_pressure_pa * 1e-3,
-    }
-}
-
-/// Middle of the slider: lambda by the skin file's own rule where that needs no data, else 1.
-fn typical_hyperparameter(prepared: &Prepared) -> f64 {
-    let reference = Reference::from_baseline(prepared, &prepared.voltages, None);
-    reference.and_then(|r| Imager::new(prepared, &r, &[])).map_or(1.0, |imager| imager.hyperparameter())
-}
-
-fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
-    match outline {
-        Outline::Disc { radius_m } => {
-            let corner = |k: usize| {
-                let angle = std::f64::consts::TAU * k as f64 / 120.0;
-                [radius_m * angle.cos(), radius_m * angle.sin()]
-            };
-            vec![(0..120).map(corner).collect()]
-        }
-        Outline::Rectangle { width_m, height_m } => {
-            let (x, y) = (0.5 * width_m, 0.5 * height_m);
-            vec![vec![[-x, -y], [x, -y], [x, y], [-x, y]]]
-        }
-        Outline::Polygon { outer, holes } => std::iter::once(outer).chain(holes).cloned().collect(),
-    }
-}
-
-/// Rim electrodes as the segment between their ends, pads as their bounding rectangle's corners, points as nothing.
-fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
-    let body = &prepared.body.mesh;
-    (0..body.electrodes.len())
-        .map(|index| {
-            let centre = body.electrode_centre(index);
-            let nodes: Vec<[f64; 3]> =
-                body.electrode_nodes(index).iter().map(|&node| body.mesh.nodes()[node as usize]).collect();
-            let outline_mm = match body.electrodes[index].contact {
-                Contact::Point(_) => Vec::new(),
-                Contact::Faces(_) => ends(&nodes),
-                Contact::Area(_) => corners(&nodes),
-            };
-            let number = index as u32 + 1;
-            ElectrodeView { number, position_mm: [centre[0] * MM, centre[1] * MM], outline_mm }
-        })
-        .collect()
-}
-
-/// The two nodes farthest from each other.
-fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
-    let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));
-    let farthest = pairs.max_by(|x, y| distance(x.0, x.1).total_cmp(&distance(y.0, y.1)));
-    farthest.map_or(Vec::new(), |(a, b)| vec![[a[0] * MM, a[1] * MM], [b[0] * MM, b[1] * MM]])
-}
-
-fn corners(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
-    let fold = |axis: usize| {
-        nodes.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), n| (l.min(n[axis] * MM), h.max(n[axis] * MM)))
-    };
-    let ((left, right), (bottom, top)) = (fold(0), fold(1));
-    vec![[left, bottom], [right, bottom], [right, top], [left, top]]
 }

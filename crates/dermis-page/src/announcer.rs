@@ -1,0 +1,42 @@
+//! What a frame gives cause to say in words: damage, faults of channels, clocks that jump.
+
+use dermis_live::clock::FrameAnomalies;
+use dermis_live::output::Output;
+use dermis_live::stages::damage::describe;
+use dermis_live::stages::health::{HealthChange, HealthWatch};
+use dermis_skin::Skin;
+
+use crate::message::{Level, Notice};
+
+/// Says once what begins or ends with a frame.
+#[derive(Debug)]
+pub struct Announcer {
+    health: HealthWatch,
+}
+
+impl Announcer {
+    /// For a skin of which nothing broken has been seen.
+    pub fn new(skin: &Skin) -> Self {
+        Self { health: HealthWatch::new(skin) }
+    }
+
+    /// What this frame, the next one, gives cause to say.
+    pub fn notices(&mut self, output: &Output<'_>) -> Vec<Notice> {
+        let warning = |text| Notice { level: Level::Warning, text };
+        let mut notices: Vec<Notice> = output.damage.events.iter().map(|event| warning(describe(event))).collect();
+        notices.extend(self.health.changes(output.health).into_iter().map(
+            |HealthChange { detail, is_fault, .. }| Notice {
+                level: if is_fault { Level::Warning } else { Level::Info },
+                text: detail,
+            },
+        ));
+        let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
+        if clock_jump_ns != 0 || renumbered {
+            let jump_s = clock_jump_ns as f64 * 1e-9;
+            let reset = if renumbered { ", and its frames are numbered anew: it was reset" } else { "" };
+            let text = format!("the device's clock was off by {jump_s:.1} s{reset}; time goes on at the pace it had");
+            notices.push(warning(text));
+        }
+        notices
+    }
+}

@@ -1,0 +1,36 @@
+//! What the live page is told and what it asks, whatever carries it: a server's WebSocket, or the page's own module.
+//!
+//! [`feed::PageFeed`] refills an [`Update`] from what the pipeline knows of a frame; [`protocol`] makes the page's messages
+//! of it, which `docs/src/page-protocol.md` describes; [`Command`] is what comes back, checked against the [`Scene`]. Times
+//! are arguments: nothing here reads a clock, opens a file or a socket.
+//!
+//! ```
+//! use dermis_page::{Image, Update, protocol};
+//!
+//! let image = Image { rows: 1, cols: 2, values: vec![0.5, f32::NAN] };
+//! let update = Update { frame: 7, image, ..Update::default() };
+//! update.check()?;
+//! let messages = protocol::Encoded::new(1, &update);
+//! assert_eq!(messages.image.len(), 32 + 2 * 4);
+//! # Ok::<(), dermis_page::UpdateError>(())
+//! ```
+
+mod announcer;
+mod command;
+mod error;
+pub mod feed;
+pub mod message;
+pub mod protocol;
+mod scene;
+mod skin_scene;
+mod update;
+
+pub use announcer::Announcer;
+pub use command::{Command, Press};
+pub use error::UpdateError;
+pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
+pub use skin_scene::scene;
+pub use update::{
+    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
+    PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+};

@@ -1,0 +1,112 @@
+//! A skin as the page draws it.
+
+use dermis_live::imager::Imager;
+use dermis_live::prepare::Prepared;
+use dermis_live::reference::Reference;
+use dermis_skin::{Bend, Layer};
+use dermis_tomo::mesh::{Contact, Outline};
+use dermis_twin::PressRange;
+
+use crate::scene::{ElectrodeView, GridView, PressLimits, Scene};
+
+/// Millimetres of a metre.
+const MM: f64 = 1e3;
+
+/// What does not change while the skin runs; `press`: what its twin may be pressed with, if it is one.
+pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
+    let grid = prepared.map.grid();
+    let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
+    let lambda = typical_hyperparameter(prepared);
+    Scene {
+        skin: prepared.skin.name.clone(),
+        modality: prepared.skin.modality.name().into(),
+        is_twin: press.is_some(),
+        watches_damage: prepared.skin.damage.watch,
+        is_treatable: press.is_some() && matches!(prepared.skin.frontend.layer, Layer::Sandwich(_)),
+        outline_mm: rings(&prepared.body.outline).into_iter().map(|ring| ring.into_iter().map(mm).collect()).collect(),
+        bend_diameter_mm: prepared.skin.frontend.bend.map(|Bend::Cylinder { diameter_mm }| diameter_mm),
+        electrodes: electrodes(prepared),
+        grid: GridView {
+            rows: grid.rows,
+            cols: grid.columns,
+            x_min_mm: grid.left_m * MM,
+            x_max_mm: (grid.left_m + grid.columns as f64 * grid.pixel_m) * MM,
+            y_min_mm: (grid.top_m - grid.rows as f64 * grid.pixel_m) * MM,
+            y_max_mm: grid.top_m * MM,
+        },
+        channel_labels: (0..prepared.channels()).map(|channel| prepared.protocol.channel_label(channel)).collect(),
+        channel_unit: "V".into(),
+        image_quantity: prepared.skin.modality.image_quantity().into(),
+        image_unit: String::new(),
+        range_hint: Some([0.0, 0.5]),
+        hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
+        press: press.map_or_else(PressLimits::default, limits),
+    }
+}
+
+fn limits(range: PressRange) -> PressLimits {
+    PressLimits {
+        radius_mm: range.radius_m.map(|m| m * MM),
+        pressure_kpa: range.pressure_pa.map(|pa| pa * 1e-3),
+        initial_radius_mm: range.initial_radius_m * MM,
+        initial_pressure_kpa: range.initial_pressure_pa * 1e-3,
+    }
+}
+
+/// Middle of the slider: lambda by the skin file's own rule where that needs no data, else 1.
+fn typical_hyperparameter(prepared: &Prepared) -> f64 {
+    let reference = Reference::from_baseline(prepared, &prepared.voltages, None);
+    reference.and_then(|r| Imager::new(prepared, &r, &[])).map_or(1.0, |imager| imager.hyperparameter())
+}
+
+fn rings(outline: &Outline) -> Vec<Vec<[f64; 2]>> {
+    match outline {
+        Outline::Disc { radius_m } => {
+            let corner = |k: usize| {
+                let angle = std::f64::consts::TAU * k as f64 / 120.0;
+                [radius_m * angle.cos(), radius_m * angle.sin()]
+            };
+            vec![(0..120).map(corner).collect()]
+        }
+        Outline::Rectangle { width_m, height_m } => {
+            let (x, y) = (0.5 * width_m, 0.5 * height_m);
+            vec![vec![[-x, -y], [x, -y], [x, y], [-x, y]]]
+        }
+        Outline::Polygon { outer, holes } => std::iter::once(outer).chain(holes).cloned().collect(),
+    }
+}
+
+/// Rim electrodes as the segment between their ends, pads as their bounding rectangle's corners, points as nothing.
+fn electrodes(prepared: &Prepared) -> Vec<ElectrodeView> {
+    let body = &prepared.body.mesh;
+    (0..body.electrodes.len())
+        .map(|index| {
+            let centre = body.electrode_centre(index);
+            let nodes: Vec<[f64; 3]> =
+                body.electrode_nodes(index).iter().map(|&node| body.mesh.nodes()[node as usize]).collect();
+            let outline_mm = match body.electrodes[index].contact {
+                Contact::Point(_) => Vec::new(),
+                Contact::Faces(_) => ends(&nodes),
+                Contact::Area(_) => corners(&nodes),
+            };
+            let number = index as u32 + 1;
+            ElectrodeView { number, position_mm: [centre[0] * MM, centre[1] * MM], outline_mm }
+        })
+        .collect()
+}
+
+/// The two nodes farthest from each other.
+fn ends(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
+    let distance = |a: &[f64; 3], b: &[f64; 3]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let pairs = nodes.iter().flat_map(|a| nodes.iter().map(move |b| (a, b)));
+    let farthest = pairs.max_by(|x, y| distance(x.0, x.1).total_cmp(&distance(y.0, y.1)));
+    farthest.map_or(Vec::new(), |(a, b)| vec![[a[0] * MM, a[1] * MM], [b[0] * MM, b[1] * MM]])
+}
+
+fn corners(nodes: &[[f64; 3]]) -> Vec<[f64; 2]> {
+    let fold = |axis: usize| {
+        nodes.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), n| (l.min(n[axis] * MM), h.max(n[axis] * MM)))
+    };
+    let ((left, right), (bottom, top)) = (fold(0), fold(1));
+    vec![[left, bottom], [right, bottom], [right, top], [left, top]]
+}

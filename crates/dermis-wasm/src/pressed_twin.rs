@@ -1,0 +1,99 @@
+//! A twin that one page presses: its frames, its demonstration while nobody presses, and what it refuses.
+
+use dermis_live::pipeline::TARE_FRAMES;
+use dermis_page::Press;
+use dermis_skin::Skin;
+use dermis_twin::scene::Script;
+use dermis_twin::{AnyTwin, PressRange, Treatment, TwinError, TwinKit};
+
+/// Frames without any touch at the start, for a baseline; then the demonstration begins.
+const REST_FRAMES: u64 = TARE_FRAMES as u64 + 4;
+
+/// A twin and who touches it.
+#[derive(Debug)]
+pub(crate) struct PressedTwin {
+    twin: AnyTwin,
+    press: PressRange,
+    demo: Script,
+    wants_demo: bool,
+    demonstrates: bool,
+    frames: u64,
+    values: Vec<f64>,
+}
+
+impl PressedTwin {
+    /// The twin of a skin.
+    ///
+    /// # Errors
+    /// A skin without twin, or one that cannot be made.
+    pub(crate) fn new(skin: &Skin) -> Result<Self, TwinError> {
+        let TwinKit { twin, press, demo } = TwinKit::of(skin)?;
+        Ok(Self { twin, press, demo, wants_demo: true, demonstrates: false, frames: 0, values: Vec::new() })
+    }
+
+    /// What people may press with.
+    pub(crate) fn press_range(&self) -> PressRange {
+        self.press
+    }
+
+    /// Channels of a frame.
+    pub(crate) fn channels(&self) -> usize {
+        self.twin.frontend().channel_count()
+    }
+
+    /// The next frame, at `time_s`: its number and its readings, volts.
+    ///
+    /// # Errors
+    /// Fields that cannot be solved.
+    pub(crate) fn step(&mut self, time_s: f64) -> Result<(u64, &[f64]), TwinError> {
+        if self.wants_demo && !self.demonstrates && self.frames >= REST_FRAMES {
+            self.twin.scene_mut().set_script(Some(self.demo.clone()))?;
+            self.demonstrates = true;
+        }
+        self.frames += 1;
+        let sequence = self.twin.step(time_s, &mut self.values)?.sequence;
+        Ok((sequence, &self.values))
+    }
+
+    /// Shows touches by itself while nobody presses, or not any more.
+    ///
+    /// # Errors
+    /// None of a twin that could be made.
+    pub(crate) fn demonstrate(&mut self, wanted: bool) -> Result<(), TwinError> {
+        self.wants_demo = wanted;
+        if !wanted && std::mem::take(&mut self.demonstrates) {
+            self.twin.scene_mut().set_script(None)?;
+        }
+        Ok(())
+    }
+
+    /// Presses, or moves what presses. A pointer that slides off the skin lets go without a word, and presses again
+    /// where it comes back.
+    ///
+    /// # Errors
+    /// A press that makes no sense, or begins off the skin; what was pressed stays.
+    pub(crate) fn press(&mut self, press: &Press) -> Result<(), TwinError> {
+        let (pointer, place_m) = (press.pointer_id, [press.x_mm * 1e-3, press.y_mm * 1e-3]);
+        let is_off = !self.twin.frontend().extent().contains(place_m);
+        let scene = self.twin.scene_mut();
+        if is_off && scene.is_pressed_by(pointer) {
+            scene.release(pointer);
+            return Ok(());
+        }
+        scene.press(pointer, place_m[0], place_m[1], press.radius_mm * 1e-3, press.pressure_kpa * 1e3)
+    }
+
+    /// Lets go.
+    pub(crate) fn release(&mut self, pointer: u64) {
+        self.twin.scene_mut().release(pointer);
+    }
+
+    /// Cuts, heats or renews the sheet.
+    ///
+    /// # Errors
+    /// A skin whose sheet knows nothing of that.
+    pub(crate) fn treat(&mut self, treatment: &Treatment) -> Result<(), TwinError> {
+        self.demonstrate(false)?;
+        self.twin.frontend_mut().treat(treatment)
+    }
+}

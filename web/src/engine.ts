@@ -1,0 +1,120 @@
+// The skin in the page: a worker that runs the twin and its pipeline, a module of WebAssembly (crates/dermis-wasm), and
+// hands on its messages, the same as the server's. What the page posts: text that it says to the skin, or whether it is
+// hidden, in which case the skin rests. What it gets: messages, or an object with the reason why there are no more.
+
+interface Exports {
+  memory: WebAssembly.Memory;
+  dermis_start(frames_per_s: number): number;
+  dermis_step(): void;
+  dermis_rest(): void;
+  dermis_input(bytes: number): number;
+  dermis_hear(): void;
+  dermis_next(): number;
+  dermis_output(): number;
+  dermis_output_bytes(): number;
+}
+
+/** What the page posts. */
+export type ToEngine = { text: string } | { isHidden: boolean };
+/** What the page gets beside messages. */
+export interface EngineEnd {
+  reason: string;
+}
+
+const FRAMES_PER_S = 30;
+const REST_MS = 1000;
+/** Kinds of messages that `dermis_next` gives. */
+const [NOTHING, TEXT] = [0, 1];
+
+const scope = self as unknown as { postMessage(message: string | ArrayBuffer | EngineEnd, transfer?: Transferable[]): void; onmessage: ((event: MessageEvent<ToEngine>) => void) | null };
+
+async function load(): Promise<Exports> {
+  const answer = await fetch("dermis_wasm.wasm");
+  if (!answer.ok) throw new Error(`dermis_wasm.wasm: ${answer.status} ${answer.statusText}`);
+  const { instance } = await WebAssembly.instantiate(await answer.arrayBuffer(), { env: { dermis_now_ms: () => performance.now() } });
+  return instance.exports as unknown as Exports;
+}
+
+class Engine {
+  private readonly decoder = new TextDecoder();
+  private readonly encoder = new TextEncoder();
+  private isHidden = false;
+  private due = performance.now();
+
+  constructor(private readonly skin: Exports) {}
+
+  /** Makes the skin and runs it until it fails. */
+  start(): void {
+    this.guarded(() => {
+      if (!this.skin.dermis_start(FRAMES_PER_S)) throw new Error(this.text());
+      scope.onmessage = ({ data }) => this.guarded(() => this.hear(data));
+      this.pass();
+      this.due = performance.now();
+      this.next();
+    });
+  }
+
+  private hear(said: ToEngine): void {
+    if ("isHidden" in said) {
+      this.isHidden = said.isHidden;
+      return;
+    }
+    const bytes = this.encoder.encode(said.text);
+    const place = this.skin.dermis_input(bytes.length);
+    new Uint8Array(this.skin.memory.buffer, place, bytes.length).set(bytes);
+    this.skin.dermis_hear();
+  }
+
+  private next(): void {
+    const period_ms = this.isHidden ? REST_MS : 1000 / FRAMES_PER_S;
+    const now = performance.now();
+    // What was missed is not made up for: the skin's own clock is the page's.
+    this.due = Math.max(this.due + period_ms, now);
+    setTimeout(() => this.guarded(() => this.run()), this.due - now);
+  }
+
+  private run(): void {
+    if (this.isHidden) this.skin.dermis_rest();
+    else this.skin.dermis_step();
+    this.pass();
+    this.next();
+  }
+
+  /** Hands on all messages that wait. */
+  private pass(): void {
+    for (;;) {
+      const kind = this.skin.dermis_next();
+      if (kind === NOTHING) return;
+      if (kind === TEXT) {
+        scope.postMessage(this.text());
+      } else {
+        const bytes = this.bytes().slice().buffer;
+        scope.postMessage(bytes, [bytes]);
+      }
+    }
+  }
+
+  private bytes(): Uint8Array<ArrayBuffer> {
+    return new Uint8Array(this.skin.memory.buffer as ArrayBuffer, this.skin.dermis_output(), this.skin.dermis_output_bytes());
+  }
+
+  private text(): string {
+    return this.decoder.decode(this.bytes());
+  }
+
+  /** A module that trapped has left the reason in its output, and runs no further. */
+  private guarded(action: () => void): void {
+    try {
+      action();
+    } catch (error) {
+      const reason = error instanceof WebAssembly.RuntimeError ? this.text() || String(error) : String(error);
+      scope.onmessage = null;
+      scope.postMessage({ reason });
+    }
+  }
+}
+
+load().then(
+  (skin) => new Engine(skin).start(),
+  (error: unknown) => scope.postMessage({ reason: `the skin could not be loaded: ${error instanceof Error ? error.message : error}` }),
+);
