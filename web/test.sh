@@ -24,9 +24,9 @@ export CHROMIUM
 
 npm run --silent check
 node build.mjs --check
-[ -z "${BOOK:-}" ] || exec node --test tests/book.spec.mjs
+[ -z "${BOOK:-}" ] || exec node --test --test-concurrency=1 tests/book.spec.mjs tests/instrument.spec.mjs
 if [ -z "${DERMIS_BIN:-}${PAGE_DEMO_BIN:-}" ]; then
     cargo build --quiet --manifest-path ../Cargo.toml -p dermis-cli --example page_demo
 fi
 # One after the other: each has a server and a browser of its own, and wants the machine's pace.
-exec node --test --test-concurrency=1 tests/page.spec.mjs tests/damage.spec.mjs
+exec node --test --test-concurrency=1 tests/page.spec.mjs tests/instrument.spec.mjs tests/damage.spec.mjs

@@ -2,6 +2,7 @@
 
 import uPlot from "uplot";
 import type { Channels, Touch } from "./protocol";
+import { THEME_EVENT } from "./layout";
 import { TOUCH_COLOURS } from "./view";
 
 const WINDOW_S = 20;
@@ -24,7 +25,7 @@ class Strip {
     private readonly colours: string[],
   ) {
     new ResizeObserver(() => this.resize()).observe(host);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.build());
+    document.addEventListener(THEME_EVENT, () => this.build());
   }
 
   begin(names: string[]): void {

@@ -1,5 +1,6 @@
 // Colour maps in which equal steps look equal, from their published control points, and the range that they span. The range
-// does not follow each frame unless asked to, so that a colour means the same value from one frame to the next.
+// begins at zero, and does not follow each frame unless asked to, so that a colour means the same value from one frame to
+// the next.
 
 /** viridis and cividis: ten equally spaced points of the maps by van der Walt, Smith and Firing (CC0) and by Nuñez,
  * Anderton and Renslow (2018). signed: RdBu of ColorBrewer
@@ -52,12 +53,12 @@ export class Range {
     if (low <= high && Number.isFinite(low) && Number.isFinite(high)) {
       this.held = [Math.min(this.held[0], low), Math.max(this.held[1], high)];
     }
-    const range = this.mode === "fixed" ? this.fixed : this.mode === "frame" && low <= high ? [low, high] : this.held;
-    if (this.isSymmetric && this.mode !== "fixed") {
-      const most = Math.max(Math.abs(range[0]), Math.abs(range[1]));
-      return [-most, most];
-    }
-    return [range[0], range[1]];
+    if (this.mode === "fixed") return [...this.fixed];
+    const [least, most] = this.mode === "frame" && low <= high ? [low, high] : this.held;
+    // Zero is where nothing presses: the lowest colour, or the middle one of a map with two sides.
+    const size = this.isSymmetric ? Math.max(-least, most) : most;
+    const top = size > 0 ? size : (this.hint?.[1] ?? 1);
+    return [this.isSymmetric ? -top : 0, top];
   }
 }
 

@@ -8,6 +8,8 @@ import type { MapName, RangeMode } from "./colour";
 import { ClassOverlay } from "./classes";
 import { Connection, type Link } from "./connection";
 import { DamagePanel } from "./damage";
+import { savePicture, saveTable } from "./keep";
+import { Layout } from "./layout";
 import { NoiseBars } from "./noise";
 import { showBadges, showCounters, showHealth, showLatency, showMessage, showPipeline, showTouches } from "./panels";
 import { Presser } from "./press";
@@ -42,6 +44,8 @@ const treater = new Treater(view, () => connection, find<HTMLInputElement>("radi
 let scene: Scene | null = null;
 let classes: Classes | null = null;
 let image: Image | null = null;
+/** The image on the stage, and the range of its colours; the same as the last one unless the view is paused. */
+let shown: { image: Image; state: State | null; range: [number, number] } | null = null;
 let channels: Channels | null = null;
 let state: State | null = null;
 let chosen: number[] = [];
@@ -93,6 +97,7 @@ function begin(next: Scene): void {
   for (const id of ["press-controls", "demo-controls"]) find(id).hidden = !next.is_twin;
   slider.disabled = !(next.hyperparameter_range[0] > 0 && next.hyperparameter_range[1] > next.hyperparameter_range[0]);
   view.stage.classList.toggle("twin", next.is_twin);
+  document.body.classList.toggle("of-twin", next.is_twin);
   showSolid(false);
   find("solid-choice").hidden = !next.bend_diameter_mm;
   chooseChannels();
@@ -104,7 +109,7 @@ function showSolid(isSolid: boolean): void {
   presser.release();
   view.stage.classList.toggle("solid", isSolid);
   view.solid.show(isSolid);
-  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: arrows move, space presses, + − pressure, [ ] radius.";
+  const help = "Press with mouse or fingers; wheel: pressure, shift + wheel: radius. Keys: press ?";
   find("stage-help").textContent = isSolid ? "Drag to turn. Presses are made on the flat picture." : scene?.is_twin ? help : "";
 }
 
@@ -128,6 +133,7 @@ function drawImage(): void {
     isFresh = false;
     shownImages += 1;
     const [low, high] = view.draw(image);
+    shown = { image, state, range: [low, high] };
     setText("range-low", brief(low));
     setText("range-high", brief(high));
     find("wait").hidden = true;
@@ -211,14 +217,32 @@ function pause(): void {
   document.body.classList.toggle("paused", isPaused);
 }
 
+function keepPicture(): void {
+  if (!scene || !shown) return;
+  savePicture(scene, shown.image.frame, view.stage, view.overlay, find<HTMLCanvasElement>("bar"), shown.range, find("range-unit").textContent ?? "").catch((error: unknown) => showMessage("error", `no picture: ${error}`));
+}
+
+function keepTable(): void {
+  if (scene && shown) saveTable(scene, shown.image, shown.state);
+}
+
 const tare = (force: boolean) => connection.ask({ tare: { force } });
 const record = () => connection.ask(state?.state.recording ? "record_stop" : "record_start");
+
+function help(): void {
+  const dialog = find<HTMLDialogElement>("help");
+  if (dialog.open) dialog.close();
+  else dialog.showModal();
+}
 
 function bindControls(): void {
   find("tare").addEventListener("click", () => tare(false));
   find("tare-force").addEventListener("click", () => tare(true));
   find("record").addEventListener("click", record);
   find("pause").addEventListener("click", pause);
+  find("keep-png").addEventListener("click", keepPicture);
+  find("keep-csv").addEventListener("click", keepTable);
+  find("help-open").addEventListener("click", help);
   find("demo").addEventListener("click", () => connection.ask({ demonstrate: !state?.state.demonstrates }));
   find("tool").addEventListener("change", (event) => chooseTool((event.target as HTMLSelectElement).value as Tool));
   find("time-lapse").addEventListener("change", (event) => treater.timeLapse(Number((event.target as HTMLSelectElement).value)));
@@ -241,7 +265,7 @@ function bindControls(): void {
   document.addEventListener("keydown", (event) => {
     const isTyping = event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
     if (isTyping || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-    const action = { t: () => tare(false), r: record, p: pause }[event.key.toLowerCase()];
+    const action = { t: () => tare(false), r: record, p: pause, s: keepPicture, c: keepTable, "?": help }[event.key.toLowerCase()];
     action?.();
   });
 }
@@ -274,7 +298,7 @@ function bindPicture(): void {
     redraw();
   });
   find("solid-box").addEventListener("change", (event) => showSolid((event.target as HTMLInputElement).checked));
-  for (const id of ["smooth", "numbers", "trails", "classes-box"]) {
+  for (const id of ["smooth", "numbers", "axes", "trails", "classes-box"]) {
     const box = find<HTMLInputElement>(id);
     const apply = () => view.stage.classList.toggle(`no-${id}`, !box.checked);
     box.addEventListener("change", apply);
@@ -308,6 +332,7 @@ if (location.search.includes("token=")) history.replaceState(null, "", location.
 document.body.classList.toggle("embedded", new URLSearchParams(location.search).has("embed"));
 bindControls();
 bindPicture();
+new Layout();
 countShown();
 setInterval(drawPanels, PANEL_PERIOD_MS);
 requestAnimationFrame(drawImage);

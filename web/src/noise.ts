@@ -1,6 +1,7 @@
 // The noise of every channel as bars on a logarithmic scale; those far above the median stand out.
 
 import { brief } from "./charts";
+import { THEME_EVENT } from "./layout";
 
 /** Beyond this multiple of the median a channel is marked. */
 const LOUD = 5;
@@ -16,7 +17,7 @@ export class NoiseBars {
     private readonly readout: HTMLElement,
   ) {
     new ResizeObserver(() => this.draw()).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    document.addEventListener(THEME_EVENT, () => this.draw());
     canvas.addEventListener("pointermove", (event) => this.pick(event.offsetX / canvas.clientWidth));
     canvas.addEventListener("pointerleave", () => this.pick(null));
   }

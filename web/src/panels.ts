@@ -4,6 +4,7 @@
 import { brief } from "./charts";
 import type { Fault, Health, Notice, Pipeline, Scene, State, Touch } from "./protocol";
 import { touchColour } from "./view";
+import { wordFor, wordForBadge } from "./words";
 
 const MOST_MESSAGES = 50;
 
@@ -56,8 +57,13 @@ export function showTouches(touches: Touch[]): void {
   write(find("touch-count"), String(live.length));
 }
 
+function explain(row: HTMLElement, text: string): void {
+  if (row.title !== text) row.title = text;
+}
+
 export function showLatency(latency: State["latency"]): void {
-  rows(find("latency"), new Map(latency.map(({ stage, p50_us, p99_us }) => [stage, [stage, p50_us.toFixed(0), p99_us.toFixed(0)]])));
+  const made = rows(find("latency"), new Map(latency.map(({ stage, p50_us, p99_us }) => [stage, [stage, p50_us.toFixed(0), p99_us.toFixed(0)]])));
+  made.forEach((row, index) => explain(row, wordFor(latency[index].stage)));
   // An upper bound: the stages rarely have their worst frame together.
   const sum_us = latency.reduce((sum, { p99_us }) => sum + p99_us, 0);
   write(find("latency-sum"), sum_us >= 1000 ? `${(sum_us / 1000).toFixed(1)} ms` : `${sum_us.toFixed(0)} µs`);
@@ -67,6 +73,7 @@ export function showCounters(counters: State["counters"]): void {
   const made = rows(find("counters"), new Map(counters.map(({ name, value }) => [name, [name, String(value)]])));
   made.forEach((row, index) => {
     row.dataset.counter = counters[index].name;
+    explain(row, wordFor(counters[index].name));
     row.classList.toggle("bad", counters[index].is_loss && counters[index].value > 0);
   });
 }
@@ -108,6 +115,7 @@ export function showBadges(scene: Scene): void {
       const badge = document.createElement("span");
       badge.className = "badge";
       badge.textContent = text;
+      badge.title = wordForBadge(text);
       return badge;
     }),
   );

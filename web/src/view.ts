@@ -21,6 +21,17 @@ export function element<K extends keyof SVGElementTagNameMap>(name: K, attribute
   return made;
 }
 
+/** The next of 1, 2, 5, 10, 20 and so on. */
+function roundStep(least: number): number {
+  const power = 10 ** Math.floor(Math.log10(Math.max(least, 1e-6)));
+  return power * ([1, 2, 5].find((part) => part * power >= least * 0.999) ?? 10);
+}
+
+/** A number of the axes, with as many digits as their step has. */
+function label(value: number, step: number): string {
+  return (Math.abs(value) < step / 2 ? 0 : value).toFixed(Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+}
+
 interface Drawn {
   group: SVGGElement;
   circle: SVGCircleElement;
@@ -68,16 +79,19 @@ export class View {
     const [left, right, bottom, top] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
     const size = Math.max(right - left, top - bottom);
     const margin = 0.055 * size;
+    // Room for the axes' numbers.
+    const axis = 0.06 * size;
     this.unit = size / 100;
     this.overlay.style.setProperty("--unit", String(this.unit));
-    this.overlay.setAttribute("viewBox", `${left - margin} ${-top - margin} ${right - left + 2 * margin} ${top - bottom + 2 * margin}`);
+    this.overlay.setAttribute("viewBox", `${left - margin - axis} ${-top - margin} ${right - left + 2 * margin + axis} ${top - bottom + 2 * margin + axis}`);
     this.drawn.clear();
     this.trails.clear();
     for (const layer of [this.touchLayer, this.trailLayer, this.pressLayer]) layer.replaceChildren();
     const outline = element("path", { class: "outline", d: outline_mm.map((ring) => path(ring, true)).join("") });
     const marks = element("g", { class: "electrodes" });
     marks.append(...electrodes.map((one) => this.electrode(one)));
-    this.overlay.replaceChildren(outline, marks, this.trailLayer, this.touchLayer, this.pressLayer);
+    const axes = this.axes([left, right], [bottom, top], margin);
+    this.overlay.replaceChildren(axes, outline, marks, this.trailLayer, this.touchLayer, this.pressLayer);
     this.range.begin(scene.range_hint);
     this.canvas.width = Math.max(grid.cols, 1);
     this.canvas.height = Math.max(grid.rows, 1);
@@ -161,6 +175,29 @@ export class View {
       style.width = `${(grid.x_max_mm - grid.x_min_mm) * matrix.a}px`;
       style.height = `${(grid.y_max_mm - grid.y_min_mm) * matrix.d}px`;
     }
+  }
+
+  /** Millimetres along the lower and the left edge. */
+  private axes([left, right]: Point, [bottom, top]: Point, margin: number): SVGGElement {
+    const group = element("g", { class: "axes" });
+    const step = roundStep(Math.max(right - left, top - bottom) / 8);
+    const [tick, size] = [this.unit, 2.8 * this.unit];
+    const [x0, y0] = [left - 0.8 * margin, -bottom + 0.8 * margin];
+    const ticks = (low: number, high: number) => {
+      const first = Math.ceil(low / step - 1e-9);
+      return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, index) => (first + index) * step);
+    };
+    const lines = [`M${left} ${y0}H${right}M${x0} ${-bottom}V${-top}`];
+    for (const x of ticks(left, right)) {
+      lines.push(`M${x} ${y0}v${tick}`);
+      group.append(element("text", { x, y: y0 + tick + size, "font-size": size, "text-anchor": "middle" }, label(x, step)));
+    }
+    for (const y of ticks(bottom, top)) {
+      lines.push(`M${x0} ${-y}h${-tick}`);
+      group.append(element("text", { x: x0 - 1.4 * tick, y: -y, dy: "0.34em", "font-size": size, "text-anchor": "end" }, label(y, step)));
+    }
+    group.append(element("path", { d: lines.join("") }), element("text", { x: x0 - 1.4 * tick, y: y0 + tick + size, "font-size": size, "text-anchor": "end" }, "mm"));
+    return group;
   }
 
   private electrode({ number, position_mm, outline_mm }: Electrode): SVGGElement {

@@ -2,14 +2,12 @@
 // BOOK names the built book, with what scripts/wasm-demo makes in it.
 
 import assert from "node:assert/strict";
-import { readFile, readdir, stat } from "node:fs/promises";
-import { createServer } from "node:http";
-import { extname, join, normalize } from "node:path";
+import { readdir, stat } from "node:fs/promises";
+import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { keepPicture, startBrowser, touchRows, windowFromSkin } from "./browser.mjs";
+import { keepPicture, serveFiles, startBrowser, touchRows, windowFromSkin } from "./browser.mjs";
 
 const book = process.env.BOOK;
-const KINDS = { ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png", ".wasm": "application/wasm", ".woff2": "font/woff2" };
 /** What the page may load in all. */
 const MOST_BYTES = 4_000_000;
 /** The indenter's radius. */
@@ -17,18 +15,6 @@ const NEAR_MM = 10;
 
 let browser;
 let server;
-
-/** Serves the book; `hidden`: a folder that is not there. */
-async function serveBook(hidden) {
-  const serving = createServer(async (request, response) => {
-    const path = normalize(decodeURIComponent(new URL(request.url, "http://book").pathname)).replace(/\/$/, "/index.html");
-    const bytes = hidden && path.startsWith(hidden) ? null : await readFile(join(book, path)).catch(() => null);
-    response.writeHead(bytes ? 200 : 404, { "Content-Type": KINDS[extname(path)] ?? "application/octet-stream" });
-    response.end(request.method === "HEAD" ? undefined : bytes);
-  });
-  await new Promise((resolve) => serving.listen(0, "127.0.0.1", resolve));
-  return { address: `http://127.0.0.1:${serving.address().port}`, stop: () => new Promise((resolve) => (serving.closeAllConnections(), serving.close(resolve))) };
-}
 
 async function open(address, options = {}) {
   const page = await browser.newPage({ viewport: { width: 1280, height: 900 }, ...options });
@@ -79,7 +65,7 @@ async function waitForTouch(frame, x_mm, y_mm, limit_ms = 30_000) {
 
 before(async () => {
   assert.ok(book, "BOOK names the folder of the built book");
-  [server, browser] = await Promise.all([serveBook(), startBrowser()]);
+  [server, browser] = await Promise.all([serveFiles(book), startBrowser()]);
 });
 after(async () => {
   await browser?.close();
@@ -139,7 +125,7 @@ test("all of the page stands beside it, and what the skin cannot do is said", as
 });
 
 test("a book without the skin says how it is made", async () => {
-  const bare = await serveBook("/poke/");
+  const bare = await serveFiles(book, "/poke/");
   const { page } = await open(bare.address);
   await page.click("#poke-start");
   await page.waitForFunction(() => document.querySelector("#poke-note").textContent.includes("scripts/wasm-demo"));

@@ -2,8 +2,9 @@
 
 import { spawn } from "node:child_process";
 import { existsSync } from "node:fs";
-import { mkdir } from "node:fs/promises";
-import { dirname, join } from "node:path";
+import { mkdir, readFile } from "node:fs/promises";
+import { createServer } from "node:http";
+import { dirname, extname, join, normalize } from "node:path";
 import { createInterface } from "node:readline";
 import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
@@ -12,7 +13,7 @@ const root = join(dirname(fileURLToPath(import.meta.url)), "../..");
 const START_LIMIT_MS = 120_000;
 
 /** Against the demo there are no options of the real command to try. */
-export const isDemo = !process.env.DERMIS_BIN;
+export const isDemo = !process.env.DERMIS_BIN && !process.env.BOOK;
 
 function commandLine(port, extra) {
   const { DERMIS_BIN, DERMIS_ARGS, PAGE_DEMO_BIN } = process.env;
@@ -48,6 +49,28 @@ export async function startServer(port = 0, extra = []) {
     return ended;
   };
   return { address, stop };
+}
+
+const KINDS = { ".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml", ".png": "image/png", ".wasm": "application/wasm", ".woff2": "font/woff2" };
+
+/** Serves a folder of files; `hidden`: a folder in it that is not there. */
+export async function serveFiles(folder, hidden) {
+  const serving = createServer(async (request, response) => {
+    const path = normalize(decodeURIComponent(new URL(request.url, "http://files").pathname)).replace(/\/$/, "/index.html");
+    const bytes = hidden && path.startsWith(hidden) ? null : await readFile(join(folder, path)).catch(() => null);
+    response.writeHead(bytes ? 200 : 404, { "Content-Type": KINDS[extname(path)] ?? "application/octet-stream" });
+    response.end(request.method === "HEAD" ? undefined : bytes);
+  });
+  await new Promise((resolve) => serving.listen(0, "127.0.0.1", resolve));
+  const stop = () => new Promise((resolve) => (serving.closeAllConnections(), serving.close(resolve)));
+  return { address: `http://127.0.0.1:${serving.address().port}`, stop };
+}
+
+/** What there is to look at: the page of a server, or, with BOOK, the one that brings its skin with it. */
+export async function startPage() {
+  if (!process.env.BOOK) return startServer();
+  const files = await serveFiles(process.env.BOOK);
+  return { ...files, address: `${files.address}/poke/index.html` };
 }
 
 export async function startBrowser() {

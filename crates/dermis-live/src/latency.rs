@@ -84,6 +84,17 @@ impl LatencyHistogram {
         self.max_ns = self.max_ns.max(other.max_ns);
     }
 
+    /// Leaves only what was counted since `earlier`, an earlier state of this histogram. The longest duration is then
+    /// known to its bucket only.
+    pub fn forget_before(&mut self, earlier: &Self) {
+        for (count, before) in self.counts.iter_mut().zip(earlier.counts.iter()) {
+            *count -= (*before).min(*count);
+        }
+        self.count = self.counts.iter().sum();
+        let longest = self.counts.iter().rposition(|count| *count > 0);
+        self.max_ns = longest.map_or(0, |index| upper_edge_ns(index).min(self.max_ns));
+    }
+
     /// Forgets everything and keeps the memory.
     pub fn clear(&mut self) {
         self.counts.fill(0);
@@ -246,6 +257,26 @@ mod tests {
         assert_eq!(left.summary().max_us, 2e12);
         left.clear();
         assert_eq!(left, LatencyHistogram::new());
+    }
+
+    #[test]
+    fn what_is_left_after_forgetting_is_what_was_recorded_since() {
+        let (mut all, mut recent) = (LatencyHistogram::new(), LatencyHistogram::new());
+        [900, 80_000, 3].map(|us| all.record(Duration::from_micros(us)));
+        let earlier = all.clone();
+        for us in [5, 7, 7, 410] {
+            all.record(Duration::from_micros(us));
+            recent.record(Duration::from_micros(us));
+        }
+        all.forget_before(&earlier);
+        assert_eq!(all.count(), 4);
+        for fraction in [0.0, 0.5, 0.75] {
+            assert_eq!(all.quantile_us(fraction), recent.quantile_us(fraction));
+        }
+        // The longest of 410 us, by the bucket that it is in.
+        assert!((410.0..=410.0 * (1.0 + 1.0 / 32.0)).contains(&all.quantile_us(1.0)), "{}", all.quantile_us(1.0));
+        all.forget_before(&all.clone());
+        assert_eq!(all.summary(), LatencySummary::default());
     }
 
     #[test]

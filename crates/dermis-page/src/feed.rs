@@ -12,11 +12,10 @@ use dermis_live::pipeline::Pipeline;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
+use crate::recent::Recent;
 use crate::update::{Counter, FaultView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update};
 
 const MM: f64 = 1e3;
-/// Quantiles are looked up this often, in frames: they cost more than a frame's touches.
-const LATENCY_EVERY: u64 = 25;
 /// Without frames for so long, a source is waited for, nanoseconds.
 const SILENCE_NS: u64 = 1_000_000_000;
 /// Frames are counted for so long before their rate is told, nanoseconds.
@@ -40,6 +39,7 @@ pub struct RecordingView<'a> {
 pub struct PageFeed {
     update: Update,
     rate: Rate,
+    recent: Recent,
     tared_at_ns: Option<u64>,
     records: usize,
     waiting_since_ns: Option<u64>,
@@ -65,7 +65,7 @@ impl PageFeed {
             })
             .to_vec();
         update.state.baseline_age_s = f64::NAN;
-        Self { update, rate: Rate::default(), tared_at_ns: None, records: 0, waiting_since_ns: None }
+        Self { update, rate: Rate::default(), recent: Recent::default(), tared_at_ns: None, records: 0, waiting_since_ns: None }
     }
 
     /// What the page is to show.
@@ -173,8 +173,8 @@ impl PageFeed {
         }
     }
 
-    /// Takes over what the pipeline is doing.
-    pub fn describe(&mut self, pipeline: &Pipeline) {
+    /// Takes over what the pipeline is doing, and how long it took in the ten seconds up to `now_ns`.
+    pub fn describe(&mut self, pipeline: &Pipeline, now_ns: u64) {
         let state = &mut self.update.state;
         state.tare = match pipeline.baseline_state() {
             BaselineState::Starting { have, want } | BaselineState::Taring { have, want } => {
@@ -189,10 +189,10 @@ impl PageFeed {
         let age_ns = self.tared_at_ns.map(|since| self.update.time_ns.saturating_sub(since));
         state.baseline_age_s = age_ns.map_or(f64::NAN, |ns| ns as f64 * 1e-9);
         state.hyperparameter = pipeline.hyperparameter().unwrap_or(f64::NAN);
-        if pipeline.frames() % LATENCY_EVERY == 1 {
-            for (shown, (_, histogram)) in self.update.latency.iter_mut().zip(pipeline.latencies().stages()) {
-                shown.p50_us = histogram.quantile_us(0.5);
-                shown.p99_us = histogram.quantile_us(0.99);
+        let histograms = pipeline.latencies().stages().map(|(_, histogram)| histogram);
+        if let Some(quantiles_us) = self.recent.quantiles_us(histograms, now_ns) {
+            for (shown, of_stage) in self.update.latency.iter_mut().zip(quantiles_us) {
+                [shown.p50_us, shown.p99_us] = of_stage;
             }
         }
     }

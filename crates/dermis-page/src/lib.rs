@@ -21,6 +21,7 @@ mod error;
 pub mod feed;
 pub mod message;
 pub mod protocol;
+mod recent;
 mod scene;
 mod skin_scene;
 mod update;

@@ -1,20 +1,27 @@
 //! A skin as the page draws it.
 
+use dermis_device::Layout;
+use dermis_live::channels::ChannelReader;
 use dermis_live::imager::Imager;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{Bend, Layer};
 use dermis_tomo::mesh::{Contact, Outline};
-use dermis_twin::PressRange;
+use dermis_twin::{PressRange, TypicalPress};
 
 use crate::scene::{ElectrodeView, GridView, PressLimits, Scene};
 
 /// Millimetres of a metre.
 const MM: f64 = 1e3;
+/// Peak of an image under a usual press, where nothing more is known of the skin.
+const USUAL_AMPLITUDE: f32 = 0.25;
+/// A press that is seen with less is not worth a scale of colours.
+const LEAST_AMPLITUDE: f32 = 1e-4;
 
 /// What does not change while the skin runs; `press`: what its twin may be pressed with, if it is one.
 pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
     let grid = prepared.map.grid();
+    let typical = press.and_then(|_| typical_amplitude(prepared));
     let mm = |p: [f64; 2]| [p[0] * MM, p[1] * MM];
     let lambda = typical_hyperparameter(prepared);
     Scene {
@@ -38,10 +45,31 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         channel_unit: "V".into(),
         image_quantity: prepared.skin.modality.image_quantity().into(),
         image_unit: String::new(),
-        range_hint: Some([0.0, 0.5]),
+        range_hint: Some([0.0, 2.0 * typical.unwrap_or(USUAL_AMPLITUDE)]),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
         press: press.map_or_else(PressLimits::default, limits),
     }
+}
+
+/// Peak of the image under the press that the skin is made for, by its twin; `None` where that is not to be told.
+fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
+    let TypicalPress { rest_v, pressed_v } = TypicalPress::of(&prepared.skin).ok()??;
+    let layout = Layout::Channels { count: rest_v.len() };
+    let mut reader = ChannelReader::new(&layout, &prepared.protocol, prepared.skin.backend.reads, "the twin").ok()?;
+    let mut read = |values: &[f64]| {
+        let mut channels = Vec::new();
+        reader.read(values, &vec![0.0; values.len()], &mut channels).map(|()| channels)
+    };
+    let (rest, pressed) = (read(&rest_v).ok()?, read(&pressed_v).ok()?);
+    let reference = Reference::from_baseline(prepared, &rest, None).ok()?;
+    let mut imager = Imager::new(prepared, &reference, &[]).ok()?;
+    let scaled = pressed.iter().zip(&rest).zip(&reference.scale);
+    let difference: Vec<f64> = scaled.map(|((pressed, rest), scale)| (pressed - rest) * scale).collect();
+    let mut image = vec![f32::NAN; prepared.map.grid().len()];
+    imager.image(&difference, &mut image).ok()?;
+    // NaN, outside the skin, is no number to fold by.
+    let peak = image.iter().fold(0.0, |most: f32, value| most.max(*value));
+    (peak > LEAST_AMPLITUDE).then_some(peak)
 }
 
 fn limits(range: PressRange) -> PressLimits {

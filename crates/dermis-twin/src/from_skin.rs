@@ -18,7 +18,7 @@ use crate::elements::{Conductor, ElementOptions, ElementSkin};
 use crate::error::TwinError;
 use crate::healing::HealingLaw;
 use crate::liquid::{LiquidOptions, LiquidSkin, LiquidSolver};
-use crate::mechanics::{ContactLaw, Cover, Memory, Springs};
+use crate::mechanics::{ContactLaw, Cover, Indenter, Memory, Springs};
 use crate::patched::{PatchedOptions, PatchedSkin};
 use crate::physics::{ConductanceMap, PatchLayout};
 use crate::sandwich::{Sandwich, SandwichOptions};
@@ -91,6 +91,41 @@ impl TwinKit {
         twin.set_treatments(timed_treatments(&skin.twin))?;
         let press = press_range(skin);
         Ok(Self { demo: demonstration(skin, &press), twin, press })
+    }
+}
+
+/// What a skin reads at rest and under the press that it is made for: about, by a twin of large elements.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TypicalPress {
+    /// Voltages at rest, one a channel.
+    pub rest_v: Vec<f64>,
+    /// The same under the press at which sliders begin ([`PressRange`]), in the middle of the skin.
+    pub pressed_v: Vec<f64>,
+}
+
+/// Elements of the twin that tells a typical press are so many times as long as those of the twin itself.
+const COARSER: f64 = 2.5;
+
+impl TypicalPress {
+    /// Of a skin; `None` where its middle is no place to press.
+    ///
+    /// # Errors
+    /// As [`Twin::from_skin`].
+    pub fn of(skin: &Skin) -> Result<Option<Self>, TwinError> {
+        let MeshSizes { element_m, electrode_m } = MeshSizes::of(skin);
+        let mut coarse = skin.clone();
+        coarse.twin.element_mm = Some(COARSER * element_m / MM);
+        coarse.twin.electrode_element_mm = Some(COARSER * electrode_m / MM);
+        let mut frontend = frontend_of(&coarse, &AsBuilt::nominal(&coarse))?;
+        let press = press_range(skin);
+        let indenter = Indenter::disc([0.0; 2], press.initial_radius_m, press.initial_pressure_pa);
+        if frontend.check_indenter(&indenter).is_err() {
+            return Ok(None);
+        }
+        let [mut rest_v, mut pressed_v] = [vec![0.0; frontend.channel_count()], vec![0.0; frontend.channel_count()]];
+        frontend.voltages(&[], 0.0, &mut rest_v)?;
+        frontend.voltages(&[indenter], 0.0, &mut pressed_v)?;
+        Ok(Some(Self { rest_v, pressed_v }))
     }
 }
 

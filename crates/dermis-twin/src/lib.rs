@@ -73,7 +73,7 @@ mod wiring;
 pub use elements::{Conductor, ElementOptions, ElementSkin, NearbyMetal};
 pub use error::TwinError;
 pub use foil::{FoilOptions, FoilSkin};
-pub use from_skin::{AnyTwin, AsBuilt, PressRange, TwinKit};
+pub use from_skin::{AnyTwin, AsBuilt, PressRange, TwinKit, TypicalPress};
 pub use healing::{HealingLaw, Heating, MOST_CUTS, MOST_PADS, TimedTreatment, Treatment, Wear, Wound};
 pub use liquid::{LiquidOptions, LiquidSkin, LiquidSolver};
 pub use patched::{PatchedOptions, PatchedSkin};

@@ -151,7 +151,7 @@ impl Engine {
         self.feed.show(&output, now_ns);
         let notices = self.announcer.notices(&output);
         self.feed.count(AcquisitionCounters::default(), None);
-        self.feed.describe(&self.pipeline);
+        self.feed.describe(&self.pipeline, now_ns);
         notices.into_iter().for_each(|notice| self.notice(notice));
         if self.pipeline.baseline_records().len() > baselines {
             let noise: Vec<f32> = self.pipeline.baseline().1.iter().map(|v| *v as f32).collect();

@@ -140,7 +140,7 @@ fn what_cannot_be_done_is_refused_with_its_reason() {
         assert!(answer["text"].as_str().is_some_and(|text| text.contains(reason)), "{command}: {answer}");
     }
     for (skin, rate, reason) in [("no-such", 25.0, "no-such"), ("ionic-disc", 0.0, "at most 1000")] {
-        let refusal = Engine::new(skin, rate).err().expect(reason);
+        let refusal = Engine::new(skin, rate).expect_err(reason);
         assert!(refusal.contains(reason), "{refusal}");
     }
 }

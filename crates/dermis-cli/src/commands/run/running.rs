@@ -139,7 +139,7 @@ impl Running {
             RecordingView { path: recorder.path(), written, dropped }
         });
         self.feed.count(acquisition.counters(), recording);
-        self.feed.describe(pipeline);
+        self.feed.describe(pipeline, HostStamp::now().monotonic_ns);
         self.hub.publish(self.feed.update())?;
         for text in self.twin.iter().flat_map(|twin| twin.notices.try_iter()) {
             if let Some(recorder) = &self.recorder {

@@ -1,0 +1,37 @@
+// What the page's words mean, shown where the mouse rests on them. Those of the markup itself stand in index.html.
+
+const STAGES: Record<string, string> = {
+  queue: "From the frame's first byte to the start of processing",
+  condition: "Channels in order, baseline taken off, health looked at",
+  image: "From the change of the channels to the image",
+  touches: "From the image to touches",
+  total: "From the frame's first byte to its touches",
+};
+
+const COUNTERS: Record<string, string> = {
+  frames: "Frames that were processed",
+  dropped: "Frames dropped here because the pipeline was too slow",
+  lost: "Frames lost before they came here, by their numbers",
+  damaged: "Frames damaged on the way: their check sum was wrong",
+  "not recorded": "Frames that could not be written to the recording",
+  repeated: "Copies of the frame before, left out; nothing is lost with them",
+};
+
+const BADGES: [RegExp, string][] = [
+  [/^EIT$/, "Electrical impedance tomography: currents through some electrodes, voltages at others"],
+  [/^MIT$/, "Magnetic induction tomography: coils and the currents that they induce"],
+  [/^digital twin$/, "Readings are simulated, by the physics of this skin"],
+  [/^measured$/, "Readings come from an instrument or a recording"],
+  [/electrodes$/, "Electrodes, or coils, numbered from 1"],
+  [/channels$/, "Readings of one frame, each of a driving and a measuring pair"],
+  [/ × /, "Pixels of the image, columns by rows"],
+];
+
+/** Explanation of a stage of the pipeline or of a counter; empty for others. */
+export function wordFor(name: string): string {
+  return STAGES[name] ?? COUNTERS[name] ?? "";
+}
+
+export function wordForBadge(text: string): string {
+  return BADGES.find(([pattern]) => pattern.test(text))?.[1] ?? "";
+}

@@ -1,0 +1,210 @@
+// The page as an instrument: colours and axes that can be read, panels that go where they are wanted and stay there, light and
+// dark, help, files of what is seen, small windows, and what a checker of accessibility has to say.
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { after, before, test } from "node:test";
+import { isDemo, keepPicture, openPage, pressAt, startBrowser, startPage, waitForRows } from "./browser.mjs";
+
+const axe = createRequire(import.meta.url).resolve("axe-core/axe.min.js");
+let server;
+let browser;
+
+before(async () => {
+  [server, browser] = await Promise.all([startPage(), startBrowser()]);
+}, { timeout: 180_000 });
+
+after(async () => {
+  await browser?.close();
+  await server?.stop();
+});
+
+const open = (options) => openPage(browser, server.address, options);
+
+/** Nothing but the page presses: a twin's demonstration is stopped and has ended. */
+async function calm(page) {
+  if (isDemo) return;
+  const isOn = await page.locator("#demo").evaluate((button) => button.getAttribute("aria-pressed") === "true");
+  if (isOn) await page.locator("#demo").click();
+  await waitForRows(page, (rows) => rows.length === 0, 60_000);
+}
+
+test("colours begin at zero, and the press that the skin is made for fills about half of them", async () => {
+  const { page } = await open();
+  await calm(page);
+  assert.equal(await page.locator("#range-low").textContent(), "0");
+  const high = Number(await page.locator("#range-high").textContent());
+  assert.ok(high > 0, `up to ${high}`);
+  if (!isDemo) {
+    await pressAt(page, 0, 0);
+    const amplitude = () => page.locator("#touches tr").evaluateAll((rows) => Math.max(0, ...rows.map((row) => Number(row.dataset.amplitude))));
+    await waitForRows(page, (rows) => rows.length > 0);
+    // The press grows over the first frames.
+    await page.waitForTimeout(1500);
+    const share = (await amplitude()) / high;
+    console.log(`the first press fills ${(100 * share).toFixed(0)} % of the colours`);
+    assert.ok(share > 0.3 && share < 0.7, `${share} of ${high}`);
+    assert.equal(await page.locator("#range-low").textContent(), "0", "also where a press makes something else negative");
+    await keepPicture(page, "instrument-pressed");
+    await page.mouse.up();
+  }
+  await page.locator("#colours").selectOption("signed");
+  await page.waitForFunction(() => document.querySelector("#range-low").textContent === `-${document.querySelector("#range-high").textContent}`);
+  await page.close();
+});
+
+test("the axes' numbers stand where those millimetres are", async () => {
+  const { page } = await open();
+  const off = await page.locator("#overlay").evaluate((svg) => {
+    const scale = svg.getScreenCTM();
+    const ticks = [...svg.querySelectorAll(".axes text")].filter((text) => text.textContent !== "mm" && text.getAttribute("text-anchor") === "middle");
+    return ticks.map((text) => {
+      const box = text.getBoundingClientRect();
+      return (box.left + box.width / 2 - scale.e) / scale.a - Number(text.textContent);
+    });
+  });
+  assert.ok(off.length >= 3, `${off.length} ticks`);
+  assert.ok(off.every((mm) => Math.abs(mm) < 1), `off by ${off} mm`);
+  await page.locator("#axes").uncheck();
+  assert.equal(await page.locator("#overlay .axes").isVisible(), false);
+  await page.close();
+});
+
+test("panels go away, take other sizes, and are so when the page is opened again", async () => {
+  const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
+  const page = await context.newPage();
+  const load = async () => {
+    await page.goto(server.address);
+    await page.waitForSelector("[data-connection='live']", { timeout: 60_000 });
+  };
+  await load();
+  const width = () => page.locator(".side").evaluate((side) => side.getBoundingClientRect().width);
+  const first = await width();
+  await page.locator("#panels summary").click();
+  await page.locator("[data-panel='noise-panel']").uncheck();
+  await page.locator("[data-panel='traces-panel']").uncheck();
+  await page.keyboard.press("Escape");
+  await page.locator("#split-side").focus();
+  for (let step = 0; step < 5; step += 1) await page.keyboard.press("ArrowLeft");
+  const wider = await width();
+  assert.ok(wider > first + 50, `${first} to ${wider} pixels by keys`);
+  const box = await page.locator("#split-bottom").boundingBox();
+  const height = () => page.locator(".bottom").evaluate((bottom) => bottom.getBoundingClientRect().height);
+  const low = await height();
+  await page.mouse.move(box.x + box.width / 2, box.y + 4);
+  await page.mouse.down();
+  await page.mouse.move(box.x + box.width / 2, box.y - 60, { steps: 6 });
+  await page.mouse.up();
+  assert.ok((await height()) > low + 40, "dragged up");
+  await load();
+  assert.ok(Math.abs((await width()) - wider) < 3, "the same width after opening it again");
+  assert.equal(await page.locator("#noise-panel").isVisible(), false);
+  assert.equal(await page.locator("#traces-panel").isVisible(), false);
+  assert.ok(await page.locator("#messages-panel").isVisible());
+  await keepPicture(page, "instrument-panels");
+  await page.locator("#panels summary").click();
+  await page.locator("#layout-reset").click();
+  assert.ok(Math.abs((await width()) - first) < 3 && (await page.locator("#noise-panel").isVisible()), "as at first");
+  // What another program has left under the page's name does no harm.
+  await page.evaluate(() => localStorage.setItem("dermis-page", "[1, {"));
+  await load();
+  assert.ok(await page.locator("#noise-panel").isVisible());
+  await context.close();
+});
+
+test("light and dark follow the system until one is chosen", async () => {
+  const { page } = await open({ colorScheme: "dark" });
+  const ground = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  const isDark = (colour) => colour.match(/\d+/g).slice(0, 3).every((part) => Number(part) < 60);
+  assert.ok(isDark(await ground()), await ground());
+  await keepPicture(page, "instrument-dark");
+  await page.locator("#theme").click();
+  assert.equal(await page.locator("#theme").textContent(), "Theme: light");
+  assert.ok(!isDark(await ground()), await ground());
+  await page.emulateMedia({ colorScheme: "light" });
+  await page.locator("#theme").click();
+  assert.ok(isDark(await ground()), "dark where the system is light");
+  await page.close();
+});
+
+test("a question mark opens the keys, and words say what they mean", async () => {
+  const { page } = await open();
+  await page.keyboard.press("?");
+  assert.ok(await page.locator("#help").isVisible());
+  assert.match(await page.locator("#help").textContent(), /take a new baseline/);
+  await keepPicture(page, "instrument-help");
+  await page.keyboard.press("Escape");
+  assert.equal(await page.locator("#help").isVisible(), false);
+  const unexplained = await page.locator("header [id='fps'], #touches-panel th, #latency tr, #counters tr, #badges .badge").evaluateAll((all) => all.filter((one) => !one.closest("[title]")?.title).map((one) => one.textContent));
+  // The stages of the demo are its own.
+  assert.deepEqual(isDemo ? [] : unexplained, []);
+  await page.close();
+});
+
+test("what is seen is saved as a picture and as a table", async () => {
+  const { page } = await open();
+  const saved = async (action) => {
+    const [download] = await Promise.all([page.waitForEvent("download"), action()]);
+    return { name: download.suggestedFilename(), bytes: await readFile(await download.path()) };
+  };
+  const picture = await saved(() => page.locator("#keep-png").click());
+  assert.match(picture.name, /-frame-\d+\.png$/);
+  assert.equal(picture.bytes.subarray(1, 4).toString(), "PNG");
+  const [width, height] = [picture.bytes.readUInt32BE(16), picture.bytes.readUInt32BE(20)];
+  assert.ok(width > 600 && height > 500, `${width} x ${height}`);
+  if (process.env.PAGE_PICTURES) await (await import("node:fs/promises")).writeFile(`${process.env.PAGE_PICTURES}/instrument-saved.png`, picture.bytes);
+  // It holds what the stage shows: outline and numbers over the image, so many colours.
+  const colours = await page.evaluate(async (base64) => {
+    const image = new Image();
+    image.src = `data:image/png;base64,${base64}`;
+    await image.decode();
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [image.width, image.height];
+    const context = canvas.getContext("2d", { willReadFrequently: true });
+    context.drawImage(image, 0, 0);
+    return new Set(new Uint32Array(context.getImageData(0, 0, image.width, image.height).data.buffer)).size;
+  }, picture.bytes.toString("base64"));
+  assert.ok(colours > 50, `${colours} colours`);
+  await page.locator("#stage").evaluate(() => document.activeElement?.blur());
+  const table = await saved(() => page.keyboard.press("c"));
+  const lines = table.bytes.toString().trimEnd().split("\n").filter((line) => !line.startsWith("#"));
+  assert.equal(lines[0], "x_mm,y_mm,value");
+  const cells = lines.slice(1).map((line) => line.split(",").map(Number));
+  assert.ok(cells.length > 100 && cells.every((row) => row.length === 3 && row.every(Number.isFinite)), `${cells.length} pixels`);
+  // The middle of the pixels is the middle of the skin.
+  for (const axis of [0, 1]) assert.ok(Math.abs(cells.reduce((sum, row) => sum + row[axis], 0) / cells.length) < 1);
+  await page.close();
+});
+
+for (const [name, width, height, fitsHeight] of [["1280x720", 1280, 720, true], ["phone", 390, 844, false]]) {
+  test(`nothing is cut off at ${name}`, async () => {
+    const { page } = await open({ viewport: { width, height }, ...(fitsHeight ? {} : { hasTouch: true, isMobile: true, deviceScaleFactor: 2 }) });
+    await keepPicture(page, `instrument-${name}`);
+    const size = await page.evaluate(() => [document.documentElement.scrollWidth, document.documentElement.scrollHeight]);
+    assert.ok(size[0] <= width, `${size[0]} pixels wide in a window of ${width}`);
+    if (fitsHeight) assert.ok(size[1] <= height, `${size[1]} pixels high in a window of ${height}`);
+    const stage = await page.locator("#stage").boundingBox();
+    assert.ok(stage.width > 200 && stage.height > 200, JSON.stringify(stage));
+    await page.close();
+  });
+}
+
+for (const colorScheme of ["light", "dark"]) {
+  test(`a checker of accessibility finds nothing, ${colorScheme}`, async () => {
+    const { page } = await open({ colorScheme });
+    const look = async (what) => {
+      const { violations } = await page.evaluate(() => globalThis.axe.run());
+      assert.deepEqual(violations.map(({ id, nodes }) => `${what}: ${id}: ${nodes.map((node) => node.html.slice(0, 120)).join(" ; ")}`), []);
+    };
+    // The server lets no script in that is not the page's own; the tester may.
+    await page.evaluate(await readFile(axe, "utf8"));
+    await look("page");
+    await page.locator("#panels summary").click();
+    await look("panels");
+    await page.locator("#panels summary").click();
+    await page.keyboard.press("?");
+    await look("help");
+    await page.close();
+  });
+}
