@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+#[cfg(not(target_family = "wasm"))]
 use std::thread::JoinHandle;
 
 /// Tells work whether its result is still wanted.
@@ -27,8 +28,43 @@ pub(crate) struct Beside<T> {
 #[derive(Debug)]
 struct UnderWay<T> {
     due_ns: u64,
-    thread: JoinHandle<Option<T>>,
+    outcome: Outcome<T>,
     wanted: Wanted,
+}
+
+/// What work comes to: on a thread of its own, or at once where there are no threads (in a page).
+#[derive(Debug)]
+struct Outcome<T>(#[cfg(not(target_family = "wasm"))] JoinHandle<Option<T>>, #[cfg(target_family = "wasm")] Option<T>);
+
+#[cfg(not(target_family = "wasm"))]
+impl<T: Send + 'static> Outcome<T> {
+    fn of(work: impl FnOnce() -> Option<T> + Send + 'static) -> Self {
+        Self(std::thread::spawn(work))
+    }
+
+    fn is_there(&self) -> bool {
+        self.0.is_finished()
+    }
+
+    fn wait(self) -> Option<T> {
+        // A thread that panicked brings its panic here, as if there were none.
+        self.0.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    }
+}
+
+#[cfg(target_family = "wasm")]
+impl<T> Outcome<T> {
+    fn of(work: impl FnOnce() -> Option<T>) -> Self {
+        Self(work())
+    }
+
+    fn is_there(&self) -> bool {
+        true
+    }
+
+    fn wait(self) -> Option<T> {
+        self.0
+    }
 }
 
 impl<T: Send + 'static> Beside<T> {
@@ -48,18 +84,17 @@ impl<T: Send + 'static> Beside<T> {
         self.drop_work();
         let wanted = Wanted::default();
         let told = wanted.clone();
-        let thread = std::thread::spawn(move || work(&told));
-        self.under_way = Some(UnderWay { due_ns, thread, wanted });
+        let outcome = Outcome::of(move || work(&told));
+        self.under_way = Some(UnderWay { due_ns, outcome, wanted });
     }
 
     /// The result, in the first frame whose time has come.
     pub fn take(&mut self, time_ns: u64) -> Option<T> {
-        let UnderWay { thread, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
-        if !thread.is_finished() {
+        let UnderWay { outcome, .. } = self.under_way.take_if(|work| time_ns >= work.due_ns)?;
+        if !outcome.is_there() {
             self.waits += 1;
         }
-        // A thread that panicked brings its panic here, as if there were none.
-        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        outcome.wait()
     }
 
     fn drop_work(&mut self) {
@@ -87,7 +122,7 @@ mod tests {
     fn a_result_counts_from_its_time_on_however_long_it_took() {
         let mut quick = Beside::new();
         quick.begin(100, |_| Some(1));
-        while !quick.under_way.as_ref().unwrap().thread.is_finished() {
+        while !quick.under_way.as_ref().unwrap().outcome.is_there() {
             std::thread::yield_now();
         }
         assert_eq!((quick.take(99), quick.take(100), quick.take(101)), (None, Some(1), None));

@@ -24,4 +24,605 @@ use crate::beside::Beside;
 use crate::calibration::{Calibration, LoadQuantity, check_wiring};
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
+use crate::imager::NewOperator;
 use crate::instant::Instant;
+use crate::output::Output;
+use crate::prepare::Prepared;
+use crate::reconstructor::Reconstructor;
+use crate::reference::Reference;
+use crate::stages::classes::{ClassPace, ClassStage};
+use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, lobe_floor};
+use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
+pub use stage_latencies::StageLatencies;
+use state::{Choices, Running, Starting, State};
+
+/// Frames averaged by a tare.
+pub const TARE_FRAMES: usize = 32;
+
+/// An operator for another lambda is in use so much later, nanoseconds of the frames' time: several times what it takes
+/// to make one on one slow core.
+const OPERATOR_READY_NS: u64 = 300_000_000;
+
+/// Before the first baseline, a frame counts where one in so many of its channels has a reading.
+const LEAST_START: usize = 4;
+
+/// The stages of one skin with their memory.
+#[derive(Debug)]
+pub struct Pipeline {
+    prepared: Prepared,
+    choices: Choices,
+    reader: ChannelReader,
+    baseline: Baseline,
+    /// `None` where the skin file wants channels not to be watched.
+    health: Option<HealthStage>,
+    /// `None` where the skin file does not ask for damage to be watched.
+    damage: Option<DamageStage>,
+    /// A network that classifies pixels, where there is one.
+    classes: Option<ClassStage>,
+    state: State,
+    operators: Operators,
+    buffers: Buffers,
+    timing: Timing,
+}
+
+/// Operators for other hyperparameters.
+#[derive(Debug)]
+struct Operators {
+    /// The lambda of the one that is being made.
+    making: Option<f64>,
+    coming: Beside<Result<NewOperator, Error>>,
+    /// What was asked for last, while another one is being made.
+    next: Option<f64>,
+}
+
+/// The frame at hand on its way to an image.
+#[derive(Debug)]
+struct Buffers {
+    channels: Vec<f64>,
+    difference: Vec<f64>,
+    image: Vec<f32>,
+}
+
+/// When frames came, and how long they took.
+#[derive(Debug, Default)]
+struct Timing {
+    latencies: StageLatencies,
+    /// Frames stamped before this waited while the operator was made, which happens once; their times are not counted.
+    timed_from_ns: u64,
+    frames: u64,
+    /// What happens on the skin is timed by the device where it has a clock, so that a replay at another pace gives the
+    /// same touches.
+    clock: FrameClock,
+}
+
+/// What a frame has shown of the skin.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// Something touches.
+    touched: bool,
+    /// The image is of this frame, and to be believed.
+    believed: bool,
+}
+
+impl Pipeline {
+    /// Sets up the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline.
+    ///
+    /// # Errors
+    /// A layout that does not hold the skin's channels.
+    pub fn new(prepared: Prepared, layout: &Layout, calibration: Option<Calibration>) -> Result<Self, Error> {
+        let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
+        let drift = drift_compensation(&prepared);
+        let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;
+        match &calibration {
+            Some(calibration) => calibration.check(&prepared)?,
+            None => {
+                check_wiring(&prepared)?;
+                check_circuit(&prepared)?;
+            }
+        }
+        // An operator that does not depend on the baseline is built before any frame has to wait for it.
+        let starting = Starting::new(&prepared, calibration.as_ref())?;
+        // Neither unknown wiring nor differences can be compared with the model's resting values.
+        let backend = &prepared.skin.backend;
+        let is_watched = prepared.skin.health.watch && backend.wiring.is_known() && !backend.differences;
+        let health = if is_watched { Some(HealthStage::new(&prepared)?) } else { None };
+        let damage = if prepared.skin.damage.watch { Some(DamageStage::new(&prepared)?) } else { None };
+        let image = vec![f32::NAN; prepared.map.grid().len()];
+        Ok(Self {
+            choices: Choices { calibration, ..Choices::default() },
+            reader,
+            baseline,
+            health,
+            damage,
+            classes: None,
+            state: State::Starting(Box::new(starting)),
+            operators: Operators { making: None, coming: Beside::new(), next: None },
+            buffers: Buffers { channels: Vec::new(), difference: Vec::new(), image },
+            timing: Timing::default(),
+            prepared,
+        })
+    }
+
+    /// The skin.
+    pub fn prepared(&self) -> &Prepared {
+        &self.prepared
+    }
+
+    /// Runs one frame through all stages. Until the baseline stands, the image is `NaN` and there are no touches.
+    /// `now_ns` is the host's monotonic clock at the call.
+    ///
+    /// # Errors
+    /// A frame of the wrong length, or times that run backwards.
+    pub fn process(&mut self, frame: &Frame, now_ns: u64) -> Result<Output<'_>, Error> {
+        let start = Instant::now();
+        self.timing.frames += 1;
+        self.reader.read(&frame.values, &frame.imaginary, &mut self.buffers.channels)?;
+        let before_ns = self.timing.clock.time_ns();
+        let anomalies = self.timing.clock.advance(frame);
+        let time_ns = self.timing.clock.time_ns();
+        if let State::Running(running) = &mut self.state
+            && running.reconstructor.touches.is_interruption(anomalies.lost_before, time_ns - before_ns)
+        {
+            // The frames before this one were lost for so long that other touches may have begun.
+            running.reconstructor.interrupt(time_ns);
+        }
+        self.take_up_operator(time_ns)?;
+        let at = (frame.host_monotonic_ns, frame.sequence);
+        let change = match self.is_blank() {
+            // Nothing to learn from: the baseline begins with the first frame that has readings.
+            true => BaselineChange::None,
+            false => self.learn_from(time_ns, at, start)?,
+        };
+        if matches!(change, BaselineChange::Started | BaselineChange::Tared) {
+            self.use_new_baseline(time_ns, at)?;
+            let took_ns = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+            self.timing.timed_from_ns = now_ns.saturating_add(took_ns);
+        }
+        // Waiting is told by the host's clock alone; the device's may begin and run otherwise.
+        let waited = Duration::from_nanos(now_ns.saturating_sub(frame.host_monotonic_ns));
+        if frame.host_monotonic_ns >= self.timing.timed_from_ns {
+            self.timing.latencies.queue.record(waited);
+            self.timing.latencies.total.record(waited + start.elapsed());
+        }
+        let grid = self.prepared.map.grid();
+        let (touches, events) = match &self.state {
+            State::Running(running) => {
+                (running.reconstructor.touches.touches(), running.reconstructor.touches.events())
+            }
+            State::Starting(_) => (&[][..], &[][..]),
+        };
+        Ok(Output {
+            sequence: frame.sequence,
+            time_ns: frame.host_monotonic_ns,
+            wall_ns: frame.host_wall_ns,
+            raw: self.baseline.raw(),
+            compensated: self.baseline.compensated(),
+            image: &self.buffers.image,
+            columns: grid.columns,
+            rows: grid.rows,
+            touches,
+            events,
+            classes: self.classes.as_ref().and_then(ClassStage::seen),
+            health: self.health(),
+            damage: self.damage(),
+            anomalies,
+        })
+    }
+
+    /// Whether a frame before the first baseline has hardly any reading.
+    fn is_blank(&self) -> bool {
+        let channels = &self.buffers.channels;
+        let finite = channels.iter().filter(|value| value.is_finite()).count();
+        matches!(self.state, State::Starting(_)) && LEAST_START * finite < channels.len()
+    }
+
+    /// Looks at the frame just read, and lets the baseline learn from it.
+    fn learn_from(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<BaselineChange, Error> {
+        self.baseline.observe(time_ns, &self.buffers.channels)?;
+        if let Some(health) = &mut self.health {
+            health.read(self.baseline.raw())?;
+        }
+        let seen = self.see(time_ns, at, start)?;
+        let is_free = seen.believed && self.watch_damage(time_ns, at, seen.touched)?;
+        Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
+    }
+
+    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before.
+    fn use_new_baseline(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
+        let Err(error) = self.use_baseline(at) else { return Ok(()) };
+        let Some(before) = self.baseline.records().len().checked_sub(2).filter(|_| self.is_running()) else {
+            return Err(error);
+        };
+        let reason = format!("the tare gave no baseline: {error}");
+        tracing::warn!("{reason}");
+        self.baseline.reuse(time_ns, before, &reason)?;
+        self.use_baseline(at)
+    }
+
+    fn is_running(&self) -> bool {
+        matches!(self.state, State::Running(_))
+    }
+
+    /// From the frame just observed to touches, once there is a baseline.
+    fn see(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<Seen, Error> {
+        let State::Running(running) = &mut self.state else { return Ok(Seen { touched: false, believed: false }) };
+        let Running { reference, .. } = &**running;
+        let difference = &mut self.buffers.difference;
+        difference.clear();
+        difference.extend(self.baseline.compensated().iter().zip(&reference.scale).map(|(d, s)| d * s));
+        let sight = self.examine_health(at)?;
+        let State::Running(running) = &mut self.state else { return Ok(Seen { touched: false, believed: false }) };
+        let reconstructor = &mut running.reconstructor;
+        let Buffers { difference, image, .. } = &mut self.buffers;
+        let conditioned = Instant::now();
+        self.timing.latencies.condition.record(conditioned - start);
+        match sight {
+            Sight::Clear => {}
+            Sight::Doubtful => {
+                // The last image and its contacts stay until it is known what is wrong, a few frames at most.
+                reconstructor.touches.repeat(time_ns)?;
+                return Ok(Seen { touched: true, believed: false });
+            }
+            Sight::Blind => {
+                // Nothing that could be seen: no image, and what was touched is let go.
+                image.fill(f32::NAN);
+                if let Some(classes) = &mut self.classes {
+                    classes.forget(at.1);
+                }
+                reconstructor.forget(time_ns);
+                return Ok(Seen { touched: false, believed: false });
+            }
+        }
+        reconstructor.image(difference, image)?;
+        if let Some(classes) = &mut self.classes {
+            classes.classify(at.1, time_ns, difference)?;
+        }
+        let imaged = Instant::now();
+        self.timing.latencies.image.record(imaged - conditioned);
+        let placement = reconstructor.place(difference)?;
+        if self.damage.is_some() {
+            reconstructor.touches.set_floor(lobe_floor(image));
+        }
+        reconstructor.follow_touches(time_ns, image, placement)?;
+        self.timing.latencies.touches.record(imaged.elapsed());
+        Ok(Seen { touched: reconstructor.is_loaded(), believed: true })
+    }
+
+    /// Examines the health of the frame at hand and applies what follows: channels without a say are taken out of it,
+    /// and operator, image noise and refinement go on with those that are left.
+    fn examine_health(&mut self, at: (u64, u64)) -> Result<Sight, Error> {
+        let (Some(health), State::Running(running)) = (&mut self.health, &mut self.state) else {
+            return Ok(Sight::Clear);
+        };
+        let Running { reference, reconstructor } = &mut **running;
+        let difference = &mut self.buffers.difference;
+        let expected = match health.mask(difference) {
+            Some(masked) => Some(reconstructor.imager.fill_in(masked)?),
+            None => None,
+        };
+        let (raw, scale) = (self.baseline.raw(), &reference.scale);
+        let frame = HealthFrame { at, raw, scale, difference, expected };
+        let HealthDecision { excluded, left_out, moved, sight } = health.examine(&frame)?;
+        for (value, _) in difference.iter_mut().zip(excluded).filter(|(_, excluded)| **excluded) {
+            *value = f64::NAN;
+        }
+        for &(channel, reading) in moved {
+            self.baseline.move_channel(channel, reading);
+        }
+        // With no channel left there is no operator: the frames are blind until some channel is back.
+        if let Some(left_out) = left_out.filter(|left_out| left_out.len() < reference.noise.len()) {
+            reconstructor.leave_out(&self.prepared, left_out, &reference.noise)?;
+            if let Some(damage) = &mut self.damage {
+                damage.set_noise(reconstructor.imager.noise_image());
+            }
+        }
+        Ok(sight)
+    }
+
+    /// Looks for damage in the frame just seen, and applies what follows: a damage that is believed is taken into the
+    /// baseline of touches. True where nothing lies on the skin whatever that baseline makes of it.
+    fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), loaded: bool) -> Result<bool, Error> {
+        let (Some(damage), State::Running(running)) = (&mut self.damage, &mut self.state) else { return Ok(false) };
+        let Running { reference, reconstructor } = &mut **running;
+        let (difference, scale) = (&self.buffers.difference, &reference.scale);
+        let (change, image) = damage.compare(&self.baseline, difference, scale);
+        reconstructor.image(change, image)?;
+        if let Some((known, image)) = damage.update_known() {
+            reconstructor.image(known, image)?;
+        }
+        let frame = DamageFrame {
+            time_ns,
+            baseline: &self.baseline,
+            difference,
+            scale,
+            noise: &reference.noise,
+            touches: reconstructor.touches.touches(),
+            contacts: reconstructor.touches.contacts(),
+            patches: reconstructor.refinement.patches(),
+            loaded,
+        };
+        let DamageDecision { adopt, hold_drift, follow_rest, is_free } = damage.process(&frame, &self.prepared)?;
+        if let Some(adoption) = &adopt {
+            self.baseline.adopt(time_ns, &adoption.readings, adoption.frames, &adoption.reason)?;
+        }
+        self.baseline.hold_drift(hold_drift);
+        self.baseline.follow_rest(follow_rest);
+        if adopt.is_some() {
+            self.use_baseline(at)?;
+        }
+        Ok(is_free)
+    }
+
+    /// Damage, the baselines that were in use, and a new one where that is proposed.
+    pub fn damage(&self) -> DamageView<'_> {
+        let now_ns = self.timing.clock.time_ns();
+        let Some(damage) = &self.damage else { return DamageView::default() };
+        DamageView { now_ns, ..damage.view(&self.baseline) }
+    }
+
+    /// Channels that are left out, and electrodes that are blamed.
+    pub fn health(&self) -> Health<'_> {
+        self.health.as_ref().map_or_else(Health::default, HealthStage::health)
+    }
+
+    /// A new baseline stands: match it to the model and, the first time, build the operator.
+    fn use_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
+        if let (Some(health), State::Starting(_)) = (&mut self.health, &self.state) {
+            health.check_start(at, &self.prepared, &self.baseline)?;
+        }
+        let left_out = self.health.as_ref().map_or(&[][..], HealthStage::left_out);
+        let reference = match &self.health {
+            Some(health) => health.reference(&self.prepared, &self.baseline)?,
+            None => {
+                let (rest, noise) = (self.baseline.baseline(), self.baseline.noise_std());
+                Reference::from_baseline(&self.prepared, rest, Some(noise))?
+            }
+        };
+        for channel in left_out.iter().map(|&channel| channel as usize) {
+            self.baseline.move_channel(channel, reference.baseline[channel]);
+        }
+        match &mut self.state {
+            State::Running(running) => {
+                let Reconstructor { imager, touches, refinement, .. } = &mut running.reconstructor;
+                imager.set_noise(&reference.noise)?;
+                touches.set_noise(imager.noise_image());
+                refinement.set_noise(&reference.noise);
+                running.reference = reference;
+            }
+            State::Starting(starting) => {
+                let mut running = starting.run(&self.prepared, &mut self.choices, reference)?;
+                if !left_out.is_empty() && left_out.len() < running.reference.noise.len() {
+                    running.reconstructor.leave_out(&self.prepared, left_out, &running.reference.noise)?;
+                }
+                self.state = State::Running(Box::new(running));
+            }
+        }
+        self.compare_with_reference()?;
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        if let Some(damage) = &mut self.damage {
+            damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
+            // Touches are fitted to the sheet with the cuts that the baseline includes.
+            running.reconstructor.refinement.set_cuts(self.timing.clock.time_ns(), &damage.cuts());
+        }
+        Ok(())
+    }
+
+    /// Health is judged by the reference and the operator in use.
+    fn compare_with_reference(&mut self) -> Result<(), Error> {
+        if let (Some(health), State::Running(running)) = (&mut self.health, &self.state) {
+            health.compare_with(&running.reference, running.reconstructor.imager.operator())?;
+        }
+        Ok(())
+    }
+
+    /// Takes the mean of the next frames as the new baseline.
+    ///
+    /// # Errors
+    /// While touched, unless forced.
+    pub fn tare(&mut self, force: bool, reason: &str) -> Result<usize, Error> {
+        let guard = if force { TareGuard::Force } else { TareGuard::RefuseUnderLoad };
+        self.baseline.tare(TARE_FRAMES, guard, reason)?;
+        Ok(TARE_FRAMES)
+    }
+
+    /// Takes up a baseline that was in use before, by its place in [`Pipeline::baseline_records`].
+    ///
+    /// # Errors
+    /// A number without a baseline whose values are kept.
+    pub fn reuse_baseline(&mut self, record: usize, reason: &str) -> Result<(), Error> {
+        self.baseline.reuse(self.timing.clock.time_ns(), record, reason)?;
+        self.use_baseline((0, self.timing.frames))
+    }
+
+    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the
+    /// channels at rest, in place of learning one from the first frames.
+    ///
+    /// # Errors
+    /// Another number of channels than the skin's, or a baseline that does not fit its model.
+    pub fn restore_baseline(
+        &mut self,
+        record: ReferenceRecord,
+        values: &[f64],
+        noise_std: &[f64],
+    ) -> Result<(), Error> {
+        self.baseline.restore(record, values, noise_std)?;
+        self.use_baseline((0, self.timing.frames))
+    }
+
+    /// Goes on from frames of the untouched skin, in place of learning the baseline from the first frames that come.
+    /// Their mean is the baseline, and from 8 frames on their scatter is the noise, which is else the one that the skin
+    /// file assumes.
+    ///
+    /// # Errors
+    /// A table that does not hold the skin's channels, or one without readings.
+    pub fn set_baseline(&mut self, table: &FrameTable) -> Result<(), Error> {
+        let file = table.source().display().to_string();
+        let reads = self.prepared.skin.backend.reads;
+        let mut reader = ChannelReader::new(table.layout(), &self.prepared.protocol, reads, &file)?;
+        let frames = reader.read_table(table)?;
+        let Reference { baseline, scale, noise, .. } = Reference::of(&self.prepared, &frames)?;
+        self.reader.share_phase_of(&reader);
+        let as_measured: Vec<f64> = noise.iter().zip(&scale).map(|(volts, scale)| volts / scale.abs()).collect();
+        let (reason, origin) = (format!("frames of {file}"), ReferenceOrigin::Given);
+        let record = ReferenceRecord { time_ns: 0, frames: frames.len(), origin, reason };
+        self.restore_baseline(record, &baseline, &as_measured)
+    }
+
+    /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
+    /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
+    /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
+    /// kept for it.
+    ///
+    /// # Errors
+    /// A lambda that is not positive and finite.
+    pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
+        // Before the start it is only kept: what is wrong with it has to be said now.
+        check_hyperparameter(lambda)?;
+        self.choices.hyperparameter = Some(lambda);
+        if self.operators.making.is_some() {
+            self.operators.next = Some(lambda);
+        } else if self.hyperparameter().is_some_and(|in_use| in_use != lambda) {
+            self.make_operator(lambda);
+        }
+        Ok(())
+    }
+
+    /// Begins to make the operator at another lambda.
+    fn make_operator(&mut self, lambda: f64) {
+        let State::Running(running) = &self.state else { return };
+        let work = running.reconstructor.imager.work_out(lambda);
+        let due_ns = self.timing.clock.time_ns().saturating_add(OPERATOR_READY_NS);
+        self.operators.making = Some(lambda);
+        self.operators.coming.begin(due_ns, move |_| Some(work()));
+    }
+
+    /// Takes up an operator that was made, if its time has come.
+    fn take_up_operator(&mut self, time_ns: u64) -> Result<(), Error> {
+        let Some(made) = self.operators.coming.take(time_ns) else { return Ok(()) };
+        let lambda = self.operators.making.take().unwrap_or(f64::NAN);
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
+        match made.and_then(|operator| imager.replace_operator(operator, &running.reference.noise)) {
+            Ok(()) => {
+                touches.set_noise(imager.noise_image());
+                if let Some(damage) = &mut self.damage {
+                    damage.set_noise(imager.noise_image());
+                }
+                self.compare_with_reference()?;
+            }
+            Err(error) => {
+                let in_use = imager.hyperparameter();
+                tracing::warn!("the hyperparameter {lambda:.3e} cannot be used ({error}); going on with {in_use:.3e}");
+                self.choices.hyperparameter = Some(in_use);
+            }
+        }
+        if let Some(next) = self.operators.next.take().filter(|next| Some(*next) != self.hyperparameter()) {
+            self.make_operator(next);
+        }
+        Ok(())
+    }
+
+    /// Frames that have waited for work beside the stream: operators for other hyperparameters, sheets with new cuts.
+    /// None does on a machine that is as fast as the stream needs.
+    pub fn waits(&self) -> u64 {
+        let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
+        self.operators.coming.waits() + of_sheets
+    }
+
+    /// Classifies the pixels of frames by a network from now on, or no longer.
+    ///
+    /// # Errors
+    /// A model of another skin, or a thread that cannot be started.
+    pub fn set_classifier(&mut self, model: Option<&Model>, pace: ClassPace) -> Result<(), Error> {
+        self.classes = model.map(|model| ClassStage::new(&self.prepared, model, pace)).transpose()?;
+        Ok(())
+    }
+
+    /// Reads forces by a calibration from now on.
+    ///
+    /// # Errors
+    /// A calibration of another skin, or numbers in it that make no sense.
+    pub fn set_forces(&mut self, forces: ForceCalibration) -> Result<(), Error> {
+        forces.check(&self.prepared.skin.name)?;
+        if let State::Running(running) = &mut self.state {
+            running.reconstructor.touches.set_forces(Some(forces.clone()));
+        }
+        self.choices.forces = Some(forces);
+        Ok(())
+    }
+
+    /// What touches' loads are read as, where a calibration by pokes reads them.
+    pub fn load_quantity(&self) -> Option<LoadQuantity> {
+        self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
+    }
+
+    /// lambda in use, once the baseline stands.
+    pub fn hyperparameter(&self) -> Option<f64> {
+        self.running().map(|running| running.reconstructor.imager.hyperparameter())
+    }
+
+    /// The reference in use, once the baseline stands.
+    pub fn reference(&self) -> Option<&Reference> {
+        self.running().map(|running| &running.reference)
+    }
+
+    /// Image noise of each pixel, once the baseline stands.
+    pub fn noise_image(&self) -> Option<Vec<f32>> {
+        self.running().map(|running| running.reconstructor.imager.noise_image())
+    }
+
+    /// Where the baseline is in its life.
+    pub fn baseline_state(&self) -> BaselineState {
+        self.baseline.state()
+    }
+
+    /// The references that were in use, oldest first.
+    pub fn baseline_records(&self) -> &[ReferenceRecord] {
+        self.baseline.records()
+    }
+
+    /// The baseline, as measured, and the noise of its channels.
+    pub fn baseline(&self) -> (&[f64], &[f64]) {
+        (self.baseline.baseline(), self.baseline.noise_std())
+    }
+
+    /// Times of the stages so far.
+    pub fn latencies(&self) -> &StageLatencies {
+        &self.timing.latencies
+    }
+
+    /// Frames processed.
+    pub fn frames(&self) -> u64 {
+        self.timing.frames
+    }
+
+    fn running(&self) -> Option<&Running> {
+        match &self.state {
+            State::Starting(_) => None,
+            State::Running(running) => Some(running),
+        }
+    }
+}
+
+/// Refuses a circuit that is still to be found: live frames would be read through a voltmeter that is not there.
+fn check_circuit(prepared: &Prepared) -> Result<(), Error> {
+    if !matches!(prepared.skin.backend.circuit, Some(CircuitChoice::ToLearn(_))) {
+        return Ok(());
+    }
+    Err(Error::Frames {
+        what: format!("skin {}, backend.circuit", prepared.skin.name),
+        expected: "the circuit that dermis calibrate --write-skin finds from recorded touches, or a calibration".into(),
+        got: "\"learn\"".into(),
+    })
+}
+
+/// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.
+fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
+    match prepared.skin.touch.drift_time_constant_s {
+        time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
+            DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }
+        }
+        time_constant_s if time_constant_s > 0.0 => DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 },
+        _ => DriftCompensation::Off,
+    }
+}

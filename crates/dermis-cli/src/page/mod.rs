@@ -44,3 +44,5 @@ pub use dermis_page::{
 pub use error::PageError;
 pub use hub::Hub;
 pub use request::{Reply, Request, coalesced};
+pub use server::{ServerHandle, serve};
+pub use shared::PageOptions;
