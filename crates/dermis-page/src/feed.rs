@@ -65,7 +65,14 @@ impl PageFeed {
             })
             .to_vec();
         update.state.baseline_age_s = f64::NAN;
-        Self { update, rate: Rate::default(), recent: Recent::default(), tared_at_ns: None, records: 0, waiting_since_ns: None }
+        Self {
+            update,
+            rate: Rate::default(),
+            recent: Recent::default(),
+            tared_at_ns: None,
+            records: 0,
+            waiting_since_ns: None,
+        }
     }
 
     /// What the page is to show.

@@ -143,8 +143,9 @@ impl Engine {
         let elapsed_ns = now_ns.saturating_sub(self.last_ns.unwrap_or(now_ns));
         self.last_ns = Some(now_ns);
         self.time_ns += elapsed_ns.min(LONGEST_PAUSE * self.period_ns);
-        let (number, values) = self.twin.step(self.time_ns as f64 * 1e-9).map_err(|error| error.to_string())?;
-        self.frame.refill(number, HostStamp { monotonic_ns: now_ns, wall_ns: 0 }, values, &[]);
+        let stepped = self.twin.step(self.time_ns as f64 * 1e-9);
+        let (number, values, imaginary) = stepped.map_err(|error| error.to_string())?;
+        self.frame.refill(number, HostStamp { monotonic_ns: now_ns, wall_ns: 0 }, values, imaginary);
         self.frame.device_time_ns = Some(self.time_ns);
         let baselines = self.pipeline.baseline_records().len();
         let output = self.pipeline.process(&self.frame, now_ns).map_err(|error| error.to_string())?;

@@ -41,18 +41,19 @@ impl PressedTwin {
         self.twin.frontend().channel_count()
     }
 
-    /// The next frame, at `time_s`: its number and its readings, volts.
+    /// The next frame, at `time_s`: its number and its readings, volts, real and imaginary; the latter are none of
+    /// instruments that read real values.
     ///
     /// # Errors
     /// Fields that cannot be solved.
-    pub(crate) fn step(&mut self, time_s: f64) -> Result<(u64, &[f64]), TwinError> {
+    pub(crate) fn step(&mut self, time_s: f64) -> Result<(u64, &[f64], &[f64]), TwinError> {
         if self.wants_demo && !self.demonstrates && self.frames >= REST_FRAMES {
             self.twin.scene_mut().set_script(Some(self.demo.clone()))?;
             self.demonstrates = true;
         }
         self.frames += 1;
         let sequence = self.twin.step(time_s, &mut self.values)?.sequence;
-        Ok((sequence, &self.values))
+        Ok((sequence, &self.values, self.twin.instrument().imaginary_v()))
     }
 
     /// Shows touches by itself while nobody presses, or not any more.
