@@ -40,6 +40,11 @@ class Session:
         states = self.pages[0].states
         return next(s["p99_us"] for s in states[-1][1]["latency"] if s["stage"] == "total") * 1e-3
 
+    def stages_p99_ms(self):
+        """The same of each stage; what is in none of them is spent on damage, health and baselines."""
+        stages = self.pages[0].states[-1][1]["latency"]
+        return ", ".join(f"{s['stage']} {s['p99_us'] * 1e-3:.1f}" for s in stages if s["stage"] != "total")
+
     def mean_fps(self):
         states = self.pages[0].states
         return (states[-1][1]["frame"] - states[0][1]["frame"]) / max(states[-1][0] - states[0][0], 1e-9)
@@ -248,12 +253,13 @@ def chaos(ground: Ground):
         frames += session.pages[0].states[-1][1]["frame"]
         p99s.append(session.p99_ms())
         peaks.append(max(session.memory))
+        stages = session.stages_p99_ms()
         kept, _ = session.killed()
         recorded, missing, counted = recorded + kept, missing + session.missing, counted + sum(session.losses.values())
         session.close()
         ground.say(
             f"session {number}: {kept} frames recovered, {session.missing} missing, counted {session.losses}, "
-            f"p99 {p99s[-1]:.1f} ms, {peaks[-1]:.0f} MB; twin {twin.memory_mb():.0f} MB"
+            f"p99 {p99s[-1]:.1f} ms ({stages}), {peaks[-1]:.0f} MB; twin {twin.memory_mb():.0f} MB"
         )
     # The last one ends as a user ends it.
     last = Session(ground, port, number + 1)

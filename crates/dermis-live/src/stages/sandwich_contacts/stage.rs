@@ -29,12 +29,13 @@ const INTERVAL_NS: u64 = 5_000_000;
 /// Frames that come faster than this may still take half of it, nanoseconds.
 const LEAST_NS: f64 = 500_000.0;
 /// And a frame takes no more than this of a search, however slow frames come: those after it wait in line.
-const MOST_NS: f64 = 4e6;
+const MOST_NS: f64 = 10e6;
+/// A step of a fit of one patch to a frame, nanoseconds of a core; one of n patches takes n squared times that.
+const STEP_NS: f64 = 0.4e6;
 /// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since
 /// by the second: 2 % in ten minutes.
 const DRIFT_PER_S: f64 = 0.02 / 600.0;
-/// Steps of a fit in a frame, and in one that may take all the time that it wants. What a frame leaves to be done, the
-/// next ones do.
+/// Steps of a fit: from the frame before, and at most from what a search found, where a frame's share allows it.
 const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
 const SEARCH_SHARE: f64 = 0.5;
@@ -381,8 +382,11 @@ impl PatchStage {
             }
             Outcome::Nothing => false,
             Outcome::Found(fits, misfit) => {
+                // What a frame leaves to be done, the next ones do.
+                let step_ns = STEP_NS * (fits.len() * fits.len()).max(1) as f64;
+                let steps = (self.share_ns / step_ns).clamp(STEPS[0] as f64, STEPS[1] as f64) as usize;
                 (self.followed.fits, self.followed.misfit, self.followed.standing) = (fits, misfit, None);
-                self.follow(STEPS[usize::from(self.is_unhurried)])
+                self.follow(steps)
             }
         };
         if found {
