@@ -40,6 +40,34 @@ pub fn oracle_text(path: &str) -> String {
     std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
+/// A file that an earlier version of dermis wrote, e.g. `"em-8.mcap"`.
+///
+/// # Panics
+/// If it is not there: the repository holds them all.
+pub fn earlier(name: &str) -> PathBuf {
+    let path = here().join("data/earlier").join(name);
+    assert!(path.exists(), "{} is missing; the repository holds it", path.display());
+    path
+}
+
+/// The bytes of a file of [`earlier`] that is stored compressed, as `name` with `.zst` behind it.
+///
+/// # Panics
+/// If it is missing or broken.
+pub fn earlier_unpacked(name: &str) -> Vec<u8> {
+    let path = earlier(&format!("{name}.zst"));
+    let compressed = std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    unpacked(&compressed).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// What Zstandard compressed.
+fn unpacked(compressed: &[u8]) -> Result<Vec<u8>, String> {
+    let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;
+    let mut bytes = Vec::new();
+    decoder.read_to_end(&mut bytes).map_err(|error| error.to_string())?;
+    Ok(bytes)
+}
+
 /// The folders of all EIDORS cases, by name.
 ///
 /// # Panics
@@ -67,9 +95,7 @@ pub fn stored_jacobian(case: &Path, name: &str) -> Vec<f64> {
 /// Numbers whose bytes are stored in eight planes, that of the most significant bytes first, and compressed by
 /// Zstandard. Signs and exponents of neighbours are alike, so that planes are smaller than numbers.
 fn from_planes(compressed: &[u8]) -> Result<Vec<f64>, String> {
-    let mut decoder = ruzstd::decoding::StreamingDecoder::new(compressed).map_err(|error| error.to_string())?;
-    let mut planes = Vec::new();
-    decoder.read_to_end(&mut planes).map_err(|error| error.to_string())?;
+    let planes = unpacked(compressed)?;
     if planes.is_empty() || !planes.len().is_multiple_of(8) {
         return Err(format!("{} bytes, expected a multiple of 8 above 0", planes.len()));
     }

@@ -1,6 +1,8 @@
 //! The command as a user's script sees it: exit codes, messages, files. Reference values are worked out by hand, or
 //! come from EIDORS (`tests/data/oracle/eit`).
 
+#[path = "cli/earlier.rs"]
+mod earlier;
 #[path = "cli/newcomer.rs"]
 mod newcomer;
 

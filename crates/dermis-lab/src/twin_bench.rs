@@ -78,7 +78,10 @@ impl Rig {
         let data: Vec<Vec<f64>> = rest.iter().map(|frame| reference.difference(frame, None)).collect();
         let imager = Imager::new(&prepared, &reference, &data)?;
         let is_refined = Refinement::is_wanted(&prepared, None);
-        let refinement = if is_refined { Refinement::new(&prepared, &reference.noise)? } else { Refinement::none() };
+        let refinement = match is_refined {
+            true => Refinement::new(&prepared, &reference.noise)?.taking_time(),
+            false => Refinement::none(),
+        };
         let reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
         Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
     }

@@ -296,7 +296,8 @@ mod tests {
         assert!(off(between) > 0.8e-3 && off(found) < 1e-4, "{} m", off(found));
         assert!((0.5e-4..2e-4).contains(&correction.sigma_m()), "{}", correction.sigma_m());
         let again: PlaceCorrection = serde_json::from_str(&serde_json::to_string(&correction).unwrap()).unwrap();
-        assert_eq!(again.corrected(between), found);
+        // The text holds the last digit or the one before.
+        assert!((0..2).all(|axis| (again.corrected(between)[axis] - found[axis]).abs() < 1e-12));
     }
 
     #[test]

@@ -405,7 +405,8 @@ fn the_second_cut_is_found_beside_the_first() {
     assert!((x + 21.0).hypot(y + 9.5) < 0.5 && (1e3 * found[1].shape.length_m - 20.1).abs() < 1.0, "{:?}", found[1]);
     let turned = found[1].shape.direction_rad.to_degrees() + f64::to_degrees((9.0_f64 / 18.0).atan());
     assert!(turned.abs() < 2.0, "{turned} degrees");
-    // And touches are placed on the sheet with both.
+    // And touches are placed on the sheet with both, which is in use three seconds later.
+    line.run((3.0 / line.frame_s) as usize);
     line.press(0.0, -30.0);
     let touches = line.run(40);
     assert_eq!(touches.len(), 1);

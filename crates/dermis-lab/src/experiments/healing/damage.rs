@@ -140,7 +140,8 @@ fn healing() -> Result<Report, Error> {
     line.frame_s = 0.04;
     let old = line.touched(MIDDLE_MM, HELD_S)?;
     line.pipeline.tare(true, "after healing")?;
-    line.run(2.0)?;
+    // The sheet with the scar is in use three seconds after the baseline.
+    line.run(5.0)?;
     line.press(MIDDLE_MM)?;
     line.run(HELD_S)?;
     let new = line.touches.clone();

@@ -17,6 +17,8 @@ const WORTH: (f64, f64) = (20.0, 0.5);
 const GOOD: f64 = 0.2;
 /// Steps of a fit at most.
 const STEPS: usize = 15;
+/// A fit whose patches are larger than touches after so many portions of its work in a row is given up.
+const MOST_LARGE: usize = 2;
 /// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
 const PORTION: f64 = 2000.0;
 /// What a set of patches costs to judge, and a step of a fit of one patch, in nanoseconds of a core; the step of a fit
@@ -59,6 +61,8 @@ struct Fit {
     /// `None` before the first step.
     at: Option<PatchFit>,
     steps: usize,
+    /// Portions of work in a row after which a patch was larger than a touch.
+    large: usize,
 }
 
 /// What the search works with.
@@ -150,9 +154,10 @@ impl Seek {
         let step_ns = STEP_NS * fit.typical_patches(tools.options).powi(2);
         *nanoseconds -= step_ns * summary.steps.max(1) as f64;
         fit.steps += summary.steps;
-        // Patches that grow over the whole skin would take the time of many frames, and are not believed in the end. At
-        // a desk they may shrink again.
-        if nanoseconds.is_finite() && are_large(&fits, tools.half_width_m) {
+        // Patches that stay grown over the whole skin would take the time of many frames, and are not believed in the
+        // end. At a desk they may shrink again.
+        fit.large = if are_large(&fits, tools.half_width_m) { fit.large + 1 } else { 0 };
+        if nanoseconds.is_finite() && fit.large > MOST_LARGE {
             return Some(None);
         }
         let ended = summary.settled || fit.steps >= STEPS;
@@ -203,7 +208,7 @@ impl Seek {
 
 impl Fit {
     fn new(start: Vec<ContactPatch>) -> Self {
-        Self { patches: start.clone(), start, at: None, steps: 0 }
+        Self { patches: start.clone(), start, at: None, steps: 0, large: 0 }
     }
 
     /// How many patches of the typical size would cover as much as these, at least as many as these are.

@@ -28,8 +28,6 @@ const OUTSTANDING: f64 = 2.0;
 const INTERVAL_NS: u64 = 5_000_000;
 /// Frames that come faster than this may still take half of it, nanoseconds.
 const LEAST_NS: f64 = 500_000.0;
-/// And a frame takes no more than this of a search, however slow frames come: those after it wait in line.
-const MOST_NS: f64 = 10e6;
 /// A step of a fit of one patch to a frame, nanoseconds of a core; one of n patches takes n squared times that.
 const STEP_NS: f64 = 0.4e6;
 /// The baseline does not follow drift while something touches the skin. So much of all voltages may have drifted since
@@ -92,6 +90,8 @@ pub(crate) struct PatchStage {
     gathered: Gathered,
     search: Search,
     seen_ns: Option<u64>,
+    /// Time between the last two frames, nanoseconds.
+    interval_ns: f64,
     /// Whether frames wait for the whole of a search, and no search for a later frame.
     is_unhurried: bool,
     /// Since when something has been on the skin.
@@ -150,6 +150,7 @@ impl PatchStage {
             gathered: Gathered::default(),
             search: Search::restarted(),
             seen_ns: None,
+            interval_ns: f64::INFINITY,
             is_unhurried: false,
             touched_ns: None,
             share_ns: LEAST_NS,
@@ -170,7 +171,7 @@ impl PatchStage {
         self.followed = Followed::nothing();
         self.gathered = Gathered::default();
         self.search = Search::restarted();
-        (self.seen_ns, self.touched_ns) = (None, None);
+        (self.seen_ns, self.touched_ns, self.interval_ns) = (None, None, f64::INFINITY);
     }
 
     /// From now on each frame waits for as much of a search as it takes.
@@ -235,11 +236,12 @@ impl PatchStage {
     }
 
     fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {
-        let since_ns = self.seen_ns.replace(time_ns).map_or(0.0, |seen| time_ns.saturating_sub(seen) as f64);
-        self.share_ns = match self.is_unhurried {
-            true => f64::INFINITY,
-            false => (SEARCH_SHARE * since_ns.max(LEAST_NS)).min(MOST_NS),
-        };
+        // How long a search may take in this frame: as slow as frames come. A single gap is none: the frames behind it
+        // wait in line. The first frame waits for nothing.
+        let since_ns = self.seen_ns.replace(time_ns).map_or(f64::INFINITY, |seen| time_ns.saturating_sub(seen) as f64);
+        let usual_ns = since_ns.min(self.interval_ns);
+        self.interval_ns = since_ns;
+        self.share_ns = if self.is_unhurried { f64::INFINITY } else { SEARCH_SHARE * usual_ns.max(LEAST_NS) };
         self.left.clear();
         self.left.extend_from_slice(difference);
         if contacts.is_empty() {

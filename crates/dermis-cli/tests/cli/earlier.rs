@@ -1,0 +1,59 @@
+//! Files that an earlier version of the command wrote, before twins followed from skin files and the crate had rooms:
+//! they stay readable, and what was seen in them is seen again.
+
+use std::fs;
+
+use dermis_testdata::{earlier, earlier_unpacked};
+use serde_json::Value;
+
+use super::Desk;
+
+fn lines(text: &str) -> Vec<Value> {
+    text.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
+}
+
+#[test]
+fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
+    let desk = Desk::with(&[]);
+    for (skin, frames) in [("ionic-disc", 70_usize), ("em-8", 70)] {
+        let recording = earlier(&format!("{skin}.mcap")).display().to_string();
+        let info: Value = serde_json::from_str(&desk.done(&["info", &recording, "--json"])).expect("JSON");
+        assert_eq!((&info["frames"], &info["whole"]), (&Value::from(frames), &Value::from(true)), "{info}");
+        let now = lines(&desk.done(&["replay", &recording, "--only-touches"]));
+        let then = lines(&fs::read_to_string(earlier(&format!("{skin}.touches.jsonl"))).expect("what it printed"));
+        assert_eq!(now.len(), then.len(), "{skin}");
+        for (now, then) in now.iter().zip(&then) {
+            assert_eq!((&now["sequence"], &now["time_s"]), (&then["sequence"], &then["time_s"]), "{skin}");
+            let touches = |line: &Value| line["touches"].as_array().cloned().unwrap_or_default();
+            assert_eq!(touches(now).len(), touches(then).len(), "{skin}: {now} {then}");
+            // Sigmas hold the model's error by now; everything else is the same to the last digit.
+            for (now, then) in touches(now).iter().zip(&touches(then)) {
+                for key in ["id", "phase", "x_mm", "y_mm", "amplitude", "area_mm2"] {
+                    assert_eq!(now[key], then[key], "{skin}, {key}");
+                }
+            }
+        }
+        desk.done(&["export", &recording, "--out", "frames.csv"]);
+        let table = fs::read_to_string(desk.path("frames.csv")).expect("a table");
+        assert_eq!(table.lines().count(), 1 + frames, "{skin}");
+        fs::remove_file(desk.path("frames.csv")).expect("a file");
+    }
+}
+
+#[test]
+fn calibrations_of_the_first_version_still_place_touches_and_read_forces() {
+    let desk = Desk::with(&[]);
+    fs::write(desk.path("em-8.json"), earlier_unpacked("em-8.calibration.json")).expect("a file");
+    let [rest, pokes, forces] =
+        ["em-8.rest.csv", "em-8.pokes.csv", "ionic-disc.forces.json"].map(|name| earlier(name).display().to_string());
+    let files = ["--baseline", &rest, "--frames", &pokes, "--calibration", "em-8.json", "--touches", "t.csv"];
+    desk.done(&[&["reconstruct", "em-8"], &files[..]].concat());
+    let table = fs::read_to_string(desk.path("t.csv")).expect("a table");
+    assert_eq!(table.lines().count(), 1 + 9, "{table}");
+    let recording = earlier("ionic-disc.mcap").display().to_string();
+    let run = ["run", "ionic-disc", "--source", &recording, "--speed", "0", "--headless", "--forces", &forces];
+    let pressed: Vec<Value> =
+        lines(&desk.done(&run)).into_iter().filter(|line| line["touches"][0].is_object()).collect();
+    assert_eq!(pressed.len(), 18);
+    assert!(pressed.iter().all(|line| line["touches"][0]["force_n"].as_f64().is_some_and(|force| force > 0.0)));
+}
