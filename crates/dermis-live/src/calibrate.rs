@@ -59,15 +59,23 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
         Some((_, loads)) => loads[i] * loads.len() as f64 / loads.iter().sum::<f64>(),
         None => 1.0,
     };
-    let poke = |(&i, touch): (&usize, Option<([f64; 2], f64)>)| {
-        let (seen_m, amplitude) = touch?;
+    let poke = |(&i, touch): (&usize, Option<SingleTouch>)| {
+        let SingleTouch { place_m: seen_m, amplitude } = touch?;
         Some(SeenPoke { seen_m, amplitude, truth_m: pokes.positions_m[i], load_share: load_share(i) })
     };
     Ok(looked_at.iter().zip(touches).map(poke).collect())
 }
 
-/// Place (metres) and amplitude of the touch that stands alone in each frame of difference data (model volts); `None`
-/// where there is none, or several.
+/// A touch that stands alone in a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SingleTouch {
+    /// Where the model puts it, metres.
+    pub place_m: [f64; 2],
+    /// Its amplitude in the image.
+    pub amplitude: f64,
+}
+
+/// The touch that stands alone in each frame of difference data (model volts); `None` where there is none, or several.
 ///
 /// # Errors
 /// Frames of another length than the skin's channels.
@@ -75,7 +83,7 @@ pub fn single_touches<'a>(
     reconstructor: &mut Reconstructor,
     prepared: &Prepared,
     differences: impl Iterator<Item = &'a [f64]>,
-) -> Result<Vec<Option<([f64; 2], f64)>>, Error> {
+) -> Result<Vec<Option<SingleTouch>>, Error> {
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     let look = |(number, difference): (usize, &[f64])| {
         let time_ns = (number as u64 + 1) * APART_NS;
@@ -85,7 +93,7 @@ pub fn single_touches<'a>(
         let mut strong =
             reconstructor.touches.contacts().iter().filter(|contact| contact.strength == ContactStrength::Strong);
         let only = strong.next().filter(|_| strong.next().is_none());
-        Ok(only.map(|contact| (contact.centroid_m, contact.amplitude)))
+        Ok(only.map(|contact| SingleTouch { place_m: contact.centroid_m, amplitude: contact.amplitude }))
     };
     differences.enumerate().map(look).collect()
 }

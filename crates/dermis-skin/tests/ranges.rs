@@ -155,12 +155,15 @@ fn skin(name: &str, changes: &[(&str, &str)]) -> Value {
     whole
 }
 
+/// Told of each number: its keys, and what makes the file with another one in its place.
+type Put<'a> = &'a mut dyn FnMut(&[String], &dyn Fn(Value) -> Value);
+
 /// Every number of a file: the keys that lead to it, and the file with another value in its place.
-fn numbers(value: &Value, keys: &[String], put: &mut dyn FnMut(&[String], &dyn Fn(Value) -> Value)) {
+fn numbers(value: &Value, keys: &[String], put: Put<'_>) {
     match value {
         Value::Table(table) => {
             for (name, inner) in table {
-                let keys = [keys, &[name.clone()]].concat();
+                let keys = [keys, std::slice::from_ref(name)].concat();
                 numbers(inner, &keys, &mut |keys, build| {
                     put(keys, &|new| {
                         let mut changed = table.clone();

@@ -3,7 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use dermis_live::calibrate::single_touches;
+use dermis_live::calibrate::{SingleTouch, single_touches};
 use dermis_live::calibration::{CalibratedImager, Calibration, Pokes};
 use dermis_live::imager::{Imager, operator_needs_no_baseline};
 use dermis_live::prepare::Prepared;
@@ -379,8 +379,8 @@ impl Bench {
         let differences: Vec<Vec<f64>> = poked.iter().map(|(_, frame)| reference.difference(frame, None)).collect();
         let touches = single_touches(&mut reconstructor, &self.prepared, differences.iter().map(|d| &d[..]))?;
         self.keep(&mut reconstructor);
-        let poke = |((truth_m, _), touch): (&Poked, Option<([f64; 2], f64)>)| {
-            let (seen_m, amplitude) = touch?;
+        let poke = |((truth_m, _), touch): (&Poked, Option<SingleTouch>)| {
+            let SingleTouch { place_m: seen_m, amplitude } = touch?;
             Some(SeenPoke { seen_m, amplitude, truth_m: *truth_m, load_share: 1.0 })
         };
         Ok(poked.iter().zip(touches).map(poke).collect())
