@@ -13,6 +13,8 @@ use crate::stages::refinement::Refinement;
 
 /// So many pokes, evenly drawn, are looked at by the model.
 const MOST_LOOKED_AT: usize = 200;
+/// Of the first n frames so many, and this share of n, may show no single touch before the rest is not looked at.
+const MOST_MISSED: (f64, f64) = (2.0, 0.1);
 /// Between frames that have nothing to do with each other, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
@@ -76,6 +78,8 @@ pub struct SingleTouch {
 }
 
 /// The touch that stands alone in each frame of difference data (model volts); `None` where there is none, or several.
+/// Frames that are no touches take long to search. Once it is plain that many are none, nothing is said of the rest
+/// (`None`).
 ///
 /// # Errors
 /// Frames of another length than the skin's channels.
@@ -85,7 +89,13 @@ pub fn single_touches<'a>(
     differences: impl Iterator<Item = &'a [f64]>,
 ) -> Result<Vec<Option<SingleTouch>>, Error> {
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
-    let look = |(number, difference): (usize, &[f64])| {
+    let mut touches = Vec::new();
+    let mut missed = 0;
+    for (number, difference) in differences.enumerate() {
+        if missed as f64 > MOST_MISSED.0 + MOST_MISSED.1 * number as f64 {
+            touches.push(None);
+            continue;
+        }
         let time_ns = (number as u64 + 1) * APART_NS;
         reconstructor.forget(time_ns);
         reconstructor.image(difference, &mut image)?;
@@ -93,7 +103,40 @@ pub fn single_touches<'a>(
         let mut strong =
             reconstructor.touches.contacts().iter().filter(|contact| contact.strength == ContactStrength::Strong);
         let only = strong.next().filter(|_| strong.next().is_none());
-        Ok(only.map(|contact| SingleTouch { place_m: contact.centroid_m, amplitude: contact.amplitude }))
-    };
-    differences.enumerate().map(look).collect()
+        missed += usize::from(only.is_none());
+        touches.push(only.map(|contact| SingleTouch { place_m: contact.centroid_m, amplitude: contact.amplitude }));
+    }
+    Ok(touches)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+
+    #[test]
+    fn frames_that_are_no_touches_are_soon_left_to_the_pokes() {
+        let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
+        let rest = prepared.voltages.clone();
+        // Every channel another factor, from poke to poke: nothing that the model knows.
+        let wild = |poke: usize| {
+            let factor = |k: usize| 1.0 + 0.01 * (((poke * 7919 + k * 104_729) % 997) as f64 / 498.5 - 1.0);
+            rest.iter().enumerate().map(|(k, v)| v * factor(k)).collect::<Vec<f64>>()
+        };
+        let frames: Vec<Vec<f64>> = (0..30).map(wild).collect();
+        let positions_m = (0..30).map(|i| [0.01 * f64::from(i % 6) - 0.03, 0.01 * f64::from(i / 6) - 0.02]).collect();
+        let pokes = Pokes { positions_m, loads: None };
+        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
+        let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
+        assert!(calibration.correction().is_none());
+        // Touches of the model itself, on the other hand, are placed by it.
+        let signatures = prepared.signatures(&pokes.positions_m);
+        let pressed: Vec<Vec<f64>> = signatures
+            .chunks_exact(rest.len())
+            .map(|signature| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect())
+            .collect();
+        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &pressed };
+        let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
+        assert!(calibration.leave_one_out().median_error_m < 2e-3, "{:?}", calibration.leave_one_out().median_error_m);
+    }
 }

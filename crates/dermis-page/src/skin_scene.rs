@@ -53,6 +53,10 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
 
 /// Peak of the image under the press that the skin is made for, by its twin; `None` where that is not to be told.
 fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
+    // The fields of coils would be worked out twice, and the page would come a second later or more.
+    if prepared.skin.frontend.coils.is_some() {
+        return None;
+    }
     let TypicalPress { rest_v, pressed_v } = TypicalPress::of(&prepared.skin).ok()??;
     let layout = Layout::Channels { count: rest_v.len() };
     let mut reader = ChannelReader::new(&layout, &prepared.protocol, prepared.skin.backend.reads, "the twin").ok()?;
