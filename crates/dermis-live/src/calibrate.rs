@@ -55,45 +55,45 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
     };
     let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
     let step = differences.len().div_ceil(MOST_LOOKED_AT).max(1);
-    let looked_at: Vec<usize> = (0..differences.len()).step_by(step).collect();
-    let touches = single_touches(&mut reconstructor, prepared, looked_at.iter().map(|&i| &differences[i][..]))?;
-    let load_share = |i: usize| match &pokes.loads {
-        Some((_, loads)) => loads[i] * loads.len() as f64 / loads.iter().sum::<f64>(),
-        None => 1.0,
-    };
-    let poke = |(&i, touch): (&usize, Option<SingleTouch>)| {
-        let SingleTouch { place_m: seen_m, amplitude } = touch?;
-        Some(SeenPoke { seen_m, amplitude, truth_m: pokes.positions_m[i], load_share: load_share(i) })
-    };
-    Ok(looked_at.iter().zip(touches).map(poke).collect())
+    let loads = pokes.loads.as_ref().map(|(_, loads)| (loads, loads.iter().sum::<f64>() / loads.len() as f64));
+    let load_share = |i: usize| loads.map_or(1.0, |(loads, mean)| loads[i] / mean);
+    let looked_at = (0..differences.len()).step_by(step);
+    let poked = looked_at.map(|i| MeasuredPoke {
+        difference: &differences[i],
+        truth_m: pokes.positions_m[i],
+        load_share: load_share(i),
+    });
+    seen_pokes(&mut reconstructor, prepared, poked)
 }
 
-/// A touch that stands alone in a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SingleTouch {
-    /// Where the model puts it, metres.
-    pub place_m: [f64; 2],
-    /// Its amplitude in the image.
-    pub amplitude: f64,
+/// A poke as it was measured, and as it was.
+#[derive(Clone, Copy, Debug)]
+pub struct MeasuredPoke<'a> {
+    /// Difference data, model volts.
+    pub difference: &'a [f64],
+    /// Its place, metres.
+    pub truth_m: [f64; 2],
+    /// How hard it was, relative to a typical poke.
+    pub load_share: f64,
 }
 
-/// The touch that stands alone in each frame of difference data (model volts); `None` where there is none, or several.
-/// Frames that are no touches take long to search. Once it is plain that many are none, nothing is said of the rest
-/// (`None`).
+/// Pokes as the model sees them: each as a touch that stands alone in its frame; `None` where there is none, or
+/// several. Frames that are no touches take long to search. Once it is plain that many are none, nothing is said of the
+/// rest (`None`).
 ///
 /// # Errors
 /// Frames of another length than the skin's channels.
-pub fn single_touches<'a>(
+pub fn seen_pokes<'a>(
     reconstructor: &mut Reconstructor,
     prepared: &Prepared,
-    differences: impl Iterator<Item = &'a [f64]>,
-) -> Result<Vec<Option<SingleTouch>>, Error> {
+    pokes: impl Iterator<Item = MeasuredPoke<'a>>,
+) -> Result<Vec<Option<SeenPoke>>, Error> {
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
-    let mut touches = Vec::new();
+    let mut seen = Vec::new();
     let mut missed = 0;
-    for (number, difference) in differences.enumerate() {
+    for (number, MeasuredPoke { difference, truth_m, load_share }) in pokes.enumerate() {
         if missed as f64 > MOST_MISSED.0 + MOST_MISSED.1 * number as f64 {
-            touches.push(None);
+            seen.push(None);
             continue;
         }
         let time_ns = (number as u64 + 1) * APART_NS;
@@ -104,9 +104,14 @@ pub fn single_touches<'a>(
             reconstructor.touches.contacts().iter().filter(|contact| contact.strength == ContactStrength::Strong);
         let only = strong.next().filter(|_| strong.next().is_none());
         missed += usize::from(only.is_none());
-        touches.push(only.map(|contact| SingleTouch { place_m: contact.centroid_m, amplitude: contact.amplitude }));
+        seen.push(only.map(|contact| SeenPoke {
+            seen_m: contact.centroid_m,
+            amplitude: contact.amplitude,
+            truth_m,
+            load_share,
+        }));
     }
-    Ok(touches)
+    Ok(seen)
 }
 
 #[cfg(test)]

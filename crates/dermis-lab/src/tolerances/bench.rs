@@ -3,7 +3,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use dermis_live::calibrate::{SingleTouch, single_touches};
+use dermis_live::calibrate::{MeasuredPoke, seen_pokes};
 use dermis_live::calibration::{CalibratedImager, Calibration, Pokes};
 use dermis_live::imager::{Imager, operator_needs_no_baseline};
 use dermis_live::prepare::Prepared;
@@ -377,13 +377,14 @@ impl Bench {
     ) -> Result<Vec<Option<SeenPoke>>, Error> {
         let (mut reconstructor, reference) = self.by_model(baseline, absent)?;
         let differences: Vec<Vec<f64>> = poked.iter().map(|(_, frame)| reference.difference(frame, None)).collect();
-        let touches = single_touches(&mut reconstructor, &self.prepared, differences.iter().map(|d| &d[..]))?;
+        let pokes = poked.iter().zip(&differences).map(|((truth_m, _), difference)| MeasuredPoke {
+            difference,
+            truth_m: *truth_m,
+            load_share: 1.0,
+        });
+        let seen = seen_pokes(&mut reconstructor, &self.prepared, pokes)?;
         self.keep(&mut reconstructor);
-        let poke = |((truth_m, _), touch): (&Poked, Option<SingleTouch>)| {
-            let SingleTouch { place_m: seen_m, amplitude } = touch?;
-            Some(SeenPoke { seen_m, amplitude, truth_m: *truth_m, load_share: 1.0 })
-        };
-        Ok(poked.iter().zip(touches).map(poke).collect())
+        Ok(seen)
     }
 
     /// Pokes at the first so many places of their own, with the frame of each.
