@@ -18,7 +18,8 @@ use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, check_frames};
 
-/// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's places.
+/// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's
+/// places.
 const VERSION_SINGLE: u32 = 1;
 const VERSION_FUSED: u32 = 2;
 const VERSION_BY_MODEL: u32 = 3;
