@@ -3,7 +3,8 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,12 +12,15 @@ use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
 use dermis::skin::Skin;
 use dermis::twin::TwinKit;
-use dermis_device::instruments::wire::{DeviceInfo, WireDevice};
-use dermis_device::stream::StreamOptions;
-use dermis_device::{Frame, HostStamp, Layout, Source, SourceEvent, Status, open_stream};
+use dermis_device::instruments::wire::{DeviceInfo, WireDevice, WireHost};
+use dermis_device::stream::{StreamOptions, StreamSource, TcpConnect};
+use dermis_device::{Frame, HostStamp, Layout, Source, SourceEvent, Status};
 use dermis_touch::TouchEvent;
 
-const LIMIT: Duration = Duration::from_secs(120);
+use crate::own_clock::{EventConnect, Events, Timeless};
+
+/// Nothing is waited for so long, however busy the machine is.
+const LIMIT: Duration = Duration::from_secs(480);
 const CONNECTIONS: u64 = 100;
 /// Frames that a connection brings, the first one those of the baseline too.
 const BROUGHT: u64 = 12;
@@ -62,18 +66,26 @@ fn readings(skin: &Skin) -> [Vec<Vec<f64>>; 3] {
     })
 }
 
-/// Answers until the host has started the device.
-fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) {
+/// Answers until the host has started the device (true) or has left it.
+fn shake_hands(stream: &mut TcpStream, device: &mut WireDevice) -> bool {
     device.reset_link();
     stream.set_read_timeout(Some(LIMIT)).expect("a timeout");
     let mut buffer = [0; 1024];
     while !device.is_running() {
         let count = stream.read(&mut buffer).expect("the host speaks");
-        assert!(count > 0, "the host has gone");
+        if count == 0 {
+            return false;
+        }
         let mut answer = Vec::new();
         device.receive(&buffer[..count], &mut answer);
         stream.write_all(&answer).expect("the host listens");
     }
+    true
+}
+
+/// Waits until the host has closed the connection.
+fn wait_until_left(stream: &mut TcpStream) {
+    while stream.read(&mut [0; 64]).is_ok_and(|count| count > 0) {}
 }
 
 /// What the skin feels during a connection: nothing, or a press at one of the places. Every third time it is the same
@@ -82,23 +94,22 @@ fn state(connection: u64) -> usize {
     [0, 1, 2, 2][(connection % 4) as usize]
 }
 
-/// Plays the device on a socket.
-fn device(listener: &TcpListener, readings: &[Vec<Vec<f64>>; 3]) {
+/// Plays the device on a socket. Frames flow once the host has asked for the first: of those that come before, a stream
+/// keeps few.
+fn device(listener: &TcpListener, readings: &[Vec<Vec<f64>>; 3], events: &Events, asked: &Receiver<()>) {
     let mut device = WireDevice::new(info(208));
     let mut sequence = 0;
     for connection in 0..CONNECTIONS {
         if connection % 25 == 10 {
             // Another device on the port: the host leaves it, and it costs no more than the time.
             let (mut stream, _) = listener.accept().expect("a host");
-            let mut other = WireDevice::new(info(4));
-            let (mut buffer, mut answer) = ([0; 1024], Vec::new());
-            let count = stream.read(&mut buffer).expect("the host speaks");
-            other.receive(&buffer[..count], &mut answer);
-            stream.write_all(&answer).expect("the host listens");
-            assert_eq!(stream.read(&mut buffer).unwrap_or(0), 0, "the host leaves");
+            assert!(!shake_hands(&mut stream, &mut WireDevice::new(info(4))), "the host leaves");
         }
         let (mut stream, _) = listener.accept().expect("a host");
-        shake_hands(&mut stream, &mut device);
+        assert!(shake_hands(&mut stream, &mut device), "the host stays");
+        if connection == 0 {
+            asked.recv_timeout(LIMIT).expect("the host asks");
+        }
         let brought = if connection == 0 { BASELINE } else { BROUGHT };
         let mut bytes = Vec::new();
         for n in 0..=brought {
@@ -115,8 +126,11 @@ fn device(listener: &TcpListener, readings: &[Vec<Vec<f64>>; 3]) {
         sequence += brought + MISSED;
         if connection % 25 == 20 {
             // Stays plugged in and says nothing until the host gives up.
-            let _ = stream.read(&mut [0; 64]);
+            events.stall();
+        } else {
+            stream.shutdown(Shutdown::Write).expect("the host listens");
         }
+        wait_until_left(&mut stream);
     }
 }
 
@@ -128,18 +142,25 @@ fn a_hundred_replugs_are_counted_exactly_and_touches_end_and_begin() {
         Pipeline::new(Prepared::new(skin).expect("it can be prepared"), &Layout::Channels { count: 208 }, None)
             .expect("a pipeline");
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let selector = format!("tcp:{}", listener.local_addr().expect("an address"));
-    let server = thread::spawn(move || device(&listener, &readings));
+    let port = listener.local_addr().expect("an address").port();
+    let (events, (ask, asked)) = (Events::default(), channel());
+    let told = events.clone();
+    let server = thread::spawn(move || device(&listener, &readings, &told, &asked));
     let options = StreamOptions {
         patience: LIMIT,
-        silence: Duration::from_millis(300),
+        silence: Duration::from_millis(1),
         frame: LIMIT,
         first_wait: Duration::from_millis(2),
         longest_wait: Duration::from_millis(10),
         queue: 4096,
     };
-    let mut source = open_stream(&selector.parse().expect("a selector"), options).expect("it answers");
+    let connect = EventConnect { inner: TcpConnect::new(format!("tcp:127.0.0.1:{port}"), "127.0.0.1", port), events };
+    let mut source =
+        StreamSource::open(Box::new(connect), Box::new(Timeless(WireHost::new())), options).expect("it answers");
     let (began, mut frame) = (Instant::now(), Frame::default());
+    let nothing = source.next_frame(&mut frame, Duration::ZERO).expect("a stream never ends");
+    assert_ne!(nothing, SourceEvent::Frame, "nothing has been asked for yet");
+    ask.send(()).expect("the device is there");
     let total = BASELINE + (CONNECTIONS - 1) * BROUGHT;
     let (mut seen, mut open, mut begun) = (0, BTreeMap::new(), Vec::new());
     while seen < total {
