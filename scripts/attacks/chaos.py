@@ -219,6 +219,20 @@ class Faults:
             one.close()
 
 
+class Presses:
+    """Ordinary use beside which chaos is measured: a press of a second, every two seconds, anywhere."""
+
+    def __init__(self, ground, twin):
+        self.twin, self.rng, self.asked = twin, ground.random, 0
+
+    def happen(self, _):
+        self.asked += 1
+        if self.asked % 4 == 1:
+            self.twin.type(f"press {self.rng.uniform(-45, 45):.1f} {self.rng.uniform(-45, 45):.1f} 20 10\n")
+        elif self.asked % 4 == 3:
+            self.twin.type("release\n")
+
+
 def tared(session):
     session.pages[0].runs(5, 60)
 
@@ -232,7 +246,7 @@ def chaos(ground: Ground):
     port = twin.port()
     quiet = Session(ground, port, 0)
     tared(quiet)
-    watch(quiet, twin, min(MINUTE_S, 0.1 * seconds), None, [])
+    watch(quiet, twin, min(MINUTE_S, max(20.0, 0.1 * seconds)), Presses(ground, twin), [])
     quiet_p99, quiet_fps = quiet.p99_ms(), quiet.mean_fps()
     quiet.killed()
     quiet.close()
@@ -297,7 +311,7 @@ def chaos(ground: Ground):
 
 
 def watch(session, twin, seconds, faults, twin_memory):
-    """Lets a session run, with two faults a second."""
+    """Lets a session run; something happens twice a second."""
     end, next_fault, next_sample = time.monotonic() + seconds, time.monotonic(), time.monotonic()
     while time.monotonic() < end:
         now = time.monotonic()
@@ -305,7 +319,7 @@ def watch(session, twin, seconds, faults, twin_memory):
             session.sample()
             twin_memory.append(twin.memory_mb())
             next_sample += 1.0
-        if faults and now >= next_fault:
+        if now >= next_fault:
             faults.happen(session)
             next_fault += 0.5
         check(session.run.poll() is None, f"the run ended with {session.run.code}: {session.run.err()[-600:]}")

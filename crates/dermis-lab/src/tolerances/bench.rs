@@ -33,6 +33,8 @@ const FIRST_POKE: usize = 5000;
 /// Elements of the twins, relative to those of a skin's usual twin: a third of the time, at an error of their own that
 /// the skin as drawn shows too.
 const COARSER: f64 = 1.5;
+/// Pokes that tell what amplitude a typical one has.
+const TYPICAL_POKES: usize = 20;
 /// Between frames that have nothing to do with each other, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
@@ -55,7 +57,7 @@ pub(super) struct Press {
     pub place: usize,
     /// Distance of the nearest touch, millimetres; none where no touch was near.
     pub error_mm: Option<f64>,
-    /// Its amplitude.
+    /// Its amplitude; on a calibrated sample relative to that of a typical poke.
     pub amplitude: Option<f64>,
     /// Touches that nobody made.
     pub false_touches: usize,
@@ -243,7 +245,9 @@ impl Bench {
                 let seen = self.seen_pokes(&baseline, &pokes, &sample.absent)?;
                 let by_pokes = |count: &usize| {
                     let (mut reconstructor, reference) = self.by_pokes(&baseline, &pokes[..*count], &seen[..*count])?;
-                    let presses = self.look(&mut reconstructor, &reference, &frames)?;
+                    let mut presses = self.look(&mut reconstructor, &reference, &frames)?;
+                    let typical = self.typical_amplitude(&mut reconstructor, &reference, &pokes[..*count])?;
+                    presses.iter_mut().for_each(|press| press.amplitude = press.amplitude.map(|a| a / typical));
                     self.keep(&mut reconstructor);
                     Ok(presses)
                 };
@@ -259,18 +263,49 @@ impl Bench {
         reference: &Reference,
         frames: &[(usize, Vec<f64>)],
     ) -> Result<Vec<Press>, Error> {
-        let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
         let mut presses = Vec::with_capacity(frames.len());
         for (number, (place, frame)) in frames.iter().enumerate() {
-            let difference = reference.difference(frame, None);
-            let time_ns = (number as u64 + 1) * APART_NS;
-            reconstructor.forget(time_ns);
-            reconstructor.image(&difference, &mut image)?;
-            let placement = reconstructor.place(&difference)?;
-            reconstructor.follow_touches(time_ns, &image, placement)?;
+            self.look_at(reconstructor, reference, number, frame)?;
             presses.push(self.seen(*place, reconstructor));
         }
         Ok(presses)
+    }
+
+    /// Looks at a frame that has nothing to do with the one before.
+    fn look_at(
+        &self,
+        reconstructor: &mut Reconstructor,
+        reference: &Reference,
+        number: usize,
+        frame: &[f64],
+    ) -> Result<(), Error> {
+        let mut image = vec![f32::NAN; self.prepared.map.grid().len()];
+        let difference = reference.difference(frame, None);
+        let time_ns = (number as u64 + 1) * APART_NS;
+        reconstructor.forget(time_ns);
+        reconstructor.image(&difference, &mut image)?;
+        let placement = reconstructor.place(&difference)?;
+        reconstructor.follow_touches(time_ns, &image, placement)?;
+        Ok(())
+    }
+
+    /// The amplitude that a reader shows of a typical poke; NaN where it sees none. In what amplitudes count depends on
+    /// whether the model or the pokes place touches, which may differ from sample to sample.
+    fn typical_amplitude(
+        &self,
+        reconstructor: &mut Reconstructor,
+        reference: &Reference,
+        pokes: &[Poked],
+    ) -> Result<f64, Error> {
+        let mut amplitudes = Vec::new();
+        for (number, (_, frame)) in pokes.iter().take(TYPICAL_POKES).enumerate() {
+            // Times go on where those of the presses end.
+            self.look_at(reconstructor, reference, self.places_m.len() + number, frame)?;
+            let contacts = reconstructor.touches.contacts().iter().map(|contact| contact.amplitude);
+            amplitudes.extend(contacts.max_by(f64::total_cmp));
+        }
+        amplitudes.sort_by(f64::total_cmp);
+        Ok(amplitudes.get(amplitudes.len() / 2).copied().unwrap_or(f64::NAN))
     }
 
     /// Distance beyond which a touch is none of the press's, millimetres: a quarter of the shorter side.

@@ -36,6 +36,16 @@ fn larger_errors_are_not_better() {
     assert!(large.verdict().contains("costs most"), "{}", large.verdict());
 }
 
+/// Samples are placed by the model or by the pokes, whichever is nearer, and both count amplitudes in units of their
+/// own. A mistaken unit makes a hundred per cent, amplitudes that are read off images where pokes place touches make
+/// some forty, the workshop's errors seven.
+#[test]
+fn amplitudes_of_calibrated_samples_count_in_pokes() {
+    let report = tried("healing-square", &Tolerances::default(), &Extent { pokes: vec![20], ..extent(2) });
+    let [median, _] = report.calibrated[0].amplitude_percent;
+    assert!(median < 20.0, "{:?}", report.calibrated);
+}
+
 #[test]
 fn seeds_decide_and_threads_do_not() {
     let on = |threads: usize, seed: u64| {

@@ -67,7 +67,8 @@ pub(crate) fn learnt_finder(
 ) -> Result<PlacementFinder, Error> {
     let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
     let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
-    Ok(PlacementFinder::Learnt(Box::new(LearntFinder::new(calibration, smallest_amplitude))))
+    let finder = LearntFinder::new(calibration, smallest_amplitude, prepared.half_width_m())?;
+    Ok(PlacementFinder::Learnt(Box::new(finder)))
 }
 
 /// Refuses a skin whose wiring is unknown: without a calibration nothing can be said of it.

@@ -43,6 +43,7 @@ impl MatchedFinder {
         Ok(touch.map(|touch| Placement {
             position_m: touch.position_m,
             covariance_m2,
+            amplitude: None,
             load: None,
             doubtful: touch.score < LEAST_SCORE,
         }))

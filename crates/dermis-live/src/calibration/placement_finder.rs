@@ -1,6 +1,6 @@
 //! What places the single touch of a frame in a calibrated skin.
 
-use dermis_touch::locator::PlaceCorrection;
+use dermis_touch::locator::{PlaceCorrection, TypicalAmplitude};
 use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
@@ -28,6 +28,8 @@ pub struct LearntFinder {
     scratch: PlaceScratch,
     /// Where the model places touches: what corrects it.
     correction: Option<PlaceCorrection>,
+    /// What amplitudes are divided by, where this places touches.
+    typical: Option<TypicalAmplitude>,
     /// What the pokes' loads were measured as.
     load: Option<LoadQuantity>,
     /// Root mean square of the noise-weighted frame below which there is no touch.
@@ -57,15 +59,18 @@ impl PlacementFinder {
 
 impl LearntFinder {
     /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
-    pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64) -> Self {
+    ///
+    /// # Errors
+    /// Frames of the calibration that its own locator cannot place.
+    pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64, half_width_m: f64) -> Result<Self, Error> {
         let locator = calibration.locator().clone();
-        Self {
-            scratch: locator.scratch(),
-            correction: calibration.correction().cloned(),
-            load: calibration.load_quantity(),
-            locator,
-            smallest_amplitude,
-        }
+        let correction = calibration.correction().cloned();
+        let typical = match correction {
+            Some(_) => None,
+            None => calibration.typical_amplitude(half_width_m)?,
+        };
+        let load = calibration.load_quantity();
+        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude })
     }
 
     fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
@@ -77,10 +82,12 @@ impl LearntFinder {
             return Ok(None);
         }
         let load = self.load.zip(located.load);
+        let position_m = [located.x_m, located.y_m];
         Ok(Some(Placement {
+            amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
             doubtful: located.novelty > MOST_NOVELTY,
-            position_m: [located.x_m, located.y_m],
+            position_m,
             covariance_m2: [
                 [located.sigma_x_m.powi(2), located.covariance_xy_m2],
                 [located.covariance_xy_m2, located.sigma_y_m.powi(2)],

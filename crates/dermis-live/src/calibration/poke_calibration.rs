@@ -7,7 +7,7 @@ use std::path::Path;
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::locator::{
     Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, Locator, LocatorError, MIN_EXAMPLES,
-    PlaceCorrection, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke,
+    PlaceCorrection, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
 };
 use serde::{Deserialize, Serialize};
 
@@ -31,6 +31,8 @@ const MAP_SPACING: f64 = 0.04;
 const MOST_KEPT: usize = 800;
 /// So many pokes, evenly drawn, tell how weak a touch may be.
 const MOST_WEIGHED: usize = 500;
+/// At most so many pokes say how strong a typical one is.
+const MOST_TYPICAL: usize = 200;
 /// The part of the pokes that may be weaker than the weakest touch that counts.
 const WEAK_SHARE: f64 = 0.02;
 /// The part of the frames at rest that stay below the amplitude of rest.
@@ -271,6 +273,35 @@ impl Calibration {
     /// What places single touches.
     pub(super) fn locator(&self) -> &PlaceLocator {
         &self.locator
+    }
+
+    /// How strong the locator shows a typical poke over a skin of which half the shorter side is `half_width_m`, metres;
+    /// `None` of a file of version 1, whose touches keep the amplitudes of images, and of pokes that are all silent.
+    ///
+    /// # Errors
+    /// Frames that the locator cannot place.
+    pub(super) fn typical_amplitude(&self, half_width_m: f64) -> Result<Option<TypicalAmplitude>, Error> {
+        if matches!(self.locator, PlaceLocator::Single(_)) {
+            return Ok(None);
+        }
+        let mut scratch = self.locator.scratch();
+        let mean_load = self.loads.as_ref().map(|loads| loads.iter().sum::<f64>() / loads.len() as f64);
+        let (mut places_m, mut amplitudes) = (Vec::new(), Vec::new());
+        for i in (0..self.frames.len()).step_by(self.frames.len().div_ceil(MOST_TYPICAL).max(1)) {
+            let load_share = match (&self.loads, mean_load) {
+                (Some(loads), Some(mean)) => loads[i] / mean,
+                _ => 1.0,
+            };
+            let amplitude = self.locator.locate(&self.frames[i], &mut scratch)?.amplitude / load_share;
+            if amplitude.is_finite() && amplitude > 0.0 {
+                places_m.push(self.positions_m[i]);
+                amplitudes.push(amplitude);
+            }
+        }
+        if amplitudes.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(TypicalAmplitude::fit(&places_m, &amplitudes, half_width_m)?))
     }
 
     /// Number of pokes.

@@ -9,6 +9,8 @@ pub struct Placement {
     pub position_m: [f64; 2],
     /// Its covariance, m^2.
     pub covariance_m2: [[f64; 2]; 2],
+    /// How strong it is, in typical pokes at that place; `None` leaves that to the image.
+    pub amplitude: Option<f64>,
     /// How deep or hard it is pressed, where the calibration's pokes had depths or forces.
     pub load: Option<TouchLoad>,
     /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.

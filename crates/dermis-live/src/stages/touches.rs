@@ -132,8 +132,9 @@ impl TouchStage {
         self.track_contacts(time_ns)
     }
 
-    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame: it takes
-    /// the place of the image's contacts, whose strongest lends its amplitude and area.
+    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, and how
+    /// strong, where it knows: it takes the place of the image's contacts, whose strongest lends its area and, where it
+    /// does not, its amplitude.
     ///
     /// # Errors
     /// An image of another size.
@@ -152,6 +153,10 @@ impl TouchStage {
                 only.covariance_m2 = placement.covariance_m2;
                 only.model_variance_m2 = 0.0;
                 only.load = placement.load;
+                if let Some(amplitude) = placement.amplitude {
+                    only.volume *= amplitude / only.amplitude;
+                    only.amplitude = amplitude;
+                }
                 self.is_placed = true;
                 // The calibration has judged the whole frame; the image's threshold has nothing to add.
                 only.strength = ContactStrength::Strong;

@@ -7,6 +7,7 @@ lost and nothing doubled.
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -21,6 +22,10 @@ __all__ = ["reproduce", "sweep", "tolerances", "train_set"]
 
 # How often a task is tried again that went down with its worker.
 _RETRIES = 5
+# Tasks that are under way on the smallest cluster.
+_LEAST_UNDER_WAY = 64
+# How often the driver looks for results and sends further tasks, seconds.
+_ROUND_S = 0.05
 
 
 def _toml(skin: Any) -> str:
@@ -28,19 +33,30 @@ def _toml(skin: Any) -> str:
 
 
 def _fan_out(task: Callable[..., Any], arguments: list[tuple[Any, ...]], unit: str) -> list[Any]:
-    """Runs a task over a list of arguments on the cluster; the results in the order of the list."""
+    """Runs a task over a list of arguments on the cluster; the results in the order of the list.
+
+    Twice as many tasks as the cluster has processors are under way, so that none waits for the driver, and what the driver
+    does for a task does not grow with the length of the list.
+    """
     if not ray.is_initialized():
         ray.init()
     remote = ray.remote(num_cpus=1, max_retries=_RETRIES)(task)
-    pending = {remote.remote(*of): place for place, of in enumerate(arguments)}
+    waiting = enumerate(arguments)
+    pending: dict[Any, int] = {}
     results: list[Any] = [None] * len(arguments)
     bar = _progress(len(arguments), unit)
-    while pending:
-        done, _ = ray.wait(list(pending), num_returns=1)
-        for reference in done:
-            results[pending.pop(reference)] = ray.get(reference)
-            if bar is not None:
-                bar.update(1)
+    while True:
+        # Looked up each time: clusters grow.
+        most = max(_LEAST_UNDER_WAY, 2 * int(ray.cluster_resources().get("CPU", 1)))
+        for place, of in itertools.islice(waiting, max(0, most - len(pending))):
+            pending[remote.remote(*of)] = place
+        if not pending:
+            break
+        done, _ = ray.wait(list(pending), num_returns=len(pending), timeout=_ROUND_S)
+        for reference, result in zip(done, ray.get(done), strict=True):
+            results[pending.pop(reference)] = result
+        if bar is not None:
+            bar.update(len(done))
     if bar is not None:
         bar.close()
     return results

@@ -96,10 +96,8 @@ impl PlaceCorrection {
         let places_m: Vec<[f64; 2]> = near.iter().map(|&i| seen[i]).collect();
         let shifts: Vec<[f64; 2]> = near.iter().map(|&i| shift(&pokes[i])).collect();
         let shifts = Field::best(&places_m, &shifts, half_width_m)?;
-        let logs: Vec<f64> = near.iter().map(|&i| (pokes[i].amplitude / pokes[i].load_share).ln()).collect();
-        let log_amplitude = median(&logs);
-        let logs: Vec<[f64; 1]> = logs.iter().map(|log| [log - log_amplitude]).collect();
-        let amplitudes = Field::best(&places_m, &logs, half_width_m)?;
+        let amplitudes: Vec<f64> = near.iter().map(|&i| pokes[i].amplitude / pokes[i].load_share).collect();
+        let amplitudes = TypicalAmplitude::fit(&places_m, &amplitudes, half_width_m)?;
         let coordinates: Vec<f64> = shifts.errors.iter().flatten().map(|error| error.abs()).collect();
         let allowance = 1.0 + CHOSEN / near.len() as f64;
         let sigma_m = allowance * quantile(&coordinates, WITHIN_ONE_SIGMA);
@@ -113,9 +111,9 @@ impl PlaceCorrection {
                 shift_length_m: shifts.length_m,
                 shifts_m: shifts.weights,
                 sigma_m,
-                log_amplitude,
+                log_amplitude: amplitudes.log_amplitude,
                 amplitude_length_m: amplitudes.length_m,
-                log_amplitudes: amplitudes.weights.iter().map(|[weight]| *weight).collect(),
+                log_amplitudes: amplitudes.log_amplitudes,
             },
         })
     }
@@ -133,8 +131,7 @@ impl PlaceCorrection {
     /// The amplitude that the model shows of a typical poke where it puts it at `place_m`, metres.
     pub fn typical_amplitude(&self, place_m: [f64; 2]) -> f64 {
         let StoredCorrection { places_m, log_amplitudes, amplitude_length_m, log_amplitude, .. } = &self.stored;
-        let add = |(poke_m, log): (&[f64; 2], &f64)| log * share(place_m, *poke_m, *amplitude_length_m);
-        (log_amplitude + places_m.iter().zip(log_amplitudes).map(add).sum::<f64>()).exp()
+        field_at(places_m, log_amplitudes, *amplitude_length_m, *log_amplitude, place_m).exp()
     }
 
     /// Standard deviation of each coordinate of a corrected place, metres: what left-out pokes were off by.
@@ -154,6 +151,53 @@ impl PlaceCorrection {
         self.stored.left_out.load_error = other.load_error;
         self
     }
+}
+
+/// How strong something (a model, a locator) shows a typical poke, over the skin: what its amplitudes are to be divided
+/// by, so that they count in pokes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TypicalAmplitude {
+    /// Places of the pokes, metres.
+    places_m: Vec<[f64; 2]>,
+    /// Logarithm of the median amplitude.
+    log_amplitude: f64,
+    /// Length of the field about it, metres, and what each poke adds to it.
+    length_m: f64,
+    log_amplitudes: Vec<f64>,
+}
+
+impl TypicalAmplitude {
+    /// Of pokes at places, metres, with the amplitudes that they were shown with, each divided by the poke's load
+    /// relative to a typical one where loads are known, on a skin of which half the shorter side is `half_width_m`.
+    ///
+    /// # Errors
+    /// No pokes, numbers of places and amplitudes that differ, amplitudes that are not finite and above zero.
+    pub fn fit(places_m: &[[f64; 2]], amplitudes: &[f64], half_width_m: f64) -> Result<Self, LocatorError> {
+        check_length("amplitudes", places_m.len(), amplitudes.len())?;
+        check_positions("places_m", places_m)?;
+        let is_amplitude = |v: f64| v.is_finite() && v > 0.0;
+        check_first("amplitude", amplitudes.iter().copied(), is_amplitude, "a finite number above zero")?;
+        if amplitudes.is_empty() {
+            return Err(LocatorError::Count { field: "pokes", got: 0, expected: "at least one" });
+        }
+        let logs: Vec<f64> = amplitudes.iter().map(|amplitude| amplitude.ln()).collect();
+        let log_amplitude = median(&logs);
+        let logs: Vec<[f64; 1]> = logs.iter().map(|log| [log - log_amplitude]).collect();
+        let field = Field::best(places_m, &logs, half_width_m)?;
+        let log_amplitudes = field.weights.iter().map(|[weight]| *weight).collect();
+        Ok(Self { places_m: places_m.to_vec(), log_amplitude, length_m: field.length_m, log_amplitudes })
+    }
+
+    /// At a place, metres.
+    pub fn at(&self, place_m: [f64; 2]) -> f64 {
+        field_at(&self.places_m, &self.log_amplitudes, self.length_m, self.log_amplitude, place_m).exp()
+    }
+}
+
+/// A field at a place: its constant, and what each poke adds.
+fn field_at(pokes_m: &[[f64; 2]], added: &[f64], length_m: f64, constant: f64, place_m: [f64; 2]) -> f64 {
+    let add = |(poke_m, added): (&[f64; 2], &f64)| added * share(place_m, *poke_m, length_m);
+    constant + pokes_m.iter().zip(added).map(add).sum::<f64>()
 }
 
 /// What a poke's weight counts at another place.

@@ -31,7 +31,7 @@ mod rows;
 mod state;
 mod suggest;
 
-pub use correction::{PlaceCorrection, SeenPoke};
+pub use correction::{PlaceCorrection, SeenPoke, TypicalAmplitude};
 pub use data::{
     Examples, Hyperparameters, LeaveOneOut, LeftOut, LoadEstimate, Located, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES,
     Selection, SignatureMap, SuggestedPoke,
