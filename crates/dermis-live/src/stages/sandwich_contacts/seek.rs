@@ -17,6 +17,9 @@ const WORTH: (f64, f64) = (20.0, 0.5);
 const GOOD: f64 = 0.2;
 /// Steps of a fit at most.
 const STEPS: usize = 15;
+/// Steps at a time, at most, where a frame's share of the work is bounded: patches that grow make steps dear, some to
+/// two hundred times what the first one cost.
+const STEPS_AT_ONCE: usize = 2;
 /// A fit whose patches are larger than touches after so many portions of its work in a row is given up.
 const MOST_LARGE: usize = 2;
 /// Sets that are judged at a time, at most: what is paid for, though there may be fewer.
@@ -138,7 +141,8 @@ impl Seek {
         nanoseconds: &mut f64,
     ) -> Option<Option<(Vec<ContactFit>, FitSummary)>> {
         let step_ns = STEP_NS * fit.typical_patches(tools.options).powi(2);
-        let allowed = (*nanoseconds / step_ns).ceil().clamp(1.0, STEPS as f64) as usize;
+        let most = if nanoseconds.is_finite() { STEPS_AT_ONCE } else { STEPS };
+        let allowed = (*nanoseconds / step_ns).ceil().clamp(1.0, most as f64) as usize;
         let options = FitOptions { most_steps: allowed.min(STEPS - fit.steps).max(1), ..*tools.options };
         let at = match &mut fit.at {
             Some(at) => at,
