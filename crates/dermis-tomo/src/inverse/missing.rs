@@ -3,9 +3,14 @@
 //! their conditional expectation, `dv_M = -((S^-1)_MM)^-1 (S^-1)_Mr dv_r` (block inversion of S). Only the small
 //! matrix `(S^-1)_MM` is factored.
 
-use faer::{Mat, Side, linalg::solvers::Solve};
+use faer::linalg::matmul::matmul;
+use faer::linalg::solvers::Solve;
+use faer::{Accum, Mat, Par, Side};
 
 use super::{InverseError, Operator};
+
+/// Rows of the operator that are worked on at a time.
+const ROWS_AT_ONCE: usize = 64;
 
 /// Fills missing channels of difference frames so that the full operator gives the image without them.
 #[derive(Clone, Debug)]
@@ -62,16 +67,29 @@ impl MissingChannels {
     /// deviations on the channels: that of `X_r + X_M F`, with F what fills in.
     pub fn noise_deviation(&self, operator: &Operator, noise: &[f64]) -> Vec<f64> {
         let matrix = &operator.matrix;
-        let columns = |channels: &[u32]| {
-            Mat::from_fn(matrix.nrows(), channels.len(), |row, k| matrix[(row, channels[k] as usize)])
-        };
-        let effective = columns(&self.present) + columns(&self.missing) * &self.fill;
-        let mut variance = vec![0.0; matrix.nrows()];
-        for (column, &channel) in effective.col_iter().zip(&self.present) {
-            let sigma = noise[channel as usize];
-            variance.iter_mut().zip(column.iter()).for_each(|(sum, value)| *sum += (value * sigma).powi(2));
+        // A block of rows at a time: what is written is read again while it is near.
+        let mut deviation = Vec::with_capacity(matrix.nrows());
+        let mut block = Mat::zeros(ROWS_AT_ONCE, self.present.len());
+        let mut missing = Mat::zeros(ROWS_AT_ONCE, self.missing.len());
+        for start in (0..matrix.nrows()).step_by(ROWS_AT_ONCE) {
+            let rows = ROWS_AT_ONCE.min(matrix.nrows() - start);
+            let mut take = |to: &mut Mat<f64>, channels: &[u32]| {
+                for (column, &channel) in channels.iter().enumerate() {
+                    let from = &matrix.col_as_slice(channel as usize)[start..start + rows];
+                    to.col_as_slice_mut(column)[..rows].copy_from_slice(from);
+                }
+            };
+            take(&mut block, &self.present);
+            take(&mut missing, &self.missing);
+            matmul(&mut block, Accum::Add, &missing, &self.fill, 1.0, Par::Seq);
+            let mut variance = [0.0; ROWS_AT_ONCE];
+            for (column, &channel) in block.col_iter().zip(&self.present) {
+                let sigma = noise[channel as usize];
+                variance.iter_mut().zip(column.iter()).for_each(|(sum, value)| *sum += (value * sigma).powi(2));
+            }
+            deviation.extend(variance[..rows].iter().map(|sum| sum.sqrt()));
         }
-        variance.into_iter().map(f64::sqrt).collect()
+        deviation
     }
 
     /// Replaces the missing values of a difference frame; the others must be finite.
