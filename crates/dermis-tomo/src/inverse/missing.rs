@@ -73,7 +73,7 @@ impl MissingChannels {
         let mut missing = Mat::zeros(ROWS_AT_ONCE, self.missing.len());
         for start in (0..matrix.nrows()).step_by(ROWS_AT_ONCE) {
             let rows = ROWS_AT_ONCE.min(matrix.nrows() - start);
-            let mut take = |to: &mut Mat<f64>, channels: &[u32]| {
+            let take = |to: &mut Mat<f64>, channels: &[u32]| {
                 for (column, &channel) in channels.iter().enumerate() {
                     let from = &matrix.col_as_slice(channel as usize)[start..start + rows];
                     to.col_as_slice_mut(column)[..rows].copy_from_slice(from);
