@@ -72,7 +72,9 @@ def images(skin, folder):
 LONG = [voltages_many, voltages_many_of_a_large_mesh, calibrate, design, tolerances, shards, images]
 
 
-CHILD = """
+# What a shell starts in its background ignores the signal of Ctrl-C, and hands that on.
+LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+CHILD = LISTEN + """
 import sys, tempfile
 import dermis, test_long_work
 work = getattr(test_long_work, sys.argv[1])(dermis.Skin("healing-square"), tempfile.mkdtemp(dir=sys.argv[2]))
@@ -86,6 +88,15 @@ except KeyboardInterrupt:
 """
 
 
+def after_ctrl_c(child):
+    """What a process says that is interrupted; one that goes on is ended."""
+    child.send_signal(signal.SIGINT)
+    try:
+        return child.communicate(timeout=120)
+    finally:
+        child.kill()
+
+
 @pytest.mark.parametrize("work", LONG, ids=lambda work: work.__name__)
 def test_ctrl_c_ends(work, tmp_path):
     """The signal comes while the work is under way, and the exception without waiting for its end: in a process of its own,
@@ -95,14 +106,13 @@ def test_ctrl_c_ends(work, tmp_path):
     )
     assert child.stdout.readline() == "begun\n"
     time.sleep(0.5)
-    child.send_signal(signal.SIGINT)
-    said, _ = child.communicate(timeout=120)
+    said, _ = after_ctrl_c(child)
     assert said == "interrupted\n" and child.returncode == 0
 
 
 def test_interrupted_shards_are_not_there(skin, tmp_path):
     """A process that is interrupted in the middle of a shard leaves whole ones alone."""
-    code = (
+    code = LISTEN + (
         "import sys; from dermis._dermis import create_train_set, write_shard; folder = sys.argv[1]\n"
         "for shard in create_train_set('healing-square', folder, 4000, shard_samples=400):\n"
         "    print(shard, flush=True)\n"
@@ -110,8 +120,7 @@ def test_interrupted_shards_are_not_there(skin, tmp_path):
     )
     child = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "set")], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "0\n"
-    child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=120)
+    _, said = after_ctrl_c(child)
     assert "KeyboardInterrupt" in said and child.returncode != 0
     assert [file.name for file in sorted(Path(tmp_path / "set").iterdir())] == ["manifest.json"]
     assert len(dermis._dermis.create_train_set(skin, tmp_path / "set", 4000, shard_samples=400)) == 10
@@ -152,6 +161,7 @@ def bars(monkeypatch):
 
 def until_interrupted(work):
     """Interrupts as soon as something is shown."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     begun, ended = time.monotonic(), threading.Event()
 
     def interrupt():

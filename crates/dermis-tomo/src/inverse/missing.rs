@@ -115,12 +115,13 @@ mod tests {
     #[test]
     fn filling_in_gives_the_image_of_the_remaining_channels_however_many_are_missing() {
         let value = |row: usize, column: usize| ((row * 7 + column * column * 3 + row * column) as f64).sin();
-        let jacobian = Mat::from_fn(20, 9, value);
+        // Fewer unknowns than are worked on at a time, and more.
+        let jacobians = [9, ROWS_AT_ONCE + 9].map(|unknowns| Mat::from_fn(20, unknowns, value));
         // Noise of each channel its own, and noise that channels share.
         let shared = |share: f64| {
             Mat::from_fn(20, 20, |a, b| if a == b { 1.0 / (1.0 + a as f64) } else { share / (20.0 + (a + b) as f64) })
         };
-        [0.0, 0.1].into_iter().for_each(|share| check(&jacobian, &shared(share)));
+        jacobians.iter().for_each(|jacobian| [0.0, 0.1].iter().for_each(|&share| check(jacobian, &shared(share))));
     }
 
     fn check(jacobian: &Mat<f64>, covariance: &Mat<f64>) {
@@ -132,7 +133,8 @@ mod tests {
                 Weighting::from_covariance(block.as_ref()).unwrap()
             }
         };
-        let prior = || PriorMatrix::Diagonal((1..10).map(f64::from).collect());
+        let unknowns = jacobian.ncols();
+        let prior = || PriorMatrix::Diagonal((0..unknowns).map(|k| 1.0 + k as f64 % 9.0).collect());
         let full = LinearProblem::new(jacobian.as_ref(), weighting(&Vec::from_iter(0..20)), prior()).unwrap();
         let operator = full.operator(0.7).unwrap();
         let frame: Vec<f64> = (0..20).map(|k| (k as f64 * 1.3).cos()).collect();
@@ -144,7 +146,7 @@ mod tests {
             MissingChannels::new(&operator, &missing).unwrap().fill_in(&mut filled);
             let found = operator.apply(&filled).unwrap();
             let present: Vec<usize> = (0..20).filter(|&channel| !missing.contains(&(channel as u32))).collect();
-            let rows = Mat::from_fn(present.len(), 9, |row, column| jacobian[(present[row], column)]);
+            let rows = Mat::from_fn(present.len(), unknowns, |row, column| jacobian[(present[row], column)]);
             let some = weighting(&present);
             let data: Vec<f64> = present.iter().map(|&channel| frame[channel]).collect();
             let expected = LinearProblem::new(rows.as_ref(), some, prior()).unwrap().operator(0.7).unwrap();
