@@ -179,33 +179,29 @@ pub fn run(
     let done = AtomicUsize::new(0);
     let every: Vec<usize> = (0..PLACES).collect();
     // One for each reader that a task may have: what amplitudes are compared with.
-    let pressed_as_drawn = || -> Result<Vec<Vec<Vec<Press>>>, Error> {
-        let readers = [Reader::Model, Reader::Pokes(extent.pokes.clone())];
-        let as_drawn = |reader: &Reader| {
+    let nominal: Vec<Vec<Vec<Press>>> = [Reader::Model, Reader::Pokes(extent.pokes.clone())]
+        .par_iter()
+        .map(|reader| {
             let seeds = [extent.seed, NOMINAL];
             bench.press(&bench.build(tolerances, &[], seeds)?, reader, &every, seeds, true)
-        };
-        readers.par_iter().map(as_drawn).collect()
-    };
-    // The last tasks first: those with calibrations take longest.
+        })
+        .collect::<Result<_, Error>>()?;
     let jobs: Vec<(usize, u64)> = tasks
         .iter()
         .enumerate()
-        .rev()
         .flat_map(|(k, task)| (0..task.samples as u64).map(move |sample| (k, sample)))
         .collect();
-    let pressed_as_built = || -> Result<Vec<Vec<Vec<Press>>>, Error> {
-        let as_built = |&(k, sample): &(usize, u64)| {
+    let pressed: Vec<Vec<Vec<Press>>> = jobs
+        .par_iter()
+        .with_max_len(1)
+        .map(|&(k, sample)| {
             let (task, seeds) = (&tasks[k], [extent.seed, sample]);
             let built = bench.build(tolerances, &task.causes, seeds)?;
             let presses = bench.press(&built, &task.reader, &some_places(extent, sample), seeds, false);
             progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
             presses
-        };
-        jobs.par_iter().with_max_len(1).map(as_built).collect()
-    };
-    let (nominal, pressed) = rayon::join(pressed_as_drawn, pressed_as_built);
-    let (nominal, pressed) = (nominal?, pressed?);
+        })
+        .collect::<Result<_, Error>>()?;
     let presses_of = |k: usize, row: usize| -> Vec<Press> {
         let of_task = jobs.iter().zip(&pressed).filter(|(job, _)| job.0 == k);
         of_task.flat_map(|(_, presses)| presses[row].iter().copied()).collect()
