@@ -61,7 +61,7 @@ impl LearntFinder {
     /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
     ///
     /// # Errors
-    /// Frames of the calibration that its own locator cannot place.
+    /// As [`Calibration::typical_amplitude`].
     pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64, half_width_m: f64) -> Result<Self, Error> {
         let locator = calibration.locator().clone();
         let correction = calibration.correction().cloned();

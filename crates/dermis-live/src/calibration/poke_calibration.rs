@@ -279,7 +279,7 @@ impl Calibration {
     /// `None` of a file of version 1, whose touches keep the amplitudes of images, and of pokes that are all silent.
     ///
     /// # Errors
-    /// Frames that the locator cannot place.
+    /// As [`TypicalAmplitude::fit`].
     pub(super) fn typical_amplitude(&self, half_width_m: f64) -> Result<Option<TypicalAmplitude>, Error> {
         if matches!(self.locator, PlaceLocator::Single(_)) {
             return Ok(None);
@@ -292,7 +292,9 @@ impl Calibration {
                 (Some(loads), Some(mean)) => loads[i] / mean,
                 _ => 1.0,
             };
-            let amplitude = self.locator.locate(&self.frames[i], &mut scratch)?.amplitude / load_share;
+            // A poke that cannot be placed says nothing.
+            let Ok(located) = self.locator.locate(&self.frames[i], &mut scratch) else { continue };
+            let amplitude = located.amplitude / load_share;
             if amplitude.is_finite() && amplitude > 0.0 {
                 places_m.push(self.positions_m[i]);
                 amplitudes.push(amplitude);
