@@ -6,7 +6,9 @@ use dermis_touch::ContactStrength;
 use dermis_touch::locator::SeenPoke;
 
 use crate::Error;
-use crate::calibration::{CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of};
+use crate::calibration::{
+    CalibratedImager, Calibration, CalibrationOptions, PokeFrames, Pokes, differences_of, load_shares,
+};
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::stages::refinement::Refinement;
@@ -55,8 +57,7 @@ fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -
     };
     let mut reconstructor = Reconstructor::new(prepared, imager, placement, refinement)?;
     let step = differences.len().div_ceil(MOST_LOOKED_AT).max(1);
-    let loads = pokes.loads.as_ref().map(|(_, loads)| (loads, loads.iter().sum::<f64>() / loads.len() as f64));
-    let load_share = |i: usize| loads.map_or(1.0, |(loads, mean)| loads[i] / mean);
+    let load_share = load_shares(pokes.loads.as_ref().map(|(_, loads)| &loads[..]));
     let looked_at = (0..differences.len()).step_by(step);
     let poked = looked_at.map(|i| MeasuredPoke {
         difference: &differences[i],

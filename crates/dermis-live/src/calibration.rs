@@ -16,6 +16,6 @@ pub(crate) use calibrated_imager::{check_wiring, learnt_finder};
 pub use circuit_search::{CircuitFit, TRUSTED_SCORE, find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
-pub(crate) use poke_calibration::differences_of;
 pub use poke_calibration::{Calibration, CalibrationOptions, PokeFrames, PokeReview};
+pub(crate) use poke_calibration::{differences_of, load_shares};
 pub use pokes::{LoadQuantity, Pokes, read_pokes};

@@ -122,6 +122,12 @@ struct TouchStrength {
     in_noise: bool,
 }
 
+/// How hard each poke was relative to a typical one, by its index; 1 where loads are not known.
+pub(crate) fn load_shares(loads: Option<&[f64]>) -> impl Fn(usize) -> f64 + '_ {
+    let loads = loads.map(|loads| (loads, loads.iter().sum::<f64>() / loads.len() as f64));
+    move |index| loads.map_or(1.0, |(loads, mean)| loads[index] / mean)
+}
+
 impl Calibration {
     /// Fits a calibration to pokes. `baselines` has one frame for all pokes or one for each; frames in the protocol's
     /// order.
@@ -285,16 +291,12 @@ impl Calibration {
             return Ok(None);
         }
         let mut scratch = self.locator.scratch();
-        let mean_load = self.loads.as_ref().map(|loads| loads.iter().sum::<f64>() / loads.len() as f64);
+        let load_share = load_shares(self.loads.as_deref());
         let (mut places_m, mut amplitudes) = (Vec::new(), Vec::new());
         for i in (0..self.frames.len()).step_by(self.frames.len().div_ceil(MOST_TYPICAL).max(1)) {
-            let load_share = match (&self.loads, mean_load) {
-                (Some(loads), Some(mean)) => loads[i] / mean,
-                _ => 1.0,
-            };
             // A poke that cannot be placed says nothing.
             let Ok(located) = self.locator.locate(&self.frames[i], &mut scratch) else { continue };
-            let amplitude = located.amplitude / load_share;
+            let amplitude = located.amplitude / load_share(i);
             if amplitude.is_finite() && amplitude > 0.0 {
                 places_m.push(self.positions_m[i]);
                 amplitudes.push(amplitude);
@@ -324,14 +326,10 @@ impl Calibration {
     /// # Errors
     /// Fewer than three complete pokes.
     pub fn measured_jacobian(&self, prepared: &Prepared) -> Result<MeasuredJacobian, Error> {
-        let typical = self.loads.as_ref().map(|loads| loads.iter().sum::<f64>() / loads.len() as f64);
         let complete = |index: &usize| self.frames[*index].iter().all(|v| v.is_finite());
         let chosen: Vec<usize> = (0..self.frames.len()).filter(complete).collect();
         // Loads relative to their mean, so that a typical poke has amplitude 1 with or without loads.
-        let share = |index: usize| match (&self.loads, typical) {
-            (Some(loads), Some(typical)) => loads[index] / typical,
-            _ => 1.0,
-        };
+        let share = load_shares(self.loads.as_deref());
         let frames: Vec<Vec<f64>> =
             chosen.iter().map(|&i| self.frames[i].iter().map(|v| v / share(i)).collect()).collect();
         let positions: Vec<[f64; 2]> = chosen.iter().map(|&i| self.positions_m[i]).collect();
