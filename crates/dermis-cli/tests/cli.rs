@@ -290,7 +290,7 @@ fn bad_usage_is_refused() {
             "--jacobian a.npy: is --voltages as well",
         ),
         (&["solve", "case.json", "--sigma", "hom", "--voltages", "case.json"], "is the case as well"),
-        (&["skins", "draw", "skin.toml", "--out", "skin.gif"], "expected a name that ends in .svg or .png"),
+        (&["skins", "draw", "skin.toml", "--out", "skin.gif"], "expected a name that ends in .svg, .png or .pdf"),
         (&["skins", "draw", "skin.toml", "--out", "a.png", "--width-px", "9"], "9 is not in 200..=8000"),
         (&["snr", "--frames", "frames.csv", "--format", "xlsx"], "expected one of csv, columns"),
     ];

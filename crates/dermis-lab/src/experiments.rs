@@ -6,7 +6,7 @@ pub mod healing;
 pub mod ionic;
 pub mod piezo;
 
-pub use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report, Row};
+pub use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report, Row};
 pub use crate::twin_bench::{Rig, grams_n};
 
 /// The papers that can be replayed, by their letters.

@@ -39,6 +39,21 @@ pub struct Row {
     pub kind: Kind,
 }
 
+/// How a curve is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// Points that are joined.
+    Line,
+    /// Points by themselves.
+    Points,
+    /// Repeats: several points of one x, to be shown as their mean and standard deviation.
+    Repeats,
+    /// Points that the paper prints.
+    PaperPoints,
+    /// A line that the paper prints, or a bound that it gives.
+    PaperLine,
+}
+
 /// A curve of a figure.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
@@ -46,8 +61,8 @@ pub struct Curve {
     pub name: String,
     /// (x, y); a line breaks at a point that is not finite.
     pub points: Vec<[f64; 2]>,
-    /// Whether the points are joined.
-    pub joined: bool,
+    /// How they are drawn.
+    pub look: Look,
 }
 
 /// An image of a figure.
@@ -55,12 +70,16 @@ pub struct Curve {
 pub struct ImagePanel {
     /// What it shows.
     pub name: String,
+    /// What the values are, with their unit; panels of one quantity share a scale.
+    pub quantity: &'static str,
     /// Row-major, row 0 at the top, NaN outside.
     pub values: Vec<f32>,
     /// Where something truly pressed, as shares of width and height from the top left corner.
     pub marks: Vec<[f64; 2]>,
     /// Radius of the upright cylinder that the skin lies on, as a share of the image's width; none where it is flat.
     pub bend: Option<f64>,
+    /// Width of the image, millimetres; none where its width is no length.
+    pub width_mm: Option<f64>,
 }
 
 /// A figure, without a look.
@@ -72,6 +91,8 @@ pub enum Figure {
         name: &'static str,
         /// Above it.
         title: String,
+        /// What is shown and how it came about, for a reader of the figure alone.
+        caption: String,
         /// With its unit.
         x_label: &'static str,
         /// With its unit.
@@ -85,6 +106,8 @@ pub enum Figure {
         name: &'static str,
         /// Above them.
         title: String,
+        /// What is shown and how it came about, for a reader of the figure alone.
+        caption: String,
         /// Pixels in a row.
         columns: usize,
         /// The images.

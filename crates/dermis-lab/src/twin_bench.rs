@@ -239,7 +239,8 @@ pub(super) fn panel_of(
         Surface::Flat => None,
     };
     let marks = places_m.iter().map(share).collect();
-    ImagePanel { name: name.into(), values: values.to_vec(), marks, bend }
+    let (quantity, width_mm) = (prepared.skin.modality.image_quantity(), Some(1e3 * width));
+    ImagePanel { name: name.into(), quantity, values: values.to_vec(), marks, bend, width_mm }
 }
 
 /// A round weight or indenter.

@@ -310,18 +310,18 @@ fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("creating {}", folder.display()))?;
     let (maps, name) = (&sheet.maps, &sheet.prepared.skin.name);
     let figures = [
-        ("sensitivity", "sensitivity: log10 over the weakest", &maps.sensitivity),
-        ("smallest", "smallest change: log10 over the best", &maps.smallest),
-        ("position", "position bound: log10 over the best", &maps.position_m),
-        ("amplitude", "amplitude bound: log10 over the best", &maps.amplitude_share),
-        ("spread", "point-spread width: log10 over the best", &sheet.spread_m),
+        ("sensitivity", "sensitivity", &maps.sensitivity),
+        ("smallest", "smallest change", &maps.smallest),
+        ("position", "position bound", &maps.position_m),
+        ("amplitude", "amplitude bound", &maps.amplitude_share),
+        ("spread", "point-spread width", &sheet.spread_m),
     ];
     let mut images: Vec<(&str, &str, Vec<f32>, [usize; 2])> = figures
         .into_iter()
         .map(|(key, title, values)| (key, title, maps.image(values), [maps.grid.rows, maps.grid.columns]))
         .collect();
     if let Some(map) = &sheet.force {
-        let title = "smallest force: log10 over the best";
+        let title = "smallest force";
         images.push(("force", title, map.image(), [map.grid.rows, map.grid.columns]));
     }
     let mut panels = Vec::with_capacity(images.len());
@@ -329,10 +329,18 @@ fn write_maps(folder: &Path, sheet: &Sheet) -> anyhow::Result<()> {
         npy::write_f32(&folder.join(format!("{name}-{key}.npy")), &shape, &image)?;
         let least = image.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         let values = image.iter().map(|value| (value / least).log10()).collect();
-        panels.push(Panel { name: title.to_string(), columns: shape[1], values, marks: Vec::new(), bend: None });
+        panels.push(Panel {
+            name: title.to_string(),
+            quantity: format!("log₁₀ of {title} over its least"),
+            columns: shape[1],
+            values,
+            marks: Vec::new(),
+            bend: None,
+            width_mm: Some(1e3 * maps.grid.pixel_m * shape[1] as f64),
+        });
     }
-    let picture = Heatmap { title: format!("{name}: before it is built"), panels, own_scales: true }.picture();
-    let content = draw::png(&picture)?;
+    let picture = Heatmap { title: format!("{name}: before it is built"), panels }.picture();
+    let content = draw::png(&picture, 2)?;
     write_atomic(&folder.join(format!("{name}.png")), |file| file.write_all(&content))?;
     Ok(())
 }

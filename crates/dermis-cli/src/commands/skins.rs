@@ -75,8 +75,8 @@ enum Action {
         /// Name of a built-in skin, or a skin file.
         #[arg(value_name = "NAME|FILE")]
         skin: String,
-        /// Where to; the ending decides between SVG and PNG.
-        #[arg(long, value_name = "FILE.svg|FILE.png")]
+        /// Where to; the ending decides between SVG, PNG and PDF.
+        #[arg(long, value_name = "FILE.svg|FILE.png|FILE.pdf")]
         out: PathBuf,
         /// Width of the picture.
         #[arg(long, value_name = "PIXELS", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(200..=8000))]
@@ -206,7 +206,8 @@ fn encoder(path: &Path) -> Result<Encoder, UsageError> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     match extension.as_deref() {
         Some("svg") => Ok(|picture| Ok(draw::svg(picture).into_bytes())),
-        Some("png") => Ok(draw::png),
-        _ => Err(UsageError(format!("--out {}: expected a name that ends in .svg or .png", path.display()))),
+        Some("png") => Ok(|picture| draw::png(picture, 1)),
+        Some("pdf") => Ok(|picture| Ok(draw::pdf(picture))),
+        _ => Err(UsageError(format!("--out {}: expected a name that ends in .svg, .png or .pdf", path.display()))),
     }
 }

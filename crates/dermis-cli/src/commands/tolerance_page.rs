@@ -64,7 +64,7 @@ pub(super) fn write_files(folder: &Path, report: &ToleranceReport, tolerances: &
     let files = [
         (".csv", table_csv(report).into_bytes()),
         ("-map.csv", map_csv(report).into_bytes()),
-        ("-map.png", draw::png(&picture)?),
+        ("-map.png", draw::png(&picture, 2)?),
         (".html", page(report, tolerances, &picture).into_bytes()),
     ];
     for (end, content) in files {
@@ -104,18 +104,19 @@ fn map_csv(report: &ToleranceReport) -> String {
 
 fn picture(report: &ToleranceReport) -> Picture {
     let (grid, values) = (&report.grid, &report.map_mm);
-    let largest = values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
     let (width, height) = (grid.columns as f64 * grid.pixel_m, grid.rows as f64 * grid.pixel_m);
     let pressed = report.places.iter().filter(|place| place.presses > 0);
     let mark = |p: [f64; 2]| [(p[0] - grid.left_m) / width, (grid.top_m - p[1]) / height];
     let panel = Panel {
-        name: format!("darkest: {largest:.2} mm"),
+        name: "all errors together".into(),
+        quantity: "median position error (mm)".into(),
         columns: grid.columns,
         values: values.clone(),
         marks: pressed.map(|place| mark(place.place_m)).collect(),
         bend: None,
+        width_mm: Some(1e3 * width),
     };
-    Heatmap { title: "median position error".into(), panels: vec![panel], own_scales: true }.picture()
+    Heatmap { title: format!("{}: median position error", report.skin), panels: vec![panel] }.picture()
 }
 
 fn page(report: &ToleranceReport, tolerances: &Tolerances, picture: &Picture) -> String {

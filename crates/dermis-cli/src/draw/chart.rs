@@ -1,24 +1,25 @@
-//! Charts of lines and points with axes, for reports: what was measured against what was varied.
+//! Charts of lines and points with axes: what was measured against what was varied.
 
-use super::picture::{Colour, Picture, Point, Polyline, Shape, Stroke};
-use super::text::Lettering;
+use super::axis::{Axis, power_of_ten};
+use super::colours::CURVES;
+use super::marker::{Marker, dashed};
+use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Stroke, Text, WHITE};
+use super::text::width;
 
-const INK: Colour = Colour(40, 44, 52);
-const GRID: Colour = Colour(225, 228, 232);
-/// Colours of series, distinguishable for most eyes (Okabe and Ito 2008).
-const PALETTE: [Colour; 7] = [
-    Colour(0, 114, 178),
-    Colour(213, 94, 0),
-    Colour(0, 158, 115),
-    Colour(204, 121, 167),
-    Colour(86, 180, 233),
-    Colour(230, 159, 0),
-    Colour(90, 90, 90),
-];
-const WIDTH: f64 = 860.0;
-const HEIGHT: f64 = 520.0;
-/// Left, right, top, bottom.
-const MARGIN: [f64; 4] = [96.0, 24.0, 56.0, 72.0];
+const GRID: Colour = Colour(226, 229, 233);
+const WIDTH: f64 = 600.0;
+/// Height of the frame that the curves are in.
+const FRAME: f64 = 320.0;
+const TITLE_SIZE: f64 = 17.0;
+const LABEL_SIZE: f64 = 15.0;
+const TICK_SIZE: f64 = 14.0;
+/// Left, right and bottom of the frame.
+const MARGIN: [f64; 3] = [84.0, 22.0, 64.0];
+const LEGEND_LINE: f64 = 22.0;
+/// What the names of series that a paper prints begin with.
+const PAPER: &str = "paper: ";
+/// From a legend's symbol to its words, and to the next symbol.
+const LEGEND_GAP: [f64; 2] = [34.0, 24.0];
 
 /// How a series is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +30,12 @@ pub enum Mark {
     Points,
     /// A line with its points.
     LinePoints,
+    /// Points of one x as their mean with a bar of one standard deviation to both sides, and each of them faintly.
+    Repeats,
+    /// Hollow squares: what a paper prints. In the colour of the series whose name follows `paper: `, else in ink.
+    PaperPoints,
+    /// A dashed line in ink: what a paper prints.
+    PaperLine,
 }
 
 /// One curve.
@@ -55,75 +62,67 @@ pub struct Chart {
     pub series: Vec<Series>,
 }
 
-/// One axis: data from `low` to `high` on pixels from `start` to `end`.
-struct Axis {
-    low: f64,
-    high: f64,
-    start: f64,
-    end: f64,
-    step: f64,
+/// Of points at one x: x, mean, standard deviation (NaN of a single one).
+fn repeats(points: &[[f64; 2]]) -> Vec<[f64; 3]> {
+    let mut sorted: Vec<[f64; 2]> = points.iter().copied().filter(|p| p.iter().all(|v| v.is_finite())).collect();
+    sorted.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let groups = sorted.chunk_by(|a, b| a[0] == b[0]);
+    groups
+        .map(|group| {
+            let count = group.len() as f64;
+            let mean = group.iter().map(|p| p[1]).sum::<f64>() / count;
+            let square = group.iter().map(|p| (p[1] - mean).powi(2)).sum::<f64>();
+            [group[0][0], mean, (square / (count - 1.0)).sqrt()]
+        })
+        .collect()
 }
 
-impl Axis {
-    /// Covers the values, rounded out to whole steps.
-    fn over(values: impl Iterator<Item = f64>, start: f64, end: f64) -> Self {
-        let (mut low, mut high) =
-            values.filter(|v| v.is_finite()).fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        if low > high {
-            (low, high) = (0.0, 1.0);
-        }
-        if low == high {
-            let room = if low == 0.0 { 1.0 } else { 0.5 * low.abs() };
-            (low, high) = (low - room, high + room);
-        }
-        let rough = (high - low) / 6.0;
-        let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * power).find(|s| *s >= rough).unwrap_or(power);
-        Self { low: (low / step).floor() * step, high: (high / step).ceil() * step, start, end, step }
-    }
-
-    fn place(&self, value: f64) -> f64 {
-        self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
-    }
-
-    fn ticks(&self) -> impl Iterator<Item = f64> + '_ {
-        let count = ((self.high - self.low) / self.step).round() as usize;
-        (0..=count).map(|k| self.low + self.step * k as f64)
-    }
-
-    fn label(&self, value: f64) -> String {
-        let decimals = (-self.step.log10().floor()).clamp(0.0, 12.0) as usize;
-        let largest = self.low.abs().max(self.high.abs());
-        if !(1e-3..1e6).contains(&largest) {
-            return format!("{value:.1e}").to_uppercase();
-        }
-        let text = format!("{value:.decimals$}");
-        if text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.') { "0".into() } else { text }
-    }
+/// A legend's entry: which series, and where its symbol begins.
+struct Entry {
+    index: usize,
+    at: Point,
 }
 
 impl Chart {
     /// The drawing.
     pub fn picture(&self) -> Picture {
+        let (entries, lines) = self.legend_entries();
+        let legend_top = if self.title.is_empty() { 12.0 } else { 46.0 };
         let all = || self.series.iter().flat_map(|series| &series.points);
-        let x = Axis::over(all().map(|p| p[0]), MARGIN[0], WIDTH - MARGIN[1]);
-        let y = Axis::over(all().map(|p| p[1]), HEIGHT - MARGIN[3], MARGIN[2]);
-        let mut shapes = frame(&x, &y);
-        shapes.extend(self.labels());
+        let spread = self.series.iter().filter(|series| series.mark == Mark::Repeats).flat_map(|s| repeats(&s.points));
+        let ends = spread.filter(|p| p[2].is_finite()).flat_map(|p| [p[1] - p[2], p[1] + p[2]]);
+        // A bound on the frame's own line could not be seen.
+        let bounds = self.series.iter().filter(|series| series.mark == Mark::PaperLine);
+        let beyond = bounds.flat_map(|series| &series.points).map(|p| 1.05 * p[1]);
+        let x = Axis::over(all().map(|p| p[0]), [MARGIN[0], WIDTH - MARGIN[1]], 6);
+        let mut y = Axis::over(all().map(|p| p[1]).chain(ends).chain(beyond), [FRAME, 0.0], 6);
+        let power_line = if y.power() == 0 { 0.0 } else { 18.0 };
+        let top = legend_top + LEGEND_LINE * lines as f64 + 10.0 + power_line;
+        (y.start, y.end) = (top + FRAME, top);
+        let mut items = frame(&x, &y);
+        items.extend(self.labels(&x, &y));
         for (index, series) in self.series.iter().enumerate() {
-            shapes.extend(curve(series, &x, &y, self.colour(index)));
+            items.extend(self.curve(series, index, &x, &y));
         }
-        shapes.extend(self.legend());
-        Picture { title: self.title.clone(), width_px: WIDTH as u32, height_px: HEIGHT as u32, shapes }
+        items.extend(self.legend(&entries, legend_top));
+        let height_px = (top + FRAME + MARGIN[2]).ceil() as u32;
+        Picture { title: self.title.clone(), width_px: WIDTH as u32, height_px, items }
     }
 
-    fn labels(&self) -> Vec<Shape> {
-        let middle = 0.5 * (MARGIN[2] + HEIGHT - MARGIN[3]);
-        let centre = 0.5 * (MARGIN[0] + WIDTH - MARGIN[1]);
-        let mut lines = Lettering::new(&self.title, 13.0).centred_at([centre, 26.0]);
-        lines.extend(Lettering::new(&self.x_label, 10.0).centred_at([centre, HEIGHT - 22.0]));
-        lines.extend(Lettering::new(&self.y_label, 10.0).turned_at([22.0, middle], true));
-        vec![text(lines)]
+    fn labels(&self, x: &Axis, y: &Axis) -> Vec<Item> {
+        let centre = |axis: &Axis| 0.5 * (axis.start + axis.end);
+        let mut texts = vec![
+            Text::new(&self.title, TITLE_SIZE, [0.5 * WIDTH, 24.0]),
+            Text::new(&self.x_label, LABEL_SIZE, [centre(x), y.start + 48.0]),
+            Text { upward: true, ..Text::new(&self.y_label, LABEL_SIZE, [18.0, centre(y)]) },
+        ];
+        let power = |axis: &Axis, at: Point, anchor: Anchor| {
+            let words = format!("× {}", power_of_ten(axis.power()));
+            (axis.power() != 0).then(|| Text { anchor, ..Text::new(words, TICK_SIZE, at) })
+        };
+        texts.extend(power(y, [y_edge(x), y.end - 14.0], Anchor::Start));
+        texts.extend(power(x, [x.end, y.start + 48.0], Anchor::End));
+        texts.into_iter().map(Item::Text).collect()
     }
 
     /// Place of a series in the legend, and so of its colour: that of the first of its name.
@@ -133,96 +132,208 @@ impl Chart {
         first.unwrap_or(index)
     }
 
-    fn colour(&self, index: usize) -> Colour {
-        PALETTE[self.first_of_name(index) % PALETTE.len()]
+    /// How many names there are before a series, those of the paper, which are in ink, left out.
+    fn number(&self, index: usize) -> usize {
+        let own = |k: &usize| !self.series[*k].mark.is_paper() && self.first_of_name(*k) == *k;
+        (0..self.first_of_name(index)).filter(own).count()
     }
 
-    /// Names in the colours of their curves, in the upper left corner.
-    fn legend(&self) -> Vec<Shape> {
-        let mut shapes = Vec::new();
-        let is_entry =
-            |(index, series): &(usize, &Series)| !series.name.is_empty() && self.first_of_name(*index) == *index;
-        let named = self.series.iter().enumerate().filter(is_entry);
-        for (row, (index, series)) in named.enumerate() {
-            let colour = self.colour(index);
-            let (left, level) = (MARGIN[0] + 14.0, MARGIN[2] + 16.0 + 20.0 * row as f64);
-            let lettering = Lettering::new(&series.name, 9.0);
-            let centre = left + 34.0 + 0.5 * lettering.width;
-            shapes.push(line("legend", vec![Polyline::open(vec![[left, level], [left + 24.0, level]])], colour, 2.5));
-            shapes.push(text(lettering.centred_at([centre, level])));
+    fn colour(&self, index: usize) -> Colour {
+        let series = &self.series[index];
+        if !series.mark.is_paper() {
+            return CURVES[self.number(index) % CURVES.len()];
         }
-        shapes
+        let own = series.name.strip_prefix(PAPER).and_then(|name| self.series.iter().position(|s| s.name == name));
+        own.map_or(INK, |own| self.colour(own))
+    }
+
+    fn curve(&self, series: &Series, index: usize, x: &Axis, y: &Axis) -> Vec<Item> {
+        let colour = self.colour(index);
+        let marker = if series.mark.is_paper() { Marker::HollowSquare } else { Marker::of(self.number(index)) };
+        let is_finite = |p: &[f64; 2]| p.iter().all(|v| v.is_finite());
+        let place = |p: &[f64; 2]| -> Point { [x.place(p[0]), y.place(p[1])] };
+        let points: Vec<Point> = series.points.iter().filter(|p| is_finite(p)).map(place).collect();
+        let mut items: Vec<Item> = Vec::new();
+        if series.mark.is_line() {
+            let pieces = series.points.split(|p| !is_finite(p)).filter(|piece| piece.len() > 1);
+            let lines = pieces.map(|piece| Polyline::open(piece.iter().map(place).collect::<Vec<_>>()));
+            let lines: Vec<Polyline> = match series.mark {
+                Mark::PaperLine => lines.flat_map(|line| dashed(&line.points)).collect(),
+                _ => lines.collect(),
+            };
+            items.extend((!lines.is_empty()).then(|| Shape::stroked("curve", lines, colour, 2.0).into()));
+        }
+        match series.mark {
+            Mark::Line | Mark::PaperLine => {}
+            Mark::Repeats => items.extend(spread(series, place, colour, marker)),
+            Mark::Points | Mark::LinePoints | Mark::PaperPoints => {
+                items.extend(marker.shape("points", &points, colour).map(Item::Shape));
+            }
+        }
+        items
+    }
+
+    /// Entries from left to right in as many lines as they need, and how many those are.
+    fn legend_entries(&self) -> (Vec<Entry>, usize) {
+        let is_entry = |index: &usize| !self.series[*index].name.is_empty() && self.first_of_name(*index) == *index;
+        let (mut entries, mut line, mut left) = (Vec::new(), 0, MARGIN[0]);
+        for index in (0..self.series.len()).filter(is_entry) {
+            let wide = LEGEND_GAP[0] + width(&self.series[index].name, TICK_SIZE);
+            if left > MARGIN[0] && left + wide > WIDTH - MARGIN[1] {
+                (line, left) = (line + 1, MARGIN[0]);
+            }
+            entries.push(Entry { index, at: [left, LEGEND_LINE * (line as f64 + 0.5)] });
+            left += wide + LEGEND_GAP[1];
+        }
+        let lines = if entries.is_empty() { 0 } else { line + 1 };
+        (entries, lines)
+    }
+
+    fn legend(&self, entries: &[Entry], top: f64) -> Vec<Item> {
+        let mut items: Vec<Item> = Vec::new();
+        for Entry { index, at } in entries {
+            let (series, [left, level]) = (&self.series[*index], [at[0], top + at[1]]);
+            let middle = [left + 13.0, level];
+            let line = [[left, level], [left + 26.0, level]];
+            let same = self.series.iter().filter(|other| other.name == series.name);
+            let marks: Vec<Mark> = same.map(|other| other.mark).collect();
+            if marks.iter().any(|mark| mark.is_line()) {
+                let lines = if series.mark == Mark::PaperLine { dashed(&line) } else { vec![Polyline::open(line)] };
+                items.push(Shape::stroked("legend", lines, self.colour(*index), 2.0).into());
+            }
+            if marks.iter().any(|mark| !matches!(mark, Mark::Line | Mark::PaperLine)) {
+                let paper = series.mark.is_paper();
+                let marker = if paper { Marker::HollowSquare } else { Marker::of(self.number(*index)) };
+                items.extend(marker.shape("legend", &[middle], self.colour(*index)).map(Item::Shape));
+            }
+            let at = [left + LEGEND_GAP[0], level];
+            items.push(Text { anchor: Anchor::Start, ..Text::new(&series.name, TICK_SIZE, at) }.into());
+        }
+        items
     }
 }
 
-fn frame(x: &Axis, y: &Axis) -> Vec<Shape> {
-    let mut grid = Vec::new();
-    let mut letters = Vec::new();
+impl Mark {
+    fn is_paper(self) -> bool {
+        matches!(self, Self::PaperPoints | Self::PaperLine)
+    }
+
+    fn is_line(self) -> bool {
+        matches!(self, Self::Line | Self::LinePoints | Self::PaperLine)
+    }
+}
+
+/// Left edge of the ticks' labels.
+fn y_edge(x: &Axis) -> f64 {
+    x.start - 40.0
+}
+
+/// Means with their bars, before all the points they are of.
+fn spread(series: &Series, place: impl Fn(&[f64; 2]) -> Point, colour: Colour, marker: Marker) -> Vec<Item> {
+    let finite = series.points.iter().filter(|p| p.iter().all(|v| v.is_finite()));
+    let dots: Vec<Polyline> = finite.map(|p| Polyline::disc(place(p), 1.8)).collect();
+    let groups = repeats(&series.points);
+    let mut bars = Vec::new();
+    for [x, mean, deviation] in groups.iter().filter(|group| group[2] > 0.0) {
+        let [low, high] = [mean - deviation, mean + deviation].map(|y| place(&[*x, y]));
+        bars.push(Polyline::open([low, high]));
+        bars.extend([low, high].map(|[x, y]| Polyline::open([[x - 4.0, y], [x + 4.0, y]])));
+    }
+    let means: Vec<Point> = groups.iter().map(|[x, mean, _]| place(&[*x, *mean])).collect();
+    let mut items: Vec<Item> = vec![Shape::filled("repeats", dots, pale(colour)).into()];
+    items.push(Shape::stroked("bars", bars, colour, 1.5).into());
+    items.extend(marker.shape("points", &means, colour).map(Item::Shape));
+    items
+}
+
+/// Half-way to white.
+fn pale(Colour(red, green, blue): Colour) -> Colour {
+    let [red, green, blue] = [red, green, blue].map(|value| ((u16::from(value) + 255) / 2) as u8);
+    Colour(red, green, blue)
+}
+
+fn frame(x: &Axis, y: &Axis) -> Vec<Item> {
+    let (mut grid, mut ticks, mut texts) = (Vec::new(), Vec::new(), Vec::new());
     for tick in x.ticks() {
         let at = x.place(tick);
-        grid.push(Polyline::open(vec![[at, y.start], [at, y.end]]));
-        letters.extend(Lettering::new(&x.label(tick), 9.0).centred_at([at, y.start + 18.0]));
+        grid.push(Polyline::open([[at, y.start], [at, y.end]]));
+        ticks.push(Polyline::open([[at, y.start], [at, y.start + 5.0]]));
+        texts.push(Text::new(x.label(tick), TICK_SIZE, [at, y.start + 19.0]));
     }
     for tick in y.ticks() {
         let at = y.place(tick);
-        grid.push(Polyline::open(vec![[x.start, at], [x.end, at]]));
-        let lettering = Lettering::new(&y.label(tick), 9.0);
-        let centre = x.start - 10.0 - 0.5 * lettering.width;
-        letters.extend(lettering.centred_at([centre, at]));
+        grid.push(Polyline::open([[x.start, at], [x.end, at]]));
+        ticks.push(Polyline::open([[x.start - 5.0, at], [x.start, at]]));
+        let place = [x.start - 10.0, at];
+        texts.push(Text { anchor: Anchor::End, ..Text::new(y.label(tick), TICK_SIZE, place) });
     }
-    let corners = vec![[x.start, y.start], [x.end, y.start], [x.end, y.end], [x.start, y.end]];
-    vec![line("grid", grid, GRID, 1.0), line("frame", vec![Polyline::closed(corners)], INK, 1.2), text(letters)]
-}
-
-fn curve(series: &Series, x: &Axis, y: &Axis, colour: Colour) -> Vec<Shape> {
-    let is_finite = |p: &[f64; 2]| p.iter().all(|v| v.is_finite());
-    let place = |p: &[f64; 2]| -> Point { [x.place(p[0]), y.place(p[1])] };
-    let points: Vec<Point> = series.points.iter().filter(|p| is_finite(p)).map(place).collect();
-    let mut shapes = Vec::new();
-    if series.mark != Mark::Points {
-        let pieces = series.points.split(|p| !is_finite(p)).filter(|piece| piece.len() > 1);
-        let lines: Vec<Polyline> =
-            pieces.map(|piece| Polyline::open(piece.iter().map(place).collect::<Vec<_>>())).collect();
-        shapes.extend((!lines.is_empty()).then(|| line("curve", lines, colour, 2.0)));
-    }
-    if series.mark != Mark::Line {
-        let diamond =
-            |[x, y]: &Point| Polyline::closed(vec![[x - 4.0, *y], [*x, y - 4.0], [x + 4.0, *y], [*x, y + 4.0]]);
-        let lines = points.iter().map(diamond).collect();
-        shapes.push(Shape { class: "points", lines, fill: Some(colour), stroke: None });
-    }
-    shapes
-}
-
-fn line(class: &'static str, lines: Vec<Polyline>, colour: Colour, width: f64) -> Shape {
-    Shape { class, lines, fill: None, stroke: Some(Stroke { colour, width }) }
-}
-
-fn text(lines: Vec<Polyline>) -> Shape {
-    line("text", lines, INK, 1.2)
+    let corners = Polyline::rectangle([x.start, y.end], [x.end, y.start]);
+    let edge = Some(Stroke { colour: INK, width: 1.2 });
+    let ground = Shape { class: "frame", lines: vec![corners.clone()], fill: Some(WHITE), stroke: None };
+    let rim = Shape { class: "frame", lines: vec![corners], fill: None, stroke: edge };
+    let shapes = [ground, Shape::stroked("grid", grid, GRID, 1.0), rim, Shape::stroked("ticks", ticks, INK, 1.2)];
+    shapes.into_iter().map(Item::Shape).chain(texts.into_iter().map(Item::Text)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn axes_round_out_and_place_their_ends() {
-        let axis = Axis::over([0.13, 0.97, f64::NAN].into_iter(), 100.0, 500.0);
-        assert!((axis.low - 0.0).abs() < 1e-12 && (axis.high - 1.0).abs() < 1e-12, "{} {}", axis.low, axis.high);
-        assert_eq!((axis.place(axis.low), axis.place(axis.high)), (100.0, 500.0));
-        assert_eq!(
-            axis.ticks().map(|tick| axis.label(tick)).collect::<Vec<_>>(),
-            ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]
-        );
+    fn chart(series: Vec<Series>) -> Chart {
+        Chart { title: "t".into(), x_label: "x".into(), y_label: "y".into(), series }
+    }
+
+    fn series(name: &str, points: &[[f64; 2]], mark: Mark) -> Series {
+        Series { name: name.into(), points: points.to_vec(), mark }
     }
 
     #[test]
     fn empty_and_constant_series_draw() {
-        let flat = Series { name: "flat".into(), points: vec![[1.0, 2.0]], mark: Mark::LinePoints };
-        let chart = Chart { title: "t".into(), x_label: "x".into(), y_label: "y".into(), series: vec![flat] };
-        assert!(chart.picture().shapes.iter().any(|shape| shape.class == "points"));
-        let empty = Chart { series: Vec::new(), ..chart };
-        assert!(!empty.picture().shapes.is_empty());
+        let flat = chart(vec![series("flat", &[[1.0, 2.0]], Mark::LinePoints)]).picture();
+        assert!(flat.shapes().any(|shape| shape.class == "points"));
+        assert!(!chart(Vec::new()).picture().items.is_empty());
+    }
+
+    #[test]
+    fn repeats_are_their_mean_with_one_standard_deviation() {
+        let points = [[2.0, 5.0], [1.0, 1.0], [1.0, 3.0], [1.0, f64::NAN], [1.0, 2.0]];
+        let groups = repeats(&points);
+        assert_eq!(groups[0], [1.0, 2.0, 1.0]);
+        assert!(groups[1][1] == 5.0 && groups[1][2].is_nan(), "{groups:?}");
+        let picture = chart(vec![series("a", &points, Mark::Repeats)]).picture();
+        let lines = |class: &str| picture.shapes().filter(|s| s.class == class).map(|s| s.lines.len()).sum::<usize>();
+        // One bar with two ends: a single value has no deviation. Every value is a dot.
+        assert_eq!((lines("bars"), lines("repeats"), lines("points")), (3, 4, 2));
+    }
+
+    #[test]
+    fn what_a_paper_prints_is_in_ink_and_takes_no_colour_from_the_others() {
+        let both = chart(vec![
+            series("paper", &[[0.0, 1.0]], Mark::PaperPoints),
+            series("ours", &[[0.0, 1.0], [1.0, 2.0]], Mark::Line),
+            series("bound", &[[0.0, 3.0], [1.0, 3.0]], Mark::PaperLine),
+            series("more", &[[0.0, 0.0]], Mark::Points),
+            series("paper: more", &[[0.0, 2.0]], Mark::PaperPoints),
+        ]);
+        assert_eq!([0, 1, 2, 3, 4].map(|k| both.colour(k)), [INK, CURVES[0], INK, CURVES[1], CURVES[1]]);
+        let dashes = both.picture();
+        let dashes = dashes.shapes().filter(|s| s.class == "curve" && s.stroke.is_some_and(|s| s.colour == INK));
+        assert!(dashes.map(|shape| shape.lines.len()).sum::<usize>() > 10);
+    }
+
+    #[test]
+    fn legends_stand_above_the_frame_in_lines_that_fit() {
+        let names =
+            ["a rather long name of a curve", "another one that is as long", "a third of them", "a third of them"];
+        let chart = chart(names.map(|name| series(name, &[[0.0, 0.0], [1.0, 1.0]], Mark::LinePoints)).to_vec());
+        let (entries, lines) = chart.legend_entries();
+        // The last two share a name.
+        assert_eq!((entries.len(), lines), (3, 2));
+        let picture = chart.picture();
+        let top = picture.shapes().find(|s| s.class == "frame").unwrap().lines[0].points[0][1];
+        for name in names {
+            let text = picture.texts().find(|text| text.words == name).unwrap();
+            assert!(text.at[1] + 0.5 * TICK_SIZE < top && text.at[0] + text.width() < WIDTH, "{text:?}");
+        }
     }
 }

@@ -1,4 +1,6 @@
-//! What a picture is made of.
+//! What a picture is made of: areas, lines and texts, each output format drawing the same list.
+
+use super::text;
 
 /// A point in pixels: x to the right, y down, origin at the top left corner.
 pub type Point = [f64; 2];
@@ -6,6 +8,11 @@ pub type Point = [f64; 2];
 /// Red, green, blue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Colour(pub u8, pub u8, pub u8);
+
+/// Colour of texts and axes.
+pub const INK: Colour = Colour(31, 36, 45);
+/// The ground.
+pub const WHITE: Colour = Colour(255, 255, 255);
 
 /// A line's look.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +42,20 @@ impl Polyline {
     pub fn closed(points: impl Into<Vec<Point>>) -> Self {
         Self { points: points.into(), closed: true }
     }
+
+    /// The rim of an upright rectangle.
+    pub fn rectangle([left, top]: Point, [right, bottom]: Point) -> Self {
+        Self::closed([[left, top], [right, top], [right, bottom], [left, bottom]])
+    }
+
+    /// The rim of a disc, of 24 corners.
+    pub fn disc(centre: Point, radius: f64) -> Self {
+        let corner = |k: i32| {
+            let (sine, cosine) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
+            [centre[0] + radius * cosine, centre[1] + radius * sine]
+        };
+        Self::closed((0..24).map(corner).collect::<Vec<_>>())
+    }
 }
 
 /// Polylines of one look, drawn together: filled first, then stroked with round ends and joins.
@@ -50,6 +71,99 @@ pub struct Shape {
     pub stroke: Option<Stroke>,
 }
 
+impl Shape {
+    /// Lines of one colour and width.
+    pub fn stroked(class: &'static str, lines: Vec<Polyline>, colour: Colour, width: f64) -> Self {
+        Self { class, lines, fill: None, stroke: Some(Stroke { colour, width }) }
+    }
+
+    /// Areas of one colour.
+    pub fn filled(class: &'static str, lines: Vec<Polyline>, colour: Colour) -> Self {
+        Self { class, lines, fill: Some(colour), stroke: None }
+    }
+}
+
+/// Which part of a text lies on its point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// Its first letter.
+    Start,
+    /// Its middle.
+    Middle,
+    /// Its last letter.
+    End,
+}
+
+/// One line of text.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Text {
+    /// What it is, as the name of a group.
+    pub class: &'static str,
+    /// The words.
+    pub words: String,
+    /// Where: half-way up the capitals, at the anchor.
+    pub at: Point,
+    /// Size of the type, pixels.
+    pub size: f64,
+    /// What of it lies there.
+    pub anchor: Anchor,
+    /// Whether it reads upward.
+    pub upward: bool,
+    /// Its colour.
+    pub colour: Colour,
+    /// Width of the white rim that keeps it legible over lines, pixels; 0: none.
+    pub halo: f64,
+}
+
+impl Text {
+    /// In ink, its middle at a point.
+    pub fn new(words: impl Into<String>, size: f64, at: Point) -> Self {
+        let (class, words) = ("text", words.into());
+        let (anchor, upward, colour, halo) = (Anchor::Middle, false, INK, 0.0);
+        Self { class, words, at, size, anchor, upward, colour, halo }
+    }
+
+    /// Its width, pixels.
+    pub fn width(&self) -> f64 {
+        text::width(&self.words, self.size)
+    }
+
+    /// Where its base line begins, pixels.
+    pub fn origin(&self) -> Point {
+        let back = match self.anchor {
+            Anchor::Start => 0.0,
+            Anchor::Middle => 0.5 * self.width(),
+            Anchor::End => self.width(),
+        };
+        let down = 0.5 * text::CAPITAL * self.size;
+        match self.upward {
+            true => [self.at[0] + down, self.at[1] + back],
+            false => [self.at[0] - back, self.at[1] + down],
+        }
+    }
+}
+
+/// A part of a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Item {
+    /// Lines and areas.
+    Shape(Shape),
+    /// Type.
+    Text(Text),
+}
+
+impl From<Shape> for Item {
+    fn from(shape: Shape) -> Self {
+        Self::Shape(shape)
+    }
+}
+
+impl From<Text> for Item {
+    fn from(text: Text) -> Self {
+        Self::Text(text)
+    }
+}
+
 /// A picture on a white ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
@@ -59,6 +173,25 @@ pub struct Picture {
     pub width_px: u32,
     /// Height.
     pub height_px: u32,
-    /// Shapes, the first at the bottom.
-    pub shapes: Vec<Shape>,
+    /// Parts, the first at the bottom.
+    pub items: Vec<Item>,
+}
+
+#[cfg(test)]
+impl Picture {
+    /// Lines and areas.
+    pub fn shapes(&self) -> impl Iterator<Item = &Shape> {
+        self.items.iter().filter_map(|item| match item {
+            Item::Shape(shape) => Some(shape),
+            Item::Text(_) => None,
+        })
+    }
+
+    /// Texts.
+    pub fn texts(&self) -> impl Iterator<Item = &Text> {
+        self.items.iter().filter_map(|item| match item {
+            Item::Text(text) => Some(text),
+            Item::Shape(_) => None,
+        })
+    }
 }

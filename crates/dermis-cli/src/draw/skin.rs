@@ -3,13 +3,12 @@
 
 use dermis_tomo::mesh::{Contact, ElectrodedMesh};
 
-use super::picture::{Colour, Picture, Point, Polyline, Shape, Stroke};
-use super::text::Lettering;
+use super::axis::{nice_at_least, nice_at_most, tick_label};
+use super::picture::{Anchor, Colour, INK, Item, Picture, Point, Polyline, Shape, Stroke, Text, WHITE};
+use super::text::{CAPITAL, width};
 
-const INK: Colour = Colour(31, 41, 51);
 const MESH: Colour = Colour(186, 198, 210);
 const COPPER: Colour = Colour(196, 98, 34);
-const WHITE: Colour = Colour(255, 255, 255);
 
 /// What to draw.
 pub struct SkinDrawing<'a> {
@@ -39,28 +38,21 @@ struct Layout {
     width_m: f64,
 }
 
-/// Where the number of an electrode goes.
-struct NumberPlace {
-    centre: Point,
-    height: f64,
-    colour: Colour,
-}
-
 impl SkinDrawing<'_> {
     /// The picture.
     pub fn picture(&self) -> Picture {
         let layout = Layout::of(self.body, self.width_px);
-        let mut shapes = Vec::new();
+        let mut items = Vec::new();
         if self.mesh {
-            shapes.push(self.elements(&layout));
+            items.push(self.elements(&layout).into());
         }
-        shapes.push(self.rim(&layout));
-        shapes.push(self.electrodes(&layout));
-        shapes.extend(self.numbers(&layout));
-        shapes.extend(axes(&layout));
-        shapes.push(scale_bar(&layout));
+        items.push(self.rim(&layout).into());
+        items.push(self.electrodes(&layout).into());
+        items.extend(self.numbers(&layout).into_iter().map(Item::Text));
+        items.extend(axes(&layout));
+        items.extend(scale_bar(&layout));
         let title = self.title.to_string();
-        Picture { title, width_px: self.width_px, height_px: layout.height as u32, shapes }
+        Picture { title, width_px: self.width_px, height_px: layout.height as u32, items }
     }
 
     fn elements(&self, layout: &Layout) -> Shape {
@@ -70,13 +62,13 @@ impl SkinDrawing<'_> {
         edges.sort_unstable();
         edges.dedup();
         let lines = edges.iter().map(|edge| Polyline::open(edge.map(|node| self.node(layout, node)))).collect();
-        stroked("mesh", lines, MESH, 0.8 * layout.unit)
+        Shape::stroked("mesh", lines, MESH, 0.8 * layout.unit)
     }
 
     fn rim(&self, layout: &Layout) -> Shape {
         let faces = self.body.mesh.boundary_faces();
         let line = |face: &[u32]| Polyline::open(face.iter().map(|&n| self.node(layout, n)).collect::<Vec<_>>());
-        stroked("outline", faces.iter().map(|(face, _)| line(face)).collect(), INK, 2.5 * layout.unit)
+        Shape::stroked("outline", faces.iter().map(|(face, _)| line(face)).collect(), INK, 2.5 * layout.unit)
     }
 
     fn electrodes(&self, layout: &Layout) -> Shape {
@@ -88,7 +80,7 @@ impl SkinDrawing<'_> {
                     let corners = self.body.mesh.element(element as usize);
                     anticlockwise(corners.iter().map(|&node| self.node(layout, node)).collect())
                 })),
-                Contact::Point(node) => lines.push(disc(self.node(layout, *node), 7.0 * layout.unit)),
+                Contact::Point(node) => lines.push(Polyline::disc(self.node(layout, *node), 7.0 * layout.unit)),
             }
         }
         let stroke = Some(Stroke { colour: COPPER, width: 0.8 * layout.unit });
@@ -116,31 +108,24 @@ impl SkinDrawing<'_> {
         if away < 0.0 { normal.map(|component| -component) } else { normal }
     }
 
-    fn numbers(&self, layout: &Layout) -> Vec<Shape> {
+    fn numbers(&self, layout: &Layout) -> Vec<Text> {
         let centres: Vec<Point> = self.body.electrodes.iter().map(|e| self.centre(layout, &e.contact)).collect();
         let height = (0.6 * nearest_distance(&centres)).clamp(7.0 * layout.unit, 18.0 * layout.unit);
-        let mut shapes = Vec::new();
-        for (index, electrode) in self.body.electrodes.iter().enumerate() {
-            let text = (index + 1).to_string();
-            let place = self.number_place(layout, &electrode.contact, &Lettering::new(&text, height), height);
-            let lines = Lettering::new(&text, place.height).centred_at(place.centre);
-            let width = 0.14 * place.height;
-            if place.colour == INK {
-                // Letters over the mesh stay legible on a white edge.
-                shapes.push(stroked("halo", lines.clone(), WHITE, width + 5.0 * layout.unit));
-            }
-            shapes.push(stroked("number", lines, place.colour, width));
-        }
-        shapes
+        let electrodes = self.body.electrodes.iter().enumerate();
+        electrodes.map(|(index, electrode)| self.number(layout, &electrode.contact, index + 1, height)).collect()
     }
 
-    /// Beyond a rim electrode, on a pad that is large enough, or beside a small one on the side of the skin's middle.
-    fn number_place(&self, layout: &Layout, contact: &Contact, text: &Lettering, height: f64) -> NumberPlace {
+    /// The number of an electrode, of digits so high: beyond a rim electrode, on a pad that is large enough, or beside
+    /// a small one on the side of the skin's middle.
+    fn number(&self, layout: &Layout, contact: &Contact, number: usize, height: f64) -> Text {
         let centre = self.centre(layout, contact);
+        let (words, size) = (number.to_string(), height / CAPITAL);
+        let wide = width(&words, size);
         let beside = |direction: Point, gap: f64| {
-            let reach = gap + 0.5 * (direction[0].abs() * text.width + direction[1].abs() * height);
-            let centre = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
-            NumberPlace { centre, height, colour: INK }
+            let reach = gap + 0.5 * (direction[0].abs() * wide + direction[1].abs() * height);
+            let at = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
+            // Digits over the mesh stay legible on a white edge.
+            Text { class: "number", halo: 2.5 * layout.unit, ..Text::new(words.clone(), size, at) }
         };
         let to_middle = unit([layout.centre[0] - centre[0], layout.centre[1] - centre[1]]);
         match contact {
@@ -149,11 +134,11 @@ impl SkinDrawing<'_> {
                 beside(unit(mean(&normals)), 17.0 * layout.unit)
             }
             Contact::Area(elements) => {
-                let [width, tall] = self.extent(layout, elements);
-                if text.width < 0.8 * width && height < 0.7 * tall {
-                    NumberPlace { centre, height, colour: WHITE }
+                let [pad_width, pad_height] = self.extent(layout, elements);
+                if wide < 0.8 * pad_width && height < 0.7 * pad_height {
+                    Text { class: "number", colour: WHITE, ..Text::new(words, size, centre) }
                 } else {
-                    beside(to_middle, 0.5 * width.max(tall) + 5.0 * layout.unit)
+                    beside(to_middle, 0.5 * pad_width.max(pad_height) + 5.0 * layout.unit)
                 }
             }
             Contact::Point(_) => beside(to_middle, 13.0 * layout.unit),
@@ -211,31 +196,28 @@ impl Layout {
 }
 
 /// Frame, ticks with their values, and the names of the axes.
-fn axes(layout: &Layout) -> Vec<Shape> {
+fn axes(layout: &Layout) -> Vec<Item> {
     let [left, top, right, bottom] = layout.frame;
     let unit = layout.unit;
     let step_mm = nice_at_least(90.0 * unit / layout.pixels_per_m * 1e3);
-    let label = |value_mm: f64| {
-        let decimals = (-step_mm.log10().floor()).max(0.0) as usize;
-        Lettering::new(&format!("{value_mm:.decimals$}"), 15.0 * unit)
-    };
-    let corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
-    let (mut lines, mut letters) = (vec![Polyline::closed(corners)], Vec::new());
+    let (size, name_size) = (20.0 * unit, 22.0 * unit);
+    let mut lines = vec![Polyline::rectangle([left, top], [right, bottom])];
+    let mut texts = Vec::new();
     for value_mm in ticks(layout, 0, step_mm) {
         let [x, _] = layout.place([value_mm * 1e-3, 0.0]);
         lines.push(Polyline::open([[x, bottom], [x, bottom + 7.0 * unit]]));
-        letters.extend(label(value_mm).centred_at([x, bottom + 22.0 * unit]));
+        texts.push(Text::new(tick_label(value_mm, step_mm), size, [x, bottom + 24.0 * unit]));
     }
     for value_mm in ticks(layout, 1, step_mm) {
         let [_, y] = layout.place([0.0, value_mm * 1e-3]);
-        let text = label(value_mm);
         lines.push(Polyline::open([[left - 7.0 * unit, y], [left, y]]));
-        letters.extend(text.centred_at([left - 14.0 * unit - 0.5 * text.width, y]));
+        let at = [left - 13.0 * unit, y];
+        texts.push(Text { anchor: Anchor::End, ..Text::new(tick_label(value_mm, step_mm), size, at) });
     }
-    let name = |text: &str| Lettering::new(text, 17.0 * unit);
-    letters.extend(name("x (mm)").centred_at([layout.centre[0], bottom + 62.0 * unit]));
-    letters.extend(name("y (mm)").turned_at([left - 68.0 * unit, layout.centre[1]], true));
-    vec![stroked("axes", lines, INK, 1.2 * unit), stroked("labels", letters, INK, 2.0 * unit)]
+    texts.push(Text::new("x (mm)", name_size, [layout.centre[0], bottom + 62.0 * unit]));
+    texts.push(Text { upward: true, ..Text::new("y (mm)", name_size, [left - 74.0 * unit, layout.centre[1]]) });
+    let labels = texts.into_iter().map(|text| Text { class: "label", ..text }.into());
+    std::iter::once(Shape::stroked("axes", lines, INK, 1.2 * unit).into()).chain(labels).collect()
 }
 
 /// Multiples of `step_mm` inside the frame along an axis.
@@ -247,46 +229,18 @@ fn ticks(layout: &Layout, axis: usize, step_mm: f64) -> impl Iterator<Item = f64
     (first..=last).map(move |multiple| multiple as f64 * step_mm)
 }
 
-fn scale_bar(layout: &Layout) -> Shape {
+fn scale_bar(layout: &Layout) -> [Item; 2] {
     let unit = layout.unit;
     let length_mm = nice_at_most(0.25e3 * layout.width_m);
     let length = length_mm * 1e-3 * layout.pixels_per_m;
     let (right, y) = (layout.width - 30.0 * unit, layout.frame[3] + 62.0 * unit);
     let left = right - length;
     let half = 6.0 * unit;
-    let text = Lettering::new(&format!("{length_mm} mm"), 17.0 * unit);
-    let mut lines = text.centred_at([left - 14.0 * unit - 0.5 * text.width, y]);
-    lines.push(Polyline::open([[left, y], [right, y]]));
+    let words = format!("{} mm", tick_label(length_mm, length_mm));
+    let text = Text { anchor: Anchor::End, ..Text::new(words, 22.0 * unit, [left - 14.0 * unit, y]) };
+    let mut lines = vec![Polyline::open([[left, y], [right, y]])];
     lines.extend([left, right].map(|x| Polyline::open([[x, y - half], [x, y + half]])));
-    stroked("scale-bar", lines, INK, 2.2 * unit)
-}
-
-/// The largest of 1, 2 and 5 times powers of ten that is no longer than a length.
-fn nice_at_most(length: f64) -> f64 {
-    let decade = decade_below(length);
-    [5.0, 2.0].into_iter().find(|step| step * decade <= length).unwrap_or(1.0) * decade
-}
-
-/// The smallest of 1, 2 and 5 times powers of ten that is no shorter than a length.
-fn nice_at_least(length: f64) -> f64 {
-    let decade = decade_below(length);
-    [1.0, 2.0, 5.0].into_iter().find(|step| step * decade >= length).unwrap_or(10.0) * decade
-}
-
-fn decade_below(length: f64) -> f64 {
-    10_f64.powf(length.log10().floor())
-}
-
-fn stroked(class: &'static str, lines: Vec<Polyline>, colour: Colour, width: f64) -> Shape {
-    Shape { class, lines, fill: None, stroke: Some(Stroke { colour, width }) }
-}
-
-fn disc(centre: Point, radius: f64) -> Polyline {
-    let corner = |k: i32| {
-        let (sine, cosine) = (f64::from(k) / 24.0 * std::f64::consts::TAU).sin_cos();
-        [centre[0] + radius * cosine, centre[1] + radius * sine]
-    };
-    Polyline::closed((0..24).map(corner).collect::<Vec<_>>())
+    [Shape::stroked("scale-bar", lines, INK, 2.2 * unit).into(), text.into()]
 }
 
 /// An area whose corners run one way round, so that areas which overlap do not cancel.
@@ -327,24 +281,21 @@ mod tests {
     use dermis::skin::{BUILTIN_NAMES, Skin};
 
     #[test]
-    fn lengths_are_rounded_to_ones_twos_and_fives() {
-        for (length, down, up) in [(25.0, 20.0, 50.0), (0.7, 0.5, 1.0), (100.0, 100.0, 100.0), (43.0, 20.0, 50.0)] {
-            assert_eq!(nice_at_most(length), down, "{length}");
-            assert_eq!(nice_at_least(length), up, "{length}");
-        }
-    }
-
-    #[test]
     fn every_electrode_of_every_skin_has_a_number_inside_the_picture() {
         for name in BUILTIN_NAMES {
             let body = Skin::open(name).unwrap().body_with_elements(400).unwrap().mesh;
             let picture = SkinDrawing { body: &body, title: name, width_px: 600, mesh: false }.picture();
-            let numbers: Vec<&Shape> = picture.shapes.iter().filter(|shape| shape.class == "number").collect();
+            let numbers: Vec<&Text> = picture.texts().filter(|text| text.class == "number").collect();
             assert_eq!(numbers.len(), body.electrodes.len(), "{name}");
-            assert!(picture.shapes.iter().all(|shape| shape.class != "mesh"));
+            assert!(picture.shapes().all(|shape| shape.class != "mesh"));
             let (width, height) = (f64::from(picture.width_px), f64::from(picture.height_px));
-            for [x, y] in picture.shapes.iter().flat_map(|s| &s.lines).flat_map(|line| &line.points) {
+            for [x, y] in picture.shapes().flat_map(|s| &s.lines).flat_map(|line| &line.points) {
                 assert!((0.0..=width).contains(x) && (0.0..=height).contains(y), "{name}: {x}, {y}");
+            }
+            for text in picture.texts().filter(|text| !text.upward) {
+                let [left, base] = text.origin();
+                let is_inside = left >= 0.0 && left + text.width() <= width && base <= height && base - text.size > 0.0;
+                assert!(is_inside, "{name}: {text:?}");
             }
         }
     }
@@ -355,10 +306,7 @@ mod tests {
         let drawing = SkinDrawing { body: &body, title: "", width_px: 1000, mesh: true };
         let layout = Layout::of(&body, 1000);
         // Electrode 1 lies on +x, electrode 5 on +y.
-        let place = |electrode: usize| {
-            let contact = &body.electrodes[electrode].contact;
-            drawing.number_place(&layout, contact, &Lettering::new("8", 18.0), 18.0).centre
-        };
+        let place = |electrode: usize| drawing.number(&layout, &body.electrodes[electrode].contact, 8, 18.0).at;
         let radius = 0.15 * layout.pixels_per_m;
         assert!(place(0)[0] > layout.centre[0] + radius && (place(0)[1] - layout.centre[1]).abs() < 1.0);
         assert!(place(4)[1] < layout.centre[1] - radius && (place(4)[0] - layout.centre[0]).abs() < 1.0);

@@ -1,14 +1,15 @@
 //! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5
 //! g each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
 
+mod noise;
+mod tapping;
+
 use dermis_touch::measure::hysteresis as hysteresis_of;
-use dermis_touch::rhythm::SpectrumAnalyser;
-use dermis_touch::{RunningStats, SnrDefinition, average_snr_db};
 use dermis_twin::AnyTwin;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report, Row};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report, Row};
 use crate::twin_bench::{Rig, grams_n};
 use crate::twin_bench::{disc, distance_mm};
 use dermis_skin::{Layer, Skin};
@@ -24,8 +25,8 @@ pub(super) const EXPERIMENTS: [Experiment; 11] = [
     Experiment { id: "I7", title: "force against the image, three places, three repeats", run: force_curves },
     Experiment { id: "I8", title: "one calibration line for all places", run: one_line },
     Experiment { id: "I9", title: "hysteresis, 1 to 9 weights and back", run: hysteresis },
-    Experiment { id: "I10", title: "tapping, from 1 Hz to the Nyquist limit", run: tapping },
-    Experiment { id: "I-SNR", title: "signal-to-noise ratio at rest", run: noise },
+    Experiment { id: "I10", title: "tapping, from 1 Hz to the Nyquist limit", run: tapping::tapping },
+    Experiment { id: "I-SNR", title: "signal-to-noise ratio at rest", run: noise::noise },
 ];
 
 const SKIN: &str = "ionic-disc";
@@ -68,7 +69,11 @@ fn several_touches() -> Result<Report, Error> {
         rig.frames(&[], 20)?;
     }
     let title = "I1: touches of 0.255 N at a radius of 50 mm".into();
-    let figures = vec![Figure::Images { name: "touches", title, columns: rig.columns(), panels }];
+    let caption =
+        "Images of the ionic disc's twin under two to six discs of 20 mm, each pressed with 0.255 N at 50 mm \
+                   from the centre. Each image is of the mean of ten frames against the skin at rest."
+            .into();
+    let figures = vec![Figure::Images { name: "touches", title, caption, columns: rig.columns(), panels }];
     let notes = vec!["Five and six touches are not in the paper.".into()];
     Ok(Report { id: "I1", title: EXPERIMENTS[0].title, rows, figures, notes })
 }
@@ -100,8 +105,13 @@ fn positions() -> Result<Report, Error> {
             }
             rig.frames(&[], 30)?;
         }
-        curves.push(Curve { name: format!("{radius} mm from the centre"), points, joined: false });
+        curves.push(Curve { name: format!("{radius} mm from the centre"), points, look: Look::Repeats });
     }
+    curves.push(Curve {
+        name: "paper: largest error".into(),
+        points: vec![[1.0, 6.0], [9.0, 6.0]],
+        look: Look::PaperLine,
+    });
     let most = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
     let mean = |errors: &[f64]| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let rows = vec![
@@ -119,7 +129,11 @@ fn positions() -> Result<Report, Error> {
     ];
     let (x_label, y_label) = ("weights of 6.5 g", "error of the touch (mm)");
     let title = "I2: position error".into();
-    let figures = vec![Figure::Curves { name: "errors", title, x_label, y_label, curves }];
+    let caption = "Distance from the place of a disc of 20 mm to the touch that is found, against how many weights of \
+                   6.5 g stand on it, at three distances from the centre of the ionic disc's twin; four repeats at other \
+                   angles, each of the mean of four frames. The paper gives 6 mm as its largest error from two weights on."
+        .into();
+    let figures = vec![Figure::Curves { name: "errors", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "I2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
 }
 
@@ -146,7 +160,11 @@ fn smallest_force() -> Result<Report, Error> {
         }
     }
     let title = "I3: smallest forces, one frame each".into();
-    let figures = vec![Figure::Images { name: "smallest", title, columns: rig.columns(), panels }];
+    let caption =
+        "Images of single frames of the ionic disc's twin under one and two weights of 6.5 g (64 and 128 mN) on \
+                   a disc of 20 mm, in the centre and at 30 and 60 mm from it."
+            .into();
+    let figures = vec![Figure::Images { name: "smallest", title, caption, columns: rig.columns(), panels }];
     let notes = vec!["The paper shows both forces at all three places; 5 is where a touch begins.".into()];
     Ok(Report { id: "I3", title: EXPERIMENTS[2].title, rows, figures, notes })
 }
@@ -182,7 +200,12 @@ fn ring() -> Result<Report, Error> {
         rig.frames(&[], 30)?;
     }
     let title = "I4: ring of 80 mm, 2 N, and a touch of 0.38 N inside".into();
-    let figures = vec![Figure::Images { name: "ring", title, columns: rig.columns(), panels }];
+    let caption =
+        "A ring from 35 to 45 mm in radius presses the ionic disc's twin with 2 N; inside it a disc of 20 mm \
+                   presses with 0.38 N. The reference that the images are taken against is the skin at rest, the ring \
+                   under 0.1 N, and the ring under 2 N. Means of ten frames."
+            .into();
+    let figures = vec![Figure::Images { name: "ring", title, caption, columns: rig.columns(), panels }];
     Ok(Report { id: "I4", title: EXPERIMENTS[3].title, rows, figures, notes: Vec::new() })
 }
 
@@ -206,7 +229,11 @@ fn upright() -> Result<Report, Error> {
         rig.frames(&[], 30)?;
     }
     let title = "I5: upright, touches of 0.255 N at 50 mm".into();
-    let figures = vec![Figure::Images { name: "upright", title, columns: rig.columns(), panels }];
+    let caption =
+        "The ionic disc's twin stands upright, so that its liquid bulges the lower half, and is pressed at 50 mm \
+                   above, below, right and left of the centre. Means of ten frames against the standing skin at rest."
+            .into();
+    let figures = vec![Figure::Images { name: "upright", title, caption, columns: rig.columns(), panels }];
     Ok(Report { id: "I5", title: EXPERIMENTS[4].title, rows, figures, notes: Vec::new() })
 }
 
@@ -228,7 +255,9 @@ fn square() -> Result<Report, Error> {
     let rising = points.windows(2).all(|pair| pair[1][1] > pair[0][1]);
     rows.push(row("peak rises with the weight (1: yes)", "", Some(1.0), f64::from(u8::from(rising)), Kind::Predicted));
     let title = "I6: square skin of 212 mm".into();
-    let figures = vec![Figure::Images { name: "square", title, columns: rig.columns(), panels }];
+    let caption =
+        "Images of the square ionic skin's twin under 6.5, 13 and 39 g on a disc of 20 mm. Means of ten frames.".into();
+    let figures = vec![Figure::Images { name: "square", title, caption, columns: rig.columns(), panels }];
     Ok(Report { id: "I6", title: EXPERIMENTS[5].title, rows, figures, notes: Vec::new() })
 }
 
@@ -269,10 +298,15 @@ fn force_curves() -> Result<Report, Error> {
         rows.push(row(format!("{radius} mm: R^2 of the line, peak"), "", None, straight(&by_peak).1, Kind::Predicted));
         rows.push(row(format!("{radius} mm: R^2 of the line, 9 px"), "", None, straight(&by_mean).1, Kind::Predicted));
         rows.push(row(format!("{radius} mm: slope, 9 px"), "1/N", None, straight(&by_mean).0, Kind::Predicted));
-        curves.push(Curve { name: format!("{radius} mm from the centre"), points: by_mean, joined: false });
+        curves.push(Curve { name: format!("{radius} mm from the centre"), points: by_mean, look: Look::Repeats });
     }
-    let (x_label, y_label) = ("force (N)", "mean of 9 pixels");
-    let figures = vec![Figure::Curves { name: "force", title: "I7: force curves".into(), x_label, y_label, curves }];
+    let (x_label, y_label) = ("force (N)", "mean of 9 pixels (relative change)");
+    let title = "I7: force curves".into();
+    let caption =
+        "Mean of the nine pixels at the place of a disc of 20 mm against its force, at three distances from the \
+                   centre of the ionic disc's twin; three repeats of one to nine weights of 6.5 g."
+            .into();
+    let figures = vec![Figure::Curves { name: "force", title, caption, x_label, y_label, curves }];
     let notes = vec!["The paper shows near linear curves without giving their slopes.".into()];
     Ok(Report { id: "I7", title: EXPERIMENTS[6].title, rows, figures, notes })
 }
@@ -312,10 +346,15 @@ fn one_line() -> Result<Report, Error> {
         row("largest slope over the smallest before compensation", "", None, ratio(&slopes), Kind::Predicted),
         row("mean slope", "1/N", None, mean, Kind::Predicted),
     ];
-    let curves = vec![Curve { name: "15 and 45 mm".into(), points, joined: false }];
+    let ideal = Curve { name: "equal".into(), points: vec![[0.0; 2], [full_scale; 2]], look: Look::Line };
+    let curves = vec![ideal, Curve { name: "15 and 45 mm from the centre".into(), points, look: Look::Repeats }];
     let (x_label, y_label) = ("force (N)", "force by the one line (N)");
     let title = "I8: location compensated".into();
-    let figures = vec![Figure::Curves { name: "one-line", title, x_label, y_label, curves }];
+    let caption = "Force that the image gives against the force that presses, at two distances from the centre of the \
+                   ionic disc's twin that were not calibrated: the slope there is interpolated between those at 0, 30 and \
+                   60 mm. One to nine weights of 6.5 g, three repeats at each distance."
+        .into();
+    let figures = vec![Figure::Curves { name: "one-line", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "I8", title: EXPERIMENTS[7].title, rows, figures, notes: Vec::new() })
 }
 
@@ -341,133 +380,16 @@ fn hysteresis() -> Result<Report, Error> {
     let loop_share = hysteresis_of(&pairs(&up), &pairs(&down))?.area_fraction.abs();
     let rows = vec![row("area of the loop", "% of full scale", None, 100.0 * loop_share, Kind::Predicted)];
     let curves = vec![
-        Curve { name: "loading".into(), points: up, joined: true },
-        Curve { name: "unloading".into(), points: down, joined: true },
+        Curve { name: "loading".into(), points: up, look: Look::Line },
+        Curve { name: "unloading".into(), points: down, look: Look::Line },
     ];
-    let (x_label, y_label) = ("force (N)", "peak of the image");
-    let figures = vec![Figure::Curves { name: "loop", title: "I9: hysteresis".into(), x_label, y_label, curves }];
+    let (x_label, y_label) = ("force (N)", "peak of the image (relative change)");
+    let title = "I9: hysteresis".into();
+    let caption =
+        "Peak of the image against force while weights of 6.5 g are put in the centre of the ionic disc's twin \
+                   one by one and taken off again. Means of ten frames."
+            .into();
+    let figures = vec![Figure::Curves { name: "loop", title, caption, x_label, y_label, curves }];
     let notes = vec!["The paper calls its loop small and gives no number; the memory's size is an assumption.".into()];
     Ok(Report { id: "I9", title: EXPERIMENTS[8].title, rows, figures, notes })
-}
-
-/// I10: the pixel under a tapping finger, and its spectrum.
-fn tapping() -> Result<Report, Error> {
-    let mut rig = Rig::new(SKIN)?;
-    let rate = 1.0 / rig.frame_s();
-    let (mut rows, mut spectra, mut course, mut panels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let mut slices = Vec::new();
-    for frequency in [1.0, 2.5, 5.0, 7.5] {
-        let (mut series, mut images) = (Vec::new(), Vec::new());
-        for k in 0..256 {
-            let time = f64::from(k) / rate;
-            let press = 0.5 * (1.0 - (std::f64::consts::TAU * frequency * time).cos());
-            let indenter = disc([0.0; 2], DIAMETER_MM, 0.3 * press);
-            let frame = rig.mean_frame(&[indenter], 1)?;
-            let image = rig.image(&frame)?;
-            series.push(rig.mean_around(&image, [0.0; 2]));
-            images.extend((k < SLICE_FRAMES as i32).then_some(image));
-        }
-        if frequency == 1.0 {
-            let second = &images[16..];
-            let panel = |k: &usize| rig.panel(format!("{:.3} s", *k as f64 / rate), &second[*k], &[[0.0; 2]]);
-            panels = [0, 2, 4, 6, 8, 10, 12, 14].iter().map(panel).collect();
-            slices = through_the_centre(&images, rig.columns());
-            course = series.iter().enumerate().take(96).map(|(k, v)| [k as f64 / rate, *v]).collect();
-        }
-        let spectrum = SpectrumAnalyser::new(series.len(), rate)?.spectrum(&series)?;
-        let peak = spectrum.peaks(1, 0.0).first().map_or(f64::NAN, |peak| peak.frequency_hz);
-        let line = |(k, amplitude): (usize, &f64)| [spectrum.bin_hz * k as f64, *amplitude];
-        let points: Vec<[f64; 2]> = spectrum.amplitudes.iter().enumerate().map(line).collect();
-        let paper = (frequency == 1.0).then_some(1.0);
-        rows.push(row(format!("tapped at {frequency} Hz: largest peak"), "Hz", paper, peak, Kind::Algorithm));
-        spectra.push(Curve { name: format!("{frequency} Hz"), points, joined: true });
-        rig.frames(&[], 30)?;
-    }
-    let figures = vec![
-        Figure::Curves {
-            name: "course",
-            title: "I10: centre of the skin, tapped at 1 Hz".into(),
-            x_label: "time (s)",
-            y_label: "mean of 9 pixels",
-            curves: vec![Curve { name: String::new(), points: course, joined: true }],
-        },
-        Figure::Curves {
-            name: "spectra",
-            title: "I10: spectra".into(),
-            x_label: "frequency (Hz)",
-            y_label: "amplitude",
-            curves: spectra,
-        },
-        Figure::Images {
-            name: "period",
-            title: "I10: one period of tapping at 1 Hz".into(),
-            columns: rig.columns(),
-            panels,
-        },
-        Figure::Images {
-            name: "slices",
-            title: "I10: slices over time, 3 s downward".into(),
-            columns: rig.columns(),
-            panels: slices,
-        },
-    ];
-    let notes = vec![format!("{rate} frames/s: the Nyquist limit is {} Hz.", 0.5 * rate)];
-    Ok(Report { id: "I10", title: EXPERIMENTS[9].title, rows, figures, notes })
-}
-
-/// Frames of a slice through the images over time.
-const SLICE_FRAMES: usize = 48;
-
-/// Slices of the volume of images over time through the middle row and column; a frame is a row.
-fn through_the_centre(images: &[Vec<f32>], columns: usize) -> Vec<ImagePanel> {
-    let panel = |name: &str, pixel: &dyn Fn(usize) -> usize| ImagePanel {
-        name: name.into(),
-        values: images.iter().flat_map(|image| (0..columns).map(|k| image[pixel(k)])).collect(),
-        marks: Vec::new(),
-        bend: None,
-    };
-    let middle = columns / 2;
-    vec![
-        panel("x over time", &|k| middle * columns + k),
-        panel("y over time", &|k| (columns - 1 - k) * columns + middle),
-    ]
-}
-
-/// The paper's average signal-to-noise ratio, dB, over this many frames.
-const SNR_DB: f64 = 59.7;
-const SNR_FRAMES: f64 = 100.0;
-
-/// Noise in proportion to each reading at which the paper's formula as printed, `10 log10(mean / deviation)`, gives its
-/// figure: the mean logarithm of a deviation estimated from n + 1 frames is low by `1/(2n) + 1/(6n^2)`.
-fn printed_noise() -> f64 {
-    let n = SNR_FRAMES - 1.0;
-    let logarithm = SNR_DB / 10.0 * std::f64::consts::LN_10 + (-0.5 / n - 1.0 / (6.0 * n * n));
-    (-logarithm).exp()
-}
-
-/// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of
-/// amplitudes.
-fn noise() -> Result<Report, Error> {
-    let at_rest = |noise_share, definition| -> Result<f64, Error> {
-        let mut skin = Skin::open(SKIN)?;
-        skin.backend.electronics.noise_share = Some(noise_share);
-        let mut rig = Rig::of(skin)?;
-        let mut stats = RunningStats::new(rig.prepared().channels());
-        for frame in rig.frames(&[], 100)? {
-            stats.push(&frame)?;
-        }
-        Ok(average_snr_db(definition, &stats).mean_db)
-    };
-    let printed = at_rest(printed_noise(), SnrDefinition::IonicAsPrinted)?;
-    let amplitude = at_rest(10_f64.powf(-SNR_DB / 20.0), SnrDefinition::Amplitude)?;
-    let rows = vec![
-        row("10 log10(mean / std) as printed, noise set by it", "dB", Some(59.7), printed, Kind::Fitted),
-        row("20 log10(mean / std), noise set by it", "dB", Some(59.7), amplitude, Kind::Fitted),
-    ];
-    let notes = vec![
-        "By the printed formula noise would be 1.1e-6 of a reading, less than a step of a 16-bit converter; all other \
-         replays take the thousandfold noise of the usual formula."
-            .into(),
-    ];
-    Ok(Report { id: "I-SNR", title: EXPERIMENTS[10].title, rows, figures: Vec::new(), notes })
 }

@@ -6,7 +6,7 @@ use dermis_twin::from_skin::{instrument_options, patched_options};
 use dermis_twin::piezo::{CorrelationCurve, DetectionCurve, PUBLISHED_DISTANCES_M, PUBLISHED_LIMITS_PA, PaperP};
 
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, Kind, Report, Row};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report, Row};
 use crate::twin_bench::Rig;
 use crate::twin_bench::{disc, distance_mm};
 
@@ -45,19 +45,23 @@ fn detection() -> Result<Report, Error> {
         // Decades, in which the repeats near the limit can be seen; no change at all is a hundredth of a deviation.
         let decades = |change: f64| (change / noise_v).abs().max(0.01).log10();
         let repeats = points.iter().flat_map(|p| p.change_v.map(|change| [p.pressure_pa, decades(change)]));
-        curves.push(Curve { name: name.into(), points: repeats.collect(), joined: false });
-        let boxes = points.iter().flat_map(|p| box_of(p.pressure_pa, p.change_v.map(decades)));
-        curves.push(Curve { name: name.into(), points: boxes.collect(), joined: true });
+        curves.push(Curve { name: name.into(), points: repeats.collect(), look: Look::Repeats });
     }
     let most = curves.iter().flat_map(|curve| &curve.points).map(|p| p[0]).fold(0.0, f64::max);
     curves.push(Curve {
         name: "3.3 deviations".into(),
         points: vec![[0.0, 3.3_f64.log10()], [most, 3.3_f64.log10()]],
-        joined: true,
+        look: Look::Line,
     });
-    let (x_label, y_label) = ("pressure (Pa)", "log10 of change of V rms over its deviation at rest");
-    let title = "P1: five repeats of each weight, and their quartiles".into();
-    let figures = vec![Figure::Curves { name: "detection", title, x_label, y_label, curves }];
+    let limits = PUBLISHED_LIMITS_PA.map(|limit_pa| [limit_pa, 3.3_f64.log10()]).to_vec();
+    curves.push(Curve { name: "paper: limits of detection".into(), points: limits, look: Look::PaperPoints });
+    let (x_label, y_label) = ("pressure (Pa)", "log₁₀ of change over deviation at rest");
+    let title = "P1: change of the voltages against pressure".into();
+    let caption = "Change of the root mean square of the voltages over its standard deviation at rest, as a power of ten, \
+                   against the pressure of an indenter of 22 mm on the twins of the square and the round skin. Five \
+                   repeats of each weight. A pressure is detected from 3.3 deviations on; the paper's limits lie on that line."
+        .into();
+    let figures = vec![Figure::Curves { name: "detection", title, caption, x_label, y_label, curves }];
     let notes = vec!["Fitted: the contact's reference pressure, on the square's limit alone.".into()];
     Ok(Report { id: "P1", title: EXPERIMENTS[0].title, rows, figures, notes })
 }
@@ -73,39 +77,19 @@ fn discernment() -> Result<Report, Error> {
             rows.push(row(quantity, "mm", Some(1e3 * paper), 1e3 * here, Kind::Predicted));
         }
         let points = points.iter().map(|p| [1e3 * p.shift_m, p.correlation]).collect();
-        curves.push(Curve { name: name.into(), points, joined: true });
+        curves.push(Curve { name: name.into(), points, look: Look::Line });
+    }
+    for (name, distances_m) in NAMES.into_iter().zip(PUBLISHED_DISTANCES_M) {
+        let points = distances_m.into_iter().zip([0.9, 0.5]).map(|(distance_m, level)| [1e3 * distance_m, level]);
+        curves.push(Curve { name: format!("paper: {name}"), points: points.collect(), look: Look::PaperPoints });
     }
     let (x_label, y_label) = ("shift (mm)", "correlation of frames");
     let title = "P2: Pearson correlation of difference frames".into();
-    let figures = vec![Figure::Curves { name: "correlation", title, x_label, y_label, curves }];
+    let caption = "Correlation of the difference frames of two presses with 10 g against the distance between them, on the \
+                   twins of the square and the round skin. The paper prints at which distance the correlation is 0.9 and 0.5."
+        .into();
+    let figures = vec![Figure::Curves { name: "correlation", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "P2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
-}
-
-/// Half the width of a box, pascals.
-const BOX_PA: f64 = 5.0;
-
-/// A box from the lower to the upper quartile of five values, with the median and whiskers to the extremes, as one line
-/// that breaks where a coordinate is not a number.
-fn box_of(x: f64, mut values: [f64; 5]) -> Vec<[f64; 2]> {
-    values.sort_by(f64::total_cmp);
-    let [least, lower, median, upper, most] = values;
-    let (left, right, gap) = (x - BOX_PA, x + BOX_PA, [f64::NAN; 2]);
-    vec![
-        [x, least],
-        [x, lower],
-        [left, lower],
-        [left, upper],
-        [right, upper],
-        [right, lower],
-        [x, lower],
-        gap,
-        [left, median],
-        [right, median],
-        gap,
-        [x, upper],
-        [x, most],
-        gap,
-    ]
 }
 
 /// P3: positions are those of the unrolled sheet.
@@ -133,7 +117,11 @@ fn cylinder() -> Result<Report, Error> {
     rows.push(row("two touches: worse of the two positions", "mm", None, worst, Kind::Algorithm));
     panels.push(rig.panel("two touches, 1 N each", &image, &places));
     let title = "P3: sheet on a cylinder of 190 mm".into();
-    let figures = vec![Figure::Images { name: "cylinder", title, columns: rig.columns(), panels }];
+    let caption =
+        "Images of the twin of the piezoresistive sheet on a cylinder of 190 mm, drawn as it is bent, under a light \
+                   touch, a hard touch and two touches of an indenter of 22 mm. Means of three frames."
+            .into();
+    let figures = vec![Figure::Images { name: "cylinder", title, caption, columns: rig.columns(), panels }];
     let notes = vec!["The paper shows images and gives no numbers.".into()];
     Ok(Report { id: "P3", title: EXPERIMENTS[2].title, rows, figures, notes })
 }

@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use dermis::lab::experiments::{Figure, Report, Row};
+use dermis::lab::experiments::{Figure, Look, Report, Row};
 use dermis_device::instruments::npy;
 use dermis_device::write_atomic;
 
@@ -62,7 +62,7 @@ pub fn write(folder: &Path, report: &Report) -> anyhow::Result<()> {
     for figure in &report.figures {
         let (name, picture) = drawing(figure);
         put(&folder.join(format!("{name}.svg")), draw::svg(&picture).as_bytes())?;
-        put(&folder.join(format!("{name}.png")), &draw::png(&picture)?)?;
+        put(&folder.join(format!("{name}.png")), &draw::png(&picture, 2)?)?;
         data(&folder, figure)?;
     }
     Ok(())
@@ -74,29 +74,34 @@ fn put(path: &Path, content: &[u8]) -> anyhow::Result<()> {
 
 fn drawing(figure: &Figure) -> (&'static str, Picture) {
     match figure {
-        Figure::Curves { name, title, x_label, y_label, curves } => {
+        Figure::Curves { name, title, x_label, y_label, curves, .. } => {
             let series = curves.iter().map(|curve| Series {
                 name: curve.name.clone(),
                 points: curve.points.clone(),
-                mark: match (curve.joined, curve.points.len() > 40) {
-                    (true, true) => Mark::Line,
-                    (true, false) => Mark::LinePoints,
-                    (false, _) => Mark::Points,
+                mark: match curve.look {
+                    Look::Line if (3..=40).contains(&curve.points.len()) => Mark::LinePoints,
+                    Look::Line => Mark::Line,
+                    Look::Points => Mark::Points,
+                    Look::Repeats => Mark::Repeats,
+                    Look::PaperPoints => Mark::PaperPoints,
+                    Look::PaperLine => Mark::PaperLine,
                 },
             });
             let (x_label, y_label) = (x_label.to_string(), y_label.to_string());
             (*name, Chart { title: title.clone(), x_label, y_label, series: series.collect() }.picture())
         }
-        Figure::Images { name, title, columns, panels } => {
+        Figure::Images { name, title, columns, panels, .. } => {
             let panel = |panel: &dermis::lab::experiments::ImagePanel| Panel {
                 name: panel.name.clone(),
+                quantity: panel.quantity.into(),
                 columns: *columns,
                 values: panel.values.clone(),
                 marks: panel.marks.clone(),
                 bend: panel.bend,
+                width_mm: panel.width_mm,
             };
             let panels = panels.iter().map(panel).collect();
-            (*name, Heatmap { title: title.clone(), panels, own_scales: true }.picture())
+            (*name, Heatmap { title: title.clone(), panels }.picture())
         }
     }
 }

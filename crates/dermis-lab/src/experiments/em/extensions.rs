@@ -9,7 +9,7 @@ use dermis_twin::{Conductor, ElementOptions, ElementSkin, FoilOptions, FoilSkin,
 
 use super::array::{Array, Bench, CIRCULAR, EIGHT, row};
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use crate::twin_bench::Rig;
 use crate::twin_bench::disc;
 use dermis_live::magnetic_model::MagneticModel;
@@ -60,12 +60,16 @@ fn sweep() -> Result<Report, Error> {
         for khz in [1.0, 10.0, 20.0, 55.0, 100.0] {
             rows.push(row(format!("{}: change at {khz} kHz", array.name), "per mille", None, at(khz), Kind::Predicted));
         }
-        curves.push(Curve { name: array.name.into(), points, joined: true });
+        curves.push(Curve { name: array.name.into(), points, look: Look::Line });
     }
     let title = "E12: change of the readings by one element half way down".into();
+    let caption = "Root mean square over the channels of the relative change of the readings when the middle element is \
+                   pressed by half its travel, against frequency, for the twins with eight and with sixteen coils. No noise."
+        .into();
     let figures = vec![Figure::Curves {
         name: "sweep",
         title,
+        caption,
         x_label: "frequency (kHz)",
         y_label: "rms relative change (per mille)",
         curves,
@@ -226,10 +230,14 @@ fn metal() -> Result<Report, Error> {
     let misfit = clear.rig.heights().map_or(f64::NAN, |fit| fit.misfit);
     rows.push(number("a touch, for comparison", "misfit", "", misfit));
     let points = changed.iter().zip(&misfits).map(|(c, m)| [*c, m.log10()]).collect();
-    let curves = vec![Curve { name: "metal".into(), points, joined: false }];
+    let curves = vec![Curve { name: "metal".into(), points, look: Look::Points }];
     let title = "E13: metal that came after the baseline".into();
-    let (x_label, y_label) = ("change of the readings (%)", "log10 of the misfit");
-    let figures = vec![Figure::Curves { name: "metal", title, x_label, y_label, curves }];
+    let caption =
+        "Misfit of the elements' heights, as a power of ten, against the change of the readings at rest, for plates \
+                   and a ball of metal that came near the twin with eight coils after its baseline."
+            .into();
+    let (x_label, y_label) = ("change of the readings (%)", "log₁₀ of the misfit");
+    let figures = vec![Figure::Curves { name: "metal", title, caption, x_label, y_label, curves }];
     let notes = vec![
         "Plates conduct perfectly; the ball is of aluminium. A known plate is shield_mm in the skin file.".into(),
         "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no element moved.".into(),

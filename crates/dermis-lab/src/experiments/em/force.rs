@@ -2,7 +2,7 @@
 
 use super::array::{Array, CIRCULAR, EIGHT, row, solve_name};
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use dermis_skin::Solve;
 
 /// Standard deviations that a detected force stands out by.
@@ -27,7 +27,13 @@ fn ramps() -> Result<Report, Error> {
         let (more, curves) = ramp(array, solve, most_n, mean_of, &places)?;
         rows.extend(more);
         let title = format!("E9, E10: {}, {} at the element against force", array.name, solve_name(solve));
-        figures.push(Figure::Curves { name: file, title, x_label: "force (N)", y_label: "share of travel", curves });
+        let caption = format!(
+            "Image at three elements of the EM-skin's twin ({}, {}) against the force on each; means of {mean_of} frames.",
+            array.name,
+            solve_name(solve)
+        );
+        let (x_label, y_label) = ("force (N)", "share of travel");
+        figures.push(Figure::Curves { name: file, title, caption, x_label, y_label, curves });
     }
     let notes = vec![
         "Stiffness and travel of sponge and springs are assumed; that they stiffen bends the curve.".into(),
@@ -67,7 +73,7 @@ fn ramp(
             last / first,
             Kind::Predicted,
         ));
-        curves.push(Curve { name, points, joined: true });
+        curves.push(Curve { name, points, look: Look::Line });
         bench.rig.frames(&[], 40)?;
     }
     Ok((rows, curves))

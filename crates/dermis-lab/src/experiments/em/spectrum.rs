@@ -4,7 +4,7 @@ use dermis_touch::rhythm::{Spectrum, SpectrumAnalyser};
 
 use super::array::{Bench, EIGHT, row, solve_name};
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use crate::twin_bench::distance_mm;
 use dermis_skin::Solve;
 
@@ -33,10 +33,15 @@ fn stability() -> Result<Report, Error> {
         let quantity = format!("{name}: largest distance of the peak in 100 frames");
         rows.push(row(quantity, "mm", Some(0.0), farthest, Kind::Algorithm));
         let points = values.iter().enumerate().map(|(k, v)| [k as f64, v / mean]).collect();
-        curves.push(Curve { name: name.into(), points, joined: true });
+        curves.push(Curve { name: name.into(), points, look: Look::Line });
     }
     let title = "E6: element 7 over its mean".into();
-    let figures = vec![Figure::Curves { name: "stability", title, x_label: "frame", y_label: "over the mean", curves }];
+    let caption =
+        "Image at element 7 of the EM-skin's twin with eight coils over its mean, in 100 single frames while the \
+                   element is held down, by the linear image and by the fit of heights."
+            .into();
+    let (x_label, y_label) = ("frame", "value over the mean");
+    let figures = vec![Figure::Curves { name: "stability", title, caption, x_label, y_label, curves }];
     let notes = vec!["A pixel is 3 mm: the peak of an element between pixel centres lies up to 2 mm off.".into()];
     Ok(Report { id: STABILITY.id, title: STABILITY.title, rows, figures, notes })
 }
@@ -50,20 +55,35 @@ fn cyclic() -> Result<Report, Error> {
     let rate_hz = 1.0 / bench.rig.frame_s();
     let spectrum = SpectrumAnalyser::new(FRAMES, rate_hz)?.spectrum(&series.frame_mean)?;
     let rows = vec![row("largest peak of the frame's mean", "Hz", Some(3.0), largest_hz(&spectrum), Kind::Predicted)];
-    let curves = vec![Curve { name: "frame's mean".into(), points: lines(&spectrum), joined: true }];
+    let curves = vec![Curve { name: "frame's mean".into(), points: lines(&spectrum), look: Look::Line }];
     let (time, title) = (points(&series.frame_mean, rate_hz), "E7: one element pressed at 3 Hz".to_string());
     let figures = vec![
         Figure::Curves {
             name: "cyclic-time",
             title: title.clone(),
+            caption: "Mean of the whole image of the EM-skin's twin with eight coils over time, one element pressed at 3 Hz; \
+                      ten frames a second."
+                .into(),
             x_label: "time (s)",
-            y_label: "mean of the image",
-            curves: vec![Curve { name: "frame's mean".into(), points: time, joined: true }],
+            y_label: "mean of the image (share of travel)",
+            curves: vec![Curve { name: "frame's mean".into(), points: time, look: Look::Line }],
         },
-        Figure::Curves { name: "cyclic", title, x_label: "frequency (Hz)", y_label: "amplitude", curves },
+        Figure::Curves {
+            name: "cyclic",
+            title,
+            caption: "Amplitude spectrum of the mean of the whole image while one element of the EM-skin's twin with eight \
+                      coils is pressed at 3 Hz; 128 frames."
+                .into(),
+            x_label: "frequency (Hz)",
+            y_label: "amplitude (share of travel)",
+            curves,
+        },
         Figure::Images {
             name: "cyclic-frames",
             title: "E7: successive frames".into(),
+            caption: "Six images in succession, 0.1 s apart, while one element of the EM-skin's twin with eight coils is \
+                      pressed at 3 Hz."
+                .into(),
             columns: bench.rig.columns(),
             panels: series.panels,
         },
@@ -93,7 +113,7 @@ fn two_rhythms() -> Result<Report, Error> {
             largest_hz(&spectrum),
             Kind::Predicted,
         ));
-        curves.push(Curve { name, points: lines(&spectrum), joined: true });
+        curves.push(Curve { name, points: lines(&spectrum), look: Look::Line });
     }
     let whole = analyser.spectrum(&series.frame_mean)?;
     let mut peaks: Vec<f64> = whole.peaks(2, 0.0).iter().map(|peak| peak.frequency_hz).collect();
@@ -101,10 +121,14 @@ fn two_rhythms() -> Result<Report, Error> {
     for (expected, found) in [0.5, 2.0].iter().zip(peaks) {
         rows.push(row(format!("frame's mean: peak by {expected} Hz"), "Hz", Some(*expected), found, Kind::Predicted));
     }
-    curves.push(Curve { name: "frame's mean".into(), points: lines(&whole), joined: true });
+    curves.push(Curve { name: "frame's mean".into(), points: lines(&whole), look: Look::Line });
     let title = "E8: two elements at 0.5 and 2 Hz".into();
-    let figures =
-        vec![Figure::Curves { name: "two-rhythms", title, x_label: "frequency (Hz)", y_label: "amplitude", curves }];
+    let caption =
+        "Amplitude spectra while two elements of the EM-skin's twin with eight coils are pressed at once, at 0.5 and \
+                   2 Hz: of the nine pixels at each, and of the mean of the whole image; 128 frames."
+            .into();
+    let (x_label, y_label) = ("frequency (Hz)", "amplitude (share of travel)");
+    let figures = vec![Figure::Curves { name: "two-rhythms", title, caption, x_label, y_label, curves }];
     let notes =
         vec!["Each element's spectrum is that of its own 3 x 3 pixels: the two are told apart in space.".into()];
     Ok(Report { id: TWO_RHYTHMS.id, title: TWO_RHYTHMS.title, rows, figures, notes })

@@ -61,7 +61,11 @@ fn single() -> Result<Report, Error> {
             ("em-16-circular", _) => "single-16-circular",
             _ => "single-16-square",
         };
-        figures.push(Figure::Images { name: file, title, columns, panels });
+        let caption = format!(
+            "Images of the EM-skin's twin ({name}), one frame each, with {} N on one element at a time; four of {} elements.",
+            array.press_n, array.elements
+        );
+        figures.push(Figure::Images { name: file, title, caption, columns, panels });
     }
     rows.extend(jacobians()?);
     let notes = vec!["The paper shows images; that all elements are located is its statement.".into()];
@@ -117,7 +121,10 @@ fn adjacent() -> Result<Report, Error> {
         if array.skin == "em-8" {
             let file = if solve == Solve::Pixels { "pairs" } else { "pairs-heights" };
             let title = format!("E2: {name}, neighbours");
-            figures.push(Figure::Images { name: file, title, columns: bench.rig.columns(), panels });
+            let caption = format!(
+                "Images of the EM-skin's twin ({name}), one frame each, with two neighbouring elements pressed."
+            );
+            figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
         }
     }
     let notes = vec![
@@ -174,7 +181,12 @@ fn several() -> Result<Report, Error> {
         rows.push(row(format!("{}: fours found whole, of 4", array.name), "", Some(4.0), four, Kind::Algorithm));
         rows.push(travel_error(&mut bench, array.name, &fours)?);
         let title = format!("E3: {}, three and four touches", array.name);
-        figures.push(Figure::Images { name: file, title, columns: bench.rig.columns(), panels });
+        let caption = format!(
+            "Images of heights of the EM-skin's twin with {} coils, three and four elements pressed at once, near each other \
+             and far apart; the names are the elements' numbers.",
+            array.name.replace(" coils", "")
+        );
+        figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
     }
     let notes = vec![
         "The last group of each four is of elements that touch each other.".into(),
@@ -244,7 +256,11 @@ fn coils() -> Result<Report, Error> {
             Kind::Algorithm,
         ));
         let title = format!("E4: {} coils", array.name);
-        figures.push(Figure::Images { name: file, title, columns: bench.rig.columns(), panels });
+        let caption = format!(
+            "Linear images of the EM-skin's twin with {} coils, one element pressed; means of 16 frames.",
+            array.name
+        );
+        figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
     }
     let notes = vec![
         "Spread: root mean square distance from the element, weighted with the image squared; means of 16 frames. The paper finds square coils sharper.".into(),
@@ -281,6 +297,10 @@ fn shapes() -> Result<Report, Error> {
     let figures = vec![Figure::Images {
         name: "shapes",
         title: "E5: a line and a ring, 2 N on each element".into(),
+        caption:
+            "Images of the EM-skin's twin with eight coils, the five elements of the middle row pressed and the eight \
+                  around the middle, by the linear image and by the fit of heights; single frames."
+                .into(),
         columns,
         panels,
     }];

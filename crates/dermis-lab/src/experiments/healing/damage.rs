@@ -7,7 +7,7 @@ use super::bench::{mean, row};
 use super::live::Line;
 use crate::Error;
 use crate::report::Row;
-use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report};
+use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report};
 use crate::twin_bench::{distance_mm, panel_of};
 use dermis_skin::TwinAction;
 
@@ -42,8 +42,9 @@ fn panel(line: &Line, name: &str, values: &[f32], places_mm: &[[f64; 2]]) -> Ima
     panel_of(line.pipeline.prepared(), name, values, &places)
 }
 
-fn images(line: &Line, name: &'static str, title: &str, panels: Vec<ImagePanel>) -> Figure {
-    Figure::Images { name, title: title.into(), columns: line.pipeline.prepared().map.grid().columns, panels }
+fn images(line: &Line, name: &'static str, [title, caption]: [&str; 2], panels: Vec<ImagePanel>) -> Figure {
+    let columns = line.pipeline.prepared().map.grid().columns;
+    Figure::Images { name, title: title.into(), caption: caption.into(), columns, panels }
 }
 
 /// Mean error of touches beside the cut, and how many were missed or not alone.
@@ -102,7 +103,12 @@ fn cut_and_touches() -> Result<Report, Error> {
         row("touches missed or not alone, intact", "", Some(0.0), intact_odd as f64, Kind::Algorithm),
         row("touches missed or not alone, cut", "", Some(0.0), cut_odd as f64, Kind::Algorithm),
     ]);
-    let figures = vec![images(&line, "cut", "H4: a cut of 20 mm, and a touch while it is there", panels)];
+    let words = [
+        "H4: a cut of 20 mm, and a touch while it is there",
+        "Images of the self-healing sandwich's twin with a cut of 20 mm, whose ends the crosses mark: against the intact \
+         skin, and of a disc of 20 mm pressed at 80 kPa beside it, against the cut skin.",
+    ];
+    let figures = vec![images(&line, "cut", words, panels)];
     let notes = vec!["The length is the paper's; it shows place and shape, and gives no numbers.".into()];
     Ok(Report { id: CUT_AND_TOUCHES.id, title: CUT_AND_TOUCHES.title, rows, figures, notes })
 }
@@ -157,14 +163,23 @@ fn healing() -> Result<Report, Error> {
         row("error there, healed, old baseline", "mm", None, error_mm(&old, MIDDLE_MM), Kind::Algorithm),
         row("error there, healed, new baseline", "mm", Some(2.41), error_mm(&new, MIDDLE_MM), Kind::Algorithm),
     ];
-    let curve = |name: &str, points: Vec<[f64; 2]>| Curve { name: name.into(), points, joined: true };
+    let words = [
+        "H5: cut, healed, pressed with a new baseline",
+        "Images of the self-healing sandwich's twin: cut, and healed by 2 h at 90 °C and two days of rest, both against the \
+         intact skin; and pressed on the healed place against a new baseline.",
+    ];
+    let curve = |name: &str, points: Vec<[f64; 2]>| Curve { name: name.into(), points, look: Look::Line };
     let figures = vec![
-        images(&line, "healing", "H5: cut, healed, pressed with a new baseline", panels),
+        images(&line, "healing", words, panels),
         Figure::Curves {
             name: "progress",
             title: "H5: share of the cut that has healed".into(),
-            x_label: "hours",
-            y_label: "healed",
+            caption:
+                "Share of the cut's faces that is joined again over time: what is true of the twin, and what the live \
+                      pipeline's monitor makes of the readings. Heat of 90 °C is applied for the first two hours."
+                    .into(),
+            x_label: "time (h)",
+            y_label: "share healed",
             curves: vec![curve("twin", truth), curve("monitor", seen)],
         },
     ];
@@ -203,7 +218,12 @@ fn on_the_cut() -> Result<Report, Error> {
         row("released, the same damage is there again", "", Some(1.0), is(same), Kind::Predicted),
         row("touches after release", "", Some(0.0), line.touches.len() as f64, Kind::Algorithm),
     ];
-    let figures = vec![images(&line, "on-the-cut", "H6: pressing on the cut", panels)];
+    let words = [
+        "H6: pressing on the cut",
+        "Images of the self-healing sandwich's twin against the intact skin: cut, while a disc of 20 mm presses the cut at \
+         80 kPa, and after its release.",
+    ];
+    let figures = vec![images(&line, "on-the-cut", words, panels)];
     let notes = vec!["Against the intact skin, as in the paper's figure 12. 1 is yes.".into()];
     Ok(Report { id: ON_THE_CUT.id, title: ON_THE_CUT.title, rows, figures, notes })
 }

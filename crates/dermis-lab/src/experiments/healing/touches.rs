@@ -5,7 +5,7 @@ use dermis_twin::mechanics::Indenter;
 
 use super::bench::{Bench, PRESSURE_PA, Seen, Step, indenter, mean, radius_m, row};
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Report, Row};
+use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report, Row};
 use crate::twin_bench::distance_mm;
 
 /// The two indenters, millimetres.
@@ -14,6 +14,13 @@ const DIAMETERS_MM: [f64; 2] = [20.0, 25.0];
 const PLACES_MM: [[f64; 2]; 3] = [[0.0, 0.0], [0.0, 25.0], [25.0, 25.0]];
 /// ICC, RIE and SSIM that the paper's U-Net reaches with one, two and three touches.
 const PUBLISHED: [[f64; 3]; 3] = [[0.80, 0.59, 0.92], [0.85, 0.54, 0.86], [0.70, 0.78, 0.70]];
+
+/// What the images of all steps hold, and the truth.
+/// How the panels of a touch come about.
+const STEPS: &str = "Truth is what the indenters cover; the first step is the linear image over its own peak; the U-Net's \
+                     image is its probability of compressed less that of damaged; fitted discs are the touches of the live \
+                     pipeline. Single frames.";
+const COMPRESSED: &str = "compressed (0: not, 1: fully)";
 
 /// Scores of all steps over some cases, with images of each.
 struct Scores {
@@ -32,7 +39,8 @@ impl Scores {
         let places: Vec<[f64; 2]> = indenters.iter().map(|indenter| indenter.centre_m).collect();
         let mut show = |what: &str, image: &[f64]| {
             let values: Vec<f32> = image.iter().map(|value| *value as f32).collect();
-            self.panels.push(bench.rig.panel(format!("{name}, {what}"), &values, &places));
+            let panel = bench.rig.panel(format!("{name}, {what}"), &values, &places);
+            self.panels.push(ImagePanel { quantity: COMPRESSED, ..panel });
         };
         show("truth", &truth);
         for ((step, image), scores) in Step::ALL.iter().zip(&seen.images).zip(&mut self.by_step) {
@@ -84,7 +92,9 @@ fn single() -> Result<Report, Error> {
     let told = diameters.iter().filter(nearer).count() as f64;
     rows.push(row("cases of six whose indenter is told by its size", "", Some(5.0), told, Kind::Algorithm));
     let title = format!("H1: single touches at {} kPa", PRESSURE_PA * 1e-3);
-    let figures = vec![Figure::Images { name: "single", title, columns: bench.rig.columns(), panels: scores.panels }];
+    let caption = format!("One touch of 20 or 25 mm on the self-healing sandwich's twin at three places. {STEPS}");
+    let (columns, panels) = (bench.rig.columns(), scores.panels);
+    let figures = vec![Figure::Images { name: "single", title, caption, columns, panels }];
     let notes = vec![
         "The paper's size of one of six cases, 25 mm in the middle, was not told from the smaller one's.".into(),
         "Truth is what the indenter covers. The first step is scored over its own peak.".into(),
@@ -129,11 +139,17 @@ fn positions() -> Result<Report, Error> {
             rows.push(row(format!("{}: {word} error", step.name()), "mm", Some(paper), here, Kind::Algorithm));
         }
     }
-    let curve = |name: &str, points: &[[f64; 2]]| Curve { name: name.into(), points: points.to_vec(), joined: false };
+    let curve =
+        |name: &str, points: &[[f64; 2]]| Curve { name: name.into(), points: points.to_vec(), look: Look::Points };
     let mut curves = vec![curve("truth", &truth)];
     curves.extend(Step::ALL.iter().zip(&points).map(|(step, points)| curve(step.name(), points)));
     let title = "H2: nine places of the first quadrant".into();
-    let figures = vec![Figure::Curves { name: "places", title, x_label: "x (mm)", y_label: "y (mm)", curves }];
+    let caption = "Where a disc of 20 mm pressed the self-healing sandwich's twin, at nine places 12.5 mm apart, and where it \
+                   was found by the linear image (first step) and the U-Net, each by the centroid above half of its peak, and \
+                   by the contact fitted to the forward model. Single frames."
+        .into();
+    let (x_label, y_label) = ("x (mm)", "y (mm)");
+    let figures = vec![Figure::Curves { name: "places", title, caption, x_label, y_label, curves }];
     let notes = vec!["The first step's place is the centroid above half of the peak, as in the paper.".into()];
     Ok(Report { id: POSITIONS.id, title: POSITIONS.title, rows, figures, notes })
 }
@@ -180,7 +196,8 @@ fn several() -> Result<Report, Error> {
         panels.extend(scores.panels);
     }
     let title = "H3: two and three touches".into();
-    let figures = vec![Figure::Images { name: "several", title, columns: bench.rig.columns(), panels }];
+    let caption = format!("Two and three touches of 20 mm on the self-healing sandwich's twin. {STEPS}");
+    let figures = vec![Figure::Images { name: "several", title, caption, columns: bench.rig.columns(), panels }];
     let notes = vec!["The paper's text does not say where its several touches lie; these are spread alike.".into()];
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }
