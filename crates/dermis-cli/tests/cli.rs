@@ -435,7 +435,7 @@ fn a_replay_leaves_table_figures_data_and_report() {
     let table: [(&[&str], &str); 3] = [
         (&["reproduce", "Z"], "paper Z: expected one of E, H, I, P"),
         (&["reproduce", "I", "I99"], "experiment I99: expected one of I1, I2"),
-        (&["reproduce"], "<PAPER>"),
+        (&["reproduce"], "<PAPER|EXPERIMENT>"),
     ];
     for (words, expected) in table {
         let message = desk.refused(words, 2);

@@ -4,7 +4,10 @@
 pub mod em;
 pub mod healing;
 pub mod ionic;
+mod methods;
 pub mod piezo;
+
+pub use methods::{METHODS, Method};
 
 pub use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report, Row};
 pub use crate::twin_bench::{Rig, grams_n};

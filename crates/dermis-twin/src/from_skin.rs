@@ -33,6 +33,12 @@ pub use press::{PressRange, demonstration, press_range};
 const MM: f64 = 1e-3;
 /// Seed where the file gives none.
 const SEED: u64 = 1;
+
+/// Seed of a twin's noise and tolerances: that of the file, else 1.
+pub fn seed_of(skin: &Skin) -> u64 {
+    skin.twin.seed.unwrap_or(SEED)
+}
+
 /// Highest degree to which elements excite each other, and sweeps over them.
 const COUPLING: (usize, usize) = (3, 2);
 /// Elements farther apart than so many cells do not excite each other: diagonal neighbours do.
@@ -84,7 +90,7 @@ impl TwinKit {
         Budget::of_twin(skin, triangles).check(skin, "its twin")?;
         let mut frontend = frontend_of(skin, built)?;
         let instrument = instrument_options(skin, resting_voltage_v(&mut *frontend)?);
-        let seed = skin.twin.seed.unwrap_or(SEED);
+        let seed = seed_of(skin);
         let options = TwinOptions { instrument, scene: SceneOptions::default(), script: None, seed };
         let mut twin = Twin::of(frontend, &options)?;
         twin.set_faults(timed_faults(&skin.twin))?;
@@ -404,6 +410,6 @@ pub fn element_options(skin: &Skin) -> Result<ElementOptions, TwinError> {
         current_a: skin.backend.current_ma / 1e3,
         frequency_hz,
         nearby: None,
-        seed: skin.twin.seed.unwrap_or(SEED),
+        seed: seed_of(skin),
     })
 }

@@ -1,5 +1,8 @@
 //! `dermis reproduce`: the experiments of the published skins on their twins, as tables, figures and one report.
 
+mod cells;
+mod figures;
+mod page;
 mod report;
 
 use std::io::Write;
@@ -12,22 +15,21 @@ use crate::exit::{Outcome, UsageError};
 const EXAMPLE: &str = "\
 Examples:
   dermis reproduce --list
-  dermis reproduce I I3 --out reproduce
+  dermis reproduce I3 I9 --out reproduce
+  dermis reproduce I P H1      # two papers and one experiment of a third, in one report
 
-Each experiment gets a folder with its table (CSV), figures (SVG and PNG) and their data (CSV, NPY); report.html shows
-all. Noise and repeats are seeded: a replay gives the same numbers. Tables say of every figure whether it was fitted to
+Each experiment gets a folder with its table (CSV), figures (SVG, PDF, PNG) and their data (CSV, NPY); report.html is one
+report of all: contents, methods, tables, figures with captions. It can be read on a phone and printed. Noise and repeats are seeded: a replay gives the same numbers. Tables say of every figure whether it was fitted to
 the paper, predicted by the twin's physics, or made by the image and touch algorithms.";
 
 /// Arguments of `dermis reproduce`.
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLE)]
 pub struct Arguments {
-    /// Letter of a paper.
-    #[arg(value_name = "PAPER", required_unless_present = "list")]
-    paper: Option<String>,
-    /// Experiments, as in `I2`; all of the paper when none is named.
-    #[arg(value_name = "EXPERIMENT")]
-    experiments: Vec<String>,
+    /// Letters of papers, and experiments as in `I2`. A letter stands for all of its paper, unless experiments of that
+    /// paper are named as well.
+    #[arg(value_name = "PAPER|EXPERIMENT", required_unless_present = "list")]
+    which: Vec<String>,
     /// Folder for what comes out.
     #[arg(long, value_name = "FOLDER", default_value = "reproduce")]
     out: PathBuf,
@@ -74,27 +76,58 @@ impl Arguments {
             reports.push(report);
         }
         bar.finish_and_clear();
-        let page = report::write_page(&self.out, &reports)?;
+        let page = page::write_page(&self.out, &reports)?;
         writeln!(out, "report: {}", page.display())?;
         Ok(Outcome::Done)
     }
 
+    /// In the order of the papers and their experiments, each once.
     fn chosen(&self) -> Result<Vec<&'static Experiment>, UsageError> {
-        let letters = || PAPERS.iter().map(|paper| paper.0).collect::<Vec<_>>().join(", ");
-        let asked = self.paper.as_deref().unwrap_or_default();
-        let paper = PAPERS.iter().find(|paper| paper.0.eq_ignore_ascii_case(asked));
-        let Some((_, _, experiments)) = paper else {
-            return Err(UsageError(format!("paper {asked}: expected one of {}", letters())));
-        };
-        if self.experiments.is_empty() {
-            return Ok(experiments.iter().collect());
+        let is_letter = |word: &String, letter: &str| word.eq_ignore_ascii_case(letter);
+        for word in &self.which {
+            known(word)?;
         }
-        let find = |name: &String| {
-            experiments.iter().find(|experiment| experiment.id.eq_ignore_ascii_case(name)).ok_or_else(|| {
-                let known = experiments.iter().map(|experiment| experiment.id).collect::<Vec<_>>().join(", ");
-                UsageError(format!("experiment {name}: expected one of {known}"))
-            })
-        };
-        self.experiments.iter().map(find).collect()
+        let mut chosen = Vec::new();
+        for (letter, _, experiments) in &PAPERS {
+            let is_named = |e: &Experiment| self.which.iter().any(|word| word.eq_ignore_ascii_case(e.id));
+            let named: Vec<&Experiment> = experiments.iter().filter(|experiment| is_named(experiment)).collect();
+            if named.is_empty() && self.which.iter().any(|word| is_letter(word, letter)) {
+                chosen.extend(experiments.iter());
+            }
+            chosen.extend(named);
+        }
+        Ok(chosen)
+    }
+}
+
+/// Refuses what is neither a paper's letter nor one of its experiments.
+fn known(word: &str) -> Result<(), UsageError> {
+    let begins = |letter: &str| word.get(..letter.len()).is_some_and(|start| start.eq_ignore_ascii_case(letter));
+    let Some((letter, _, experiments)) = PAPERS.iter().find(|(letter, ..)| begins(letter)) else {
+        let letters = PAPERS.iter().map(|paper| paper.0).collect::<Vec<_>>().join(", ");
+        return Err(UsageError(format!("paper {word}: expected one of {letters}")));
+    };
+    if word.len() == letter.len() || experiments.iter().any(|experiment| experiment.id.eq_ignore_ascii_case(word)) {
+        return Ok(());
+    }
+    let names = experiments.iter().map(|experiment| experiment.id).collect::<Vec<_>>().join(", ");
+    Err(UsageError(format!("experiment {word}: expected one of {names}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ids(words: &[&str]) -> Vec<&'static str> {
+        let which = words.iter().map(|word| word.to_string()).collect();
+        let arguments = Arguments { which, out: PathBuf::new(), list: false, json: false };
+        arguments.chosen().unwrap().iter().map(|experiment| experiment.id).collect()
+    }
+
+    #[test]
+    fn papers_and_experiments_mix_and_come_once_in_their_order() {
+        assert_eq!(ids(&["P", "i3", "I", "I1", "h1"]), ["H1", "I1", "I3", "P1", "P2", "P3"]);
+        assert_eq!(ids(&["p", "P"]), ["P1", "P2", "P3"]);
+        assert_eq!(ids(&["E10", "I-SNR"]), ["E10", "I-SNR"]);
     }
 }

@@ -1,6 +1,7 @@
 //! Experiments I1 to I10 of the ionic liquid skin (paper I: fringing-field EIT under a latex membrane). Weights are 6.5
 //! g each on a disc of 20 mm, which makes the paper's pressures: 64 mN on 314 mm^2 are 0.203 kPa.
 
+mod bench;
 mod noise;
 mod tapping;
 
@@ -8,8 +9,9 @@ use dermis_touch::measure::hysteresis as hysteresis_of;
 use dermis_twin::AnyTwin;
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
+use self::bench::{DIAMETER_MM, SKIN, row};
 use crate::Error;
-use crate::report::{Curve, Experiment, Figure, Kind, Look, Report, Row};
+use crate::report::{Curve, Experiment, Figure, Kind, Look, Report};
 use crate::twin_bench::{Rig, grams_n};
 use crate::twin_bench::{disc, distance_mm};
 use dermis_skin::{Layer, Skin};
@@ -25,13 +27,11 @@ pub(super) const EXPERIMENTS: [Experiment; 11] = [
     Experiment { id: "I7", title: "force against the image, three places, three repeats", run: force_curves },
     Experiment { id: "I8", title: "one calibration line for all places", run: one_line },
     Experiment { id: "I9", title: "hysteresis, 1 to 9 weights and back", run: hysteresis },
-    Experiment { id: "I10", title: "tapping, from 1 Hz to the Nyquist limit", run: tapping::tapping },
-    Experiment { id: "I-SNR", title: "signal-to-noise ratio at rest", run: noise::noise },
+    tapping::TAPPING,
+    noise::NOISE,
 ];
 
-const SKIN: &str = "ionic-disc";
 const WEIGHT_G: f64 = 6.5;
-const DIAMETER_MM: f64 = 20.0;
 /// Radii of the paper's three places.
 const RADII_MM: [f64; 3] = [0.0, 30.0, 60.0];
 
@@ -43,10 +43,6 @@ fn weights(centre_m: [f64; 2], count: usize) -> Indenter {
 fn around(count: usize, radius_mm: f64) -> Vec<[f64; 2]> {
     let angle = |k: usize| 0.3 + std::f64::consts::TAU * k as f64 / count as f64;
     (0..count).map(|k| [1e-3 * radius_mm * angle(k).cos(), 1e-3 * radius_mm * angle(k).sin()]).collect()
-}
-
-fn row(quantity: impl Into<String>, unit: &'static str, paper: Option<f64>, here: f64, kind: Kind) -> Row {
-    Row { quantity: quantity.into(), unit, paper, here, kind }
 }
 
 /// I1: the paper tells two, three and four touches apart; here also five and six.

@@ -3,10 +3,12 @@
 use dermis_skin::Skin;
 use dermis_touch::{RunningStats, SnrDefinition, average_snr_db};
 
-use super::{EXPERIMENTS, SKIN, row};
+use super::bench::{SKIN, row};
 use crate::Error;
-use crate::report::{Kind, Report};
+use crate::report::{Experiment, Kind, Report};
 use crate::twin_bench::Rig;
+
+pub(super) const NOISE: Experiment = Experiment { id: "I-SNR", title: "signal-to-noise ratio at rest", run: noise };
 
 /// The paper's average signal-to-noise ratio, dB, over this many frames.
 const SNR_DB: f64 = 59.7;
@@ -22,7 +24,7 @@ fn printed_noise() -> f64 {
 
 /// The paper's figure under both readings of it: its own formula takes ten times the logarithm of a ratio of
 /// amplitudes.
-pub(super) fn noise() -> Result<Report, Error> {
+fn noise() -> Result<Report, Error> {
     let at_rest = |noise_share, definition| -> Result<f64, Error> {
         let mut skin = Skin::open(SKIN)?;
         skin.backend.electronics.noise_share = Some(noise_share);
@@ -44,5 +46,5 @@ pub(super) fn noise() -> Result<Report, Error> {
          replays take the thousandfold noise of the usual formula."
             .into(),
     ];
-    Ok(Report { id: "I-SNR", title: EXPERIMENTS[10].title, rows, figures: Vec::new(), notes })
+    Ok(Report { id: NOISE.id, title: NOISE.title, rows, figures: Vec::new(), notes })
 }

@@ -3,13 +3,16 @@
 use dermis_skin::Modality;
 use dermis_touch::rhythm::SpectrumAnalyser;
 
-use super::{DIAMETER_MM, EXPERIMENTS, SKIN, row};
+use super::bench::{DIAMETER_MM, SKIN, row};
 use crate::Error;
-use crate::report::{Curve, Figure, ImagePanel, Kind, Look, Report};
+use crate::report::{Curve, Experiment, Figure, ImagePanel, Kind, Look, Report};
 use crate::twin_bench::{Rig, disc};
 
+pub(super) const TAPPING: Experiment =
+    Experiment { id: "I10", title: "tapping, from 1 Hz to the Nyquist limit", run: tapping };
+
 /// I10: the pixel under a tapping finger, and its spectrum.
-pub(super) fn tapping() -> Result<Report, Error> {
+fn tapping() -> Result<Report, Error> {
     let mut rig = Rig::new(SKIN)?;
     let rate = 1.0 / rig.frame_s();
     let (mut rows, mut spectra, mut course, mut panels) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -83,7 +86,7 @@ pub(super) fn tapping() -> Result<Report, Error> {
         },
     ];
     let notes = vec![format!("{rate} frames/s: the Nyquist limit is {} Hz.", 0.5 * rate)];
-    Ok(Report { id: "I10", title: EXPERIMENTS[9].title, rows, figures, notes })
+    Ok(Report { id: TAPPING.id, title: TAPPING.title, rows, figures, notes })
 }
 
 /// Frames of a slice through the images over time.

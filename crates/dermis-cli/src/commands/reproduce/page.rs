@@ -1,0 +1,228 @@
+//! One page for all experiments that were replayed: contents, methods, tables, figures with captions, downloads. It holds
+//! its pictures and its type, so that it can be sent alone; downloads lie in the folders beside it.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
+use dermis::lab::experiments::{Figure, METHODS, Method, PAPERS, Report};
+use dermis::skin::Skin;
+use dermis_twin::from_skin::seed_of;
+
+use super::cells::cells;
+use super::figures::{caption, comparison, drawing, skins};
+use super::report::put;
+use crate::draw::{self, Picture};
+
+const STYLE: &str = include_str!("report.css");
+/// What twins, kinds and measures are.
+const METHODS_TEXT: &str = include_str!("methods.html");
+/// Pictures wider than this, pixels, are moved sideways on a small screen.
+const WIDE_PX: u32 = 640;
+
+/// The page with the numbers of its figures.
+struct Page {
+    text: String,
+    figures: usize,
+}
+
+/// A paper and what of it was replayed.
+struct Chapter<'a> {
+    letter: &'static str,
+    title: &'static str,
+    reports: Vec<&'a Report>,
+}
+
+/// One page for all experiments in the folder's `report.html`.
+pub fn write_page(folder: &Path, reports: &[Report]) -> anyhow::Result<PathBuf> {
+    let chapters = chapters(reports);
+    let mut page = Page { text: String::new(), figures: 0 };
+    page.head(&chapters);
+    page.contents(&chapters);
+    page.methods(&chapters)?;
+    for chapter in &chapters {
+        page.chapter(chapter)?;
+    }
+    page.text.push_str("</main>\n</body>\n</html>\n");
+    let path = folder.join("report.html");
+    put(&path, page.text.as_bytes())?;
+    Ok(path)
+}
+
+/// Reports by paper, papers in their own order.
+fn chapters(reports: &[Report]) -> Vec<Chapter<'_>> {
+    let chapter = |(letter, title, experiments): &(&'static str, &'static str, &[_])| Chapter {
+        letter: *letter,
+        title: *title,
+        reports: reports
+            .iter()
+            .filter(|report| experiments.iter().any(|e: &dermis::lab::experiments::Experiment| e.id == report.id))
+            .collect(),
+    };
+    PAPERS.iter().map(chapter).filter(|chapter| !chapter.reports.is_empty()).collect()
+}
+
+fn method(letter: &str) -> Option<&'static Method> {
+    METHODS.iter().find(|method| method.letter == letter)
+}
+
+impl Page {
+    fn push(&mut self, text: &str) {
+        self.text.push_str(text);
+        self.text.push('\n');
+    }
+
+    fn head(&mut self, chapters: &[Chapter]) {
+        let font = BASE64_STANDARD.encode(draw::FONT_FILE);
+        let letters: Vec<&str> = chapters.iter().map(|chapter| chapter.letter).collect();
+        let ids: Vec<&str> = chapters.iter().flat_map(|chapter| &chapter.reports).map(|report| report.id).collect();
+        let (papers, version) = (letters.join(", "), env!("CARGO_PKG_VERSION"));
+        let _ = writeln!(
+            self.text,
+            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+             <title>Published skins, replayed on their twins: {papers}</title>\n<style>\n\
+             @font-face{{font-family:\"DejaVu Sans\";src:url(data:font/ttf;base64,{font}) format(\"truetype\")}}\n\
+             {STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>Published skins, replayed on their twins</h1>\n\
+             <p class=\"lead\">{} experiments of {}, simulated and imaged by dermis {version}, each beside what its paper \
+             prints.</p>\n<p class=\"command\"><code>dermis reproduce {}</code></p>\n</header>",
+            ids.len(),
+            if letters.len() == 1 { format!("paper {papers}") } else { format!("papers {papers}") },
+            ids.join(" ")
+        );
+    }
+
+    fn contents(&mut self, chapters: &[Chapter]) {
+        self.push("<nav aria-label=\"Contents\">\n<h2>Contents</h2>\n<ol>\n<li><a href=\"#methods\">Methods</a>");
+        for chapter in chapters {
+            let (letter, title) = (chapter.letter, escaped(chapter.title));
+            let _ = writeln!(self.text, "<li><a href=\"#{letter}\">Paper {letter}: {title}</a>\n<ol>");
+            for report in &chapter.reports {
+                let _ = writeln!(self.text, "<li><a href=\"#{0}\">{0}: {1}</a>", report.id, escaped(report.title));
+            }
+            self.push("</ol>");
+        }
+        self.push("</ol>\n</nav>");
+    }
+
+    fn methods(&mut self, chapters: &[Chapter]) -> anyhow::Result<()> {
+        self.push("<section id=\"methods\">\n<h2>Methods</h2>");
+        self.text.push_str(METHODS_TEXT);
+        self.push("<h3>What was given, fitted and assumed</h3>");
+        for method in chapters.iter().filter_map(|chapter| method(chapter.letter)) {
+            let _ = writeln!(
+                self.text,
+                "<h4>Paper {}</h4>\n<dl>\n<dt>given<dd>{}\n<dt>fitted<dd>{}\n<dt>assumed<dd>{}\n</dl>",
+                method.letter,
+                escaped(method.given),
+                escaped(method.fitted),
+                escaped(method.assumed)
+            );
+        }
+        self.push("<h3>Versions and seeds</h3>");
+        let version = env!("CARGO_PKG_VERSION");
+        let _ = writeln!(
+            self.text,
+            "<p>dermis {version}. Noise and tolerances of a twin come from a seeded generator, so that a replay gives the same \
+             numbers on the same machine. Every experiment begins with a new twin.</p>\n<div class=\"scroll\"><table>\n\
+             <thead><tr><th>skin<th>paper<th>seed<th>frames/s<th>channels</thead>\n<tbody>"
+        );
+        for method in chapters.iter().filter_map(|chapter| method(chapter.letter)) {
+            for name in method.skins {
+                let skin = Skin::open(name)?;
+                let rate = skin.backend.frames_per_s.map_or("\u{2013}".to_string(), |rate| rate.to_string());
+                let channels = skin.protocol().map_or("\u{2013}".to_string(), |p| p.channel_count().to_string());
+                let (letter, seed) = (method.letter, seed_of(&skin));
+                let _ = writeln!(self.text, "<tr><td>{name}<td>{letter}<td>{seed}<td>{rate}<td>{channels}");
+            }
+        }
+        self.push("</tbody></table></div>\n</section>");
+        Ok(())
+    }
+
+    fn chapter(&mut self, chapter: &Chapter) -> anyhow::Result<()> {
+        let letter = chapter.letter;
+        let _ = writeln!(
+            self.text,
+            "<section class=\"paper\" id=\"{letter}\">\n<h2>Paper {letter}: {}</h2>",
+            escaped(chapter.title)
+        );
+        if let Some(method) = method(letter) {
+            let link = |doi: &str| format!(", <a href=\"https://doi.org/{doi}\">{doi}</a>");
+            let doi = method.doi.map(link).unwrap_or_default();
+            let _ = writeln!(self.text, "<p class=\"source\">{}{doi}</p>", escaped(method.source));
+        }
+        if let Some(picture) = comparison(letter, &chapter.reports) {
+            let words = "Every number that the paper prints, if it is not 0, and the same of the twins, as the ratio of the two \
+                         on a logarithmic axis; beside it the twin's number and, in brackets, the paper's. The dashed line is \
+                         the paper. Where the numbers are errors, left of it is better.";
+            self.figure(&picture, words, "");
+        }
+        for (name, title, picture) in skins(letter)? {
+            let words = format!(
+                "The skin {name} ({}) to scale, seen from the side that is touched: its outline and its electrodes or coils \
+                 with their numbers.",
+                escaped(&title)
+            );
+            self.figure(&picture, &words, "");
+        }
+        for report in &chapter.reports {
+            self.experiment(report);
+        }
+        self.push("</section>");
+        Ok(())
+    }
+
+    fn experiment(&mut self, report: &Report) {
+        let (id, title) = (report.id, escaped(report.title));
+        let _ = writeln!(
+            self.text,
+            "<article id=\"{id}\">\n<h3>{id}: {title}</h3>\n<div class=\"scroll\"><table>\n<thead><tr><th>quantity<th>paper\
+             <th>here<th>ratio<th>unit<th>kind</thead>\n<tbody>"
+        );
+        for row in &report.rows {
+            let [paper, here, ratio] = cells(row);
+            let (quantity, kind) = (escaped(&row.quantity), row.kind.word());
+            let _ = writeln!(
+                self.text,
+                "<tr class=\"{kind}\"><td>{quantity}<td>{paper}<td>{here}<td>{ratio}<td>{}<td>{kind}",
+                escaped(row.unit)
+            );
+        }
+        self.push("</tbody></table></div>");
+        for note in &report.notes {
+            let _ = writeln!(self.text, "<p>{}</p>", escaped(note));
+        }
+        let _ = writeln!(self.text, "<p class=\"downloads\"><a href=\"{id}/table.csv\" download>table (CSV)</a></p>");
+        for figure in &report.figures {
+            let (name, picture) = drawing(figure);
+            let data = if matches!(figure, Figure::Curves { .. }) { "csv" } else { "npy" };
+            let links: Vec<String> = ["svg", "pdf", "png", data]
+                .iter()
+                .map(|end| format!("<a href=\"{id}/{name}.{end}\" download>{}</a>", end.to_uppercase()))
+                .collect();
+            self.figure(&picture, &escaped(&caption(figure)), &links.join(" "));
+        }
+        self.push("</article>");
+    }
+
+    /// A picture with its number and caption; `links` are downloads.
+    fn figure(&mut self, picture: &Picture, caption: &str, links: &str) {
+        self.figures += 1;
+        let wide = if picture.width_px > WIDE_PX { " wide" } else { "" };
+        let downloads =
+            if links.is_empty() { String::new() } else { format!(" <span class=\"downloads\">{links}</span>") };
+        let _ = writeln!(
+            self.text,
+            "<figure>\n<div class=\"scroll{wide}\">{}</div>\n<figcaption><b>Figure {}.</b> {caption}{downloads}</figcaption>\n\
+             </figure>",
+            draw::svg(picture).trim_end(),
+            self.figures
+        );
+    }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
