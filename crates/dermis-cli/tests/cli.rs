@@ -429,8 +429,8 @@ fn a_replay_leaves_table_figures_data_and_report() {
     let desk = Desk::with(&[]);
     let printed = desk.done(&["reproduce", "i", "i3", "--out", "replay"]);
     assert!(printed.contains("64 mN at 0 mm"), "{printed}");
-    for file in ["I3/table.csv", "I3/smallest.svg", "I3/smallest.png", "I3/smallest.npy", "report.html"] {
-        assert!(desk.path("replay").join(file).is_file(), "{file}");
+    for file in ["table.csv", "smallest.svg", "smallest.pdf", "smallest.png", "smallest.npy", "../report.html"] {
+        assert!(desk.path("replay/I3").join(file).is_file(), "{file}");
     }
     let table: [(&[&str], &str); 3] = [
         (&["reproduce", "Z"], "paper Z: expected one of E, H, I, P"),

@@ -269,8 +269,8 @@ fn frame(x: &Axis, y: &Axis) -> Vec<Item> {
     }
     let corners = Polyline::rectangle([x.start, y.end], [x.end, y.start]);
     let edge = Some(Stroke { colour: INK, width: 1.2 });
-    let ground = Shape { class: "frame", lines: vec![corners.clone()], fill: Some(WHITE), stroke: None };
-    let rim = Shape { class: "frame", lines: vec![corners], fill: None, stroke: edge };
+    let ground = Shape { class: "frame", lines: vec![corners.clone()], fill: Some(WHITE), stroke: None, crisp: false };
+    let rim = Shape { class: "frame", lines: vec![corners], fill: None, stroke: edge, crisp: false };
     let shapes = [ground, Shape::stroked("grid", grid, GRID, 1.0), rim, Shape::stroked("ticks", ticks, INK, 1.2)];
     shapes.into_iter().map(Item::Shape).chain(texts.into_iter().map(Item::Text)).collect()
 }

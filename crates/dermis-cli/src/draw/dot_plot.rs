@@ -67,7 +67,9 @@ impl DotPlot {
             Text::new(&self.label, LABEL_SIZE, [0.5 * (AXIS[0] + AXIS[1]), bottom + 44.0]).into(),
         ];
         let tick_text = |tick: &f64| Text::new(tick_label(*tick, *tick), SIZE, [place(*tick), bottom + 17.0]).into();
-        items.extend(ticks.iter().map(tick_text));
+        // Over more than two decades, only these have room for a label.
+        let is_labelled = |tick: &&f64| reach <= 10.0 || tick.log10().fract().abs() < 1e-9;
+        items.extend(ticks.iter().filter(is_labelled).map(tick_text));
         items.extend(self.legend());
         let mut level = top + 3.0;
         for (dot, lines) in self.dots.iter().zip(&names) {

@@ -176,7 +176,8 @@ impl Panel {
                 lay(Polyline::rectangle([x0, y0], [x1 + 0.3, y1 + 0.3]))
             };
             let colour = scale.map.colour(level as f64 / LEVELS as f64);
-            items.push(Shape::filled("pixels", runs.into_iter().map(rectangle).collect(), colour).into());
+            let area = Shape::filled("pixels", runs.into_iter().map(rectangle).collect(), colour);
+            items.push(Shape { crisp: self.bend.is_none(), ..area }.into());
         }
         let rim = self.rim(rows).into_iter().map(|[from, to]| lay(Polyline::open([place(from), place(to)]))).collect();
         items.push(Shape::stroked("rim", rim, RIM, 0.8).into());

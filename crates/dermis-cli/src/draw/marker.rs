@@ -38,7 +38,7 @@ impl Marker {
             Self::HollowSquare => (None, Stroke { colour, width: 2.0 }),
             _ => (Some(colour), Stroke { colour: WHITE, width: 0.6 }),
         };
-        (!lines.is_empty()).then_some(Shape { class, lines, fill, stroke: Some(stroke) })
+        (!lines.is_empty()).then_some(Shape { class, lines, fill, stroke: Some(stroke), crisp: false })
     }
 }
 

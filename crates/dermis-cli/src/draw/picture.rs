@@ -69,17 +69,19 @@ pub struct Shape {
     pub fill: Option<Colour>,
     /// Look of the lines.
     pub stroke: Option<Stroke>,
+    /// Whether edges are not smoothed, so that areas side by side have no seam.
+    pub crisp: bool,
 }
 
 impl Shape {
     /// Lines of one colour and width.
     pub fn stroked(class: &'static str, lines: Vec<Polyline>, colour: Colour, width: f64) -> Self {
-        Self { class, lines, fill: None, stroke: Some(Stroke { colour, width }) }
+        Self { class, lines, fill: None, stroke: Some(Stroke { colour, width }), crisp: false }
     }
 
     /// Areas of one colour.
     pub fn filled(class: &'static str, lines: Vec<Polyline>, colour: Colour) -> Self {
-        Self { class, lines, fill: Some(colour), stroke: None }
+        Self { class, lines, fill: Some(colour), stroke: None, crisp: false }
     }
 }
 

@@ -27,7 +27,8 @@ fn draw_shape(pixels: &mut Pixmap, shape: &Shape, place: Transform) {
     // A shape without lines has no path.
     let Some(path) = path_of(shape) else { return };
     if let Some(colour) = shape.fill {
-        pixels.fill_path(&path, &paint(colour), FillRule::Winding, place, None);
+        let ink = Paint { anti_alias: !shape.crisp, ..paint(colour) };
+        pixels.fill_path(&path, &ink, FillRule::Winding, place, None);
     }
     if let Some(line) = shape.stroke {
         pixels.stroke_path(&path, &paint(line.colour), &round(line.width), place, None);
@@ -144,6 +145,15 @@ mod tests {
         assert_eq!((large.width(), large.height()), (40, 20));
         assert_eq!(at(&large, 11, 11), Some((200, 100, 50)));
         assert_eq!(at(&large, 13, 11), Some((255, 255, 255)));
+    }
+
+    #[test]
+    fn crisp_areas_side_by_side_have_no_seam() {
+        // The border lies in the middle of the fifth column of pixels.
+        let half = |from, to| Polyline::rectangle([from, 0.0], [to, 10.0]);
+        let area = |crisp| Shape { crisp, ..Shape::filled("pixels", vec![half(0.0, 4.5)], Colour(0, 0, 0)) };
+        let red = |crisp| pixels(area(crisp).into(), 1).pixel(4, 5).map(|pixel| pixel.red());
+        assert!(matches!(red(true), Some(0 | 255)) && matches!(red(false), Some(100..155)), "{:?}", red(false));
     }
 
     /// Least and largest column and row with ink, pixels.

@@ -84,7 +84,7 @@ impl SkinDrawing<'_> {
             }
         }
         let stroke = Some(Stroke { colour: COPPER, width: 0.8 * layout.unit });
-        Shape { class: "electrodes", lines, fill: Some(COPPER), stroke }
+        Shape { class: "electrodes", lines, fill: Some(COPPER), stroke, crisp: false }
     }
 
     /// A rim electrode's stretch as a band outside the skin; a line inside it as a band along it.

@@ -35,6 +35,9 @@ fn push_shape(text: &mut String, shape: &Shape) {
             " stroke=\"{colour}\" stroke-width=\"{width}\" stroke-linecap=\"round\" stroke-linejoin=\"round\""
         );
     }
+    if shape.crisp {
+        text.push_str(" shape-rendering=\"crispEdges\"");
+    }
     text.push_str(" d=\"");
     for line in &shape.lines {
         push_line(text, line);
@@ -122,11 +125,17 @@ mod tests {
             lines: vec![Polyline::closed([[0.0, 1.0], [2.5, 3.125], [10.0, 0.0]])],
             fill: Some(Colour(255, 0, 16)),
             stroke: Some(Stroke { colour: Colour(0, 0, 0), width: 1.5 }),
+            crisp: true,
         };
         let text = svg(&picture(triangle.into()));
         assert!(text.contains("<title>a &lt; b &amp; c</title>"), "{text}");
         assert!(text.contains("viewBox=\"0 0 20 10\"") && text.contains("fill=\"#ff0010\""), "{text}");
-        assert!(text.contains("stroke-width=\"1.5\"") && text.contains("d=\"M0 1L2.5 3.12L10 0Z\""), "{text}");
+        assert!(
+            text.contains("crispEdges")
+                && text.contains("stroke-width=\"1.5\"")
+                && text.contains("d=\"M0 1L2.5 3.12L10 0Z\""),
+            "{text}"
+        );
     }
 
     #[test]

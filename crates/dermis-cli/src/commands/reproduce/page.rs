@@ -226,3 +226,60 @@ impl Page {
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis::lab::experiments::{Curve, Kind, Look, Row};
+
+    fn report(id: &'static str) -> Report {
+        let (unit, paper, here, kind) = ("mm", Some(2.0), 0.123_456, Kind::Predicted);
+        let rows = vec![Row { quantity: "error < 1".into(), unit, paper, here, kind }];
+        let curves = vec![Curve { name: "c".into(), points: vec![[0.0, 1.0], [0.0, 2.0]], look: Look::Repeats }];
+        let (title, caption) = ("its title".into(), "What is shown.".into());
+        let figures =
+            vec![Figure::Curves { name: "chart", title, caption, x_label: "x (s)", y_label: "y (m)", curves }];
+        Report { id, title: "a < b", rows, figures, notes: vec!["a note".into()] }
+    }
+
+    fn page(reports: &[Report]) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::read_to_string(write_page(folder.path(), reports).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn one_page_has_all_papers_with_contents_methods_tables_and_figures() {
+        // As they were replayed; the page has the papers in their own order.
+        let page = page(&[report("P1"), report("I3")]);
+        let targets: Vec<&str> = page.split("href=\"#").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+        assert_eq!(targets, ["methods", "I", "I3", "P", "P1"]);
+        for target in targets {
+            assert!(page.contains(&format!("id=\"{target}\"")), "{target}");
+        }
+        assert!(page.contains("dermis reproduce I3 P1"));
+        // What is fitted in these papers, and in no others; the measures; seeds.
+        assert!(page.contains("0.888 kPa") && page.contains("60 N/m") && !page.contains("56.8 dB"));
+        assert!(page.contains("<dt>ICC") && page.contains("<dt>RIE") && page.contains("<dt>SSIM"));
+        assert!(page.contains("<tr><td>piezo-disc<td>P<td>1<td>30<td>4096"));
+        assert!(page.contains("<td>error &lt; 1<td>2<td>0.1235<td>0.06<td>mm<td>predicted"));
+        assert!(page.contains("What is shown. Symbols are means over the repeats"));
+        for file in ["I3/table.csv", "I3/chart.svg", "P1/chart.pdf", "P1/chart.csv"] {
+            assert!(page.contains(&format!("href=\"{file}\" download")), "{file}");
+        }
+        // A comparison for each paper, two and three skins, and a chart for each experiment, counted through.
+        assert_eq!(page.matches("<figure>").count(), 9);
+        assert!(page.contains("<b>Figure 9.</b>") && !page.contains("Figure 10."));
+    }
+
+    #[test]
+    fn the_page_needs_nothing_from_elsewhere_and_fits_small_screens_and_paper() {
+        let page = page(&[report("H2")]);
+        for outside in ["src=\"", "url(http", "<link", "<script", "@import"] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        assert!(page.contains("url(data:font/ttf;base64,AAEAAA"));
+        assert!(
+            page.contains("name=\"viewport\"") && page.contains("@media print") && page.contains("<html lang=\"en\">")
+        );
+    }
+}
