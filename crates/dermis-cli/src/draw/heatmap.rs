@@ -1,4 +1,5 @@
-//! Images in false colours, several side by side with one colour bar, scale bars, and crosses where something truly was.
+//! Images in false colours, several side by side with one colour bar, scale bars, and crosses where something truly
+//! was.
 
 use super::axis::{nice_at_most, tick_label};
 use super::colour_bar::ColourBar;

@@ -1,5 +1,5 @@
-//! Pictures as PDF of one page: paths, and type that can be searched and copied, set in the bundled font, which the file
-//! holds. A pixel is three quarters of a point, as on the web.
+//! Pictures as PDF of one page: paths, and type that can be searched and copied, set in the bundled font, which the
+//! file holds. A pixel is three quarters of a point, as on the web.
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,5 @@
-//! Pictures as PNG, rasterised with anti-aliasing. Type is the outlines of the bundled font, so that every machine draws
-//! the same.
+//! Pictures as PNG, rasterised with anti-aliasing. Type is the outlines of the bundled font, so that every machine
+//! draws the same.
 
 use anyhow::Context;
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};

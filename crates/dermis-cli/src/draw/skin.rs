@@ -121,13 +121,20 @@ impl SkinDrawing<'_> {
         let centre = self.centre(layout, contact);
         let (words, size) = (number.to_string(), height / CAPITAL);
         let wide = width(&words, size);
+        let reach = |direction: Point, gap: f64| gap + 0.5 * (direction[0].abs() * wide + direction[1].abs() * height);
         let beside = |direction: Point, gap: f64| {
-            let reach = gap + 0.5 * (direction[0].abs() * wide + direction[1].abs() * height);
+            let reach = reach(direction, gap);
             let at = [centre[0] + direction[0] * reach, centre[1] + direction[1] * reach];
             // Digits over the mesh stay legible on a white edge.
             Text { class: "number", halo: 2.5 * layout.unit, ..Text::new(words.clone(), size, at) }
         };
-        let to_middle = unit([layout.centre[0] - centre[0], layout.centre[1] - centre[1]]);
+        let [right, down] = [layout.centre[0] - centre[0], layout.centre[1] - centre[1]];
+        let inward = unit([right, down]);
+        // Numbers of small electrodes close to the middle would meet there.
+        let aside = |gap: f64| {
+            let is_near = right.hypot(down) < 2.0 * reach(inward, gap) + wide;
+            beside(if is_near { inward.map(|component| -component) } else { inward }, gap)
+        };
         match contact {
             Contact::Faces(faces) => {
                 let normals: Vec<Point> = faces.iter().map(|face| self.outward(layout, face)).collect();
@@ -138,10 +145,10 @@ impl SkinDrawing<'_> {
                 if wide < 0.8 * pad_width && height < 0.7 * pad_height {
                     Text { class: "number", colour: WHITE, ..Text::new(words, size, centre) }
                 } else {
-                    beside(to_middle, 0.5 * pad_width.max(pad_height) + 5.0 * layout.unit)
+                    aside(0.5 * pad_width.max(pad_height) + 5.0 * layout.unit)
                 }
             }
-            Contact::Point(_) => beside(to_middle, 13.0 * layout.unit),
+            Contact::Point(_) => aside(13.0 * layout.unit),
         }
     }
 
@@ -296,6 +303,22 @@ mod tests {
                 let [left, base] = text.origin();
                 let is_inside = left >= 0.0 && left + text.width() <= width && base <= height && base - text.size > 0.0;
                 assert!(is_inside, "{name}: {text:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_do_not_lie_on_each_other() {
+        for name in ["piezo-disc", "piezo-square", "healing-square"] {
+            let body = Skin::open(name).unwrap().body_with_elements(400).unwrap().mesh;
+            let picture = SkinDrawing { body: &body, title: name, width_px: 520, mesh: false }.picture();
+            let numbers: Vec<&Text> = picture.texts().filter(|text| text.class == "number").collect();
+            for (index, a) in numbers.iter().enumerate() {
+                for b in &numbers[..index] {
+                    let apart = [(a.at[0] - b.at[0]).abs(), (a.at[1] - b.at[1]).abs()];
+                    let is_clear = apart[0] > 0.5 * (a.width() + b.width()) || apart[1] > CAPITAL * a.size;
+                    assert!(is_clear, "{name}: {} and {}", a.words, b.words);
+                }
             }
         }
     }

@@ -9,8 +9,8 @@ use super::text::{CAPITAL, FAMILIES};
 pub fn svg(picture: &Picture) -> String {
     let (width, height) = (picture.width_px, picture.height_px);
     let mut text = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
-         role=\"img\" font-family=\"{FAMILIES}\">\n\
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} \
+         {height}\" role=\"img\" font-family=\"{FAMILIES}\">\n\
          <title>{}</title>\n<rect width=\"100%\" height=\"100%\" fill=\"#ffffff\"/>\n",
         escaped(&picture.title)
     );

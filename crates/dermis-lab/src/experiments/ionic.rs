@@ -126,8 +126,9 @@ fn positions() -> Result<Report, Error> {
     let (x_label, y_label) = ("weights of 6.5 g", "error of the touch (mm)");
     let title = "I2: position error".into();
     let caption = "Distance from the place of a disc of 20 mm to the touch that is found, against how many weights of \
-                   6.5 g stand on it, at three distances from the centre of the ionic disc's twin; four repeats at other \
-                   angles, each of the mean of four frames. The paper gives 6 mm as its largest error from two weights on."
+                   6.5 g stand on it, at three distances from the centre of the ionic disc's twin; four repeats at \
+                   other angles, each of the mean of four frames. The paper gives 6 mm as its largest error from \
+                   two weights on."
         .into();
     let figures = vec![Figure::Curves { name: "errors", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "I2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })
@@ -347,8 +348,8 @@ fn one_line() -> Result<Report, Error> {
     let (x_label, y_label) = ("force (N)", "force by the one line (N)");
     let title = "I8: location compensated".into();
     let caption = "Force that the image gives against the force that presses, at two distances from the centre of the \
-                   ionic disc's twin that were not calibrated: the slope there is interpolated between those at 0, 30 and \
-                   60 mm. One to nine weights of 6.5 g, three repeats at each distance."
+                   ionic disc's twin that were not calibrated: the slope there is interpolated between those at 0, 30 \
+                   and 60 mm. One to nine weights of 6.5 g, three repeats at each distance."
         .into();
     let figures = vec![Figure::Curves { name: "one-line", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "I8", title: EXPERIMENTS[7].title, rows, figures, notes: Vec::new() })

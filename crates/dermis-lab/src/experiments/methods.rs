@@ -29,8 +29,8 @@ pub const METHODS: [Method; 4] = [
         skins: &["em-8", "em-16-circular", "em-16-square"],
         given: "coils, frequency, frame rate, signal-to-noise ratios, number and width of the elements",
         fitted: "nothing",
-        assumed: "stiffness of sponge (400 N/m) and springs (300 N/m), the elements' travel (11 and 12 mm), their heights and \
-                  pitch, the coils' pitch and layers, the current",
+        assumed: "stiffness of sponge (400 N/m) and springs (300 N/m), the elements' travel (11 and 12 mm), their \
+                  heights and pitch, the coils' pitch and layers, the current",
     },
     Method {
         letter: "H",
@@ -39,33 +39,35 @@ pub const METHODS: [Method; 4] = [
         doi: None,
         skins: &["healing-square"],
         given: "sheet, pads, conductivity and healing by the sample bars, indenters, pressures, heat and rest",
-        fitted: "the instrument's noise, to the printed signal-to-noise ratios (56.8 dB on average); the scar, to the bars \
-                 (2.07 to 2.15 kΩ)",
+        fitted: "the instrument's noise, to the printed signal-to-noise ratios (56.8 dB on average); the scar, to the \
+                 bars (2.07 to 2.15 kΩ)",
         assumed: "the law of contact between sheet and copper, the pads' contact impedance, the frame rate, warmth and \
                   activation energy of healing, width of a cut (0.3 mm)",
     },
     Method {
         letter: "I",
-        source: "M. Soleimani and M. Friedrich: E-skin using fringing field electrical impedance tomography with an ionic \
-                 liquid domain, Sensors 22, 5040 (2022)",
+        source: "M. Soleimani and M. Friedrich: E-skin using fringing field electrical impedance tomography with an \
+                 ionic liquid domain, Sensors 22, 5040 (2022)",
         doi: Some("10.3390/s22135040"),
         skins: &["ionic-disc", "ionic-square"],
-        given: "outlines, depth, membrane, bolts and washers, 6 mA at 50 kHz, patterns, 16 frames a second, 59.7 dB, weights",
-        fitted: "the membrane's tension (60 N/m) and memory (5 % of the load within 20 s), so that force curves are near \
-                 linear, one weight is seen and the loop is small; the noise, to 59.7 dB taken as a ratio of amplitudes",
-        assumed: "the liquid's conductivity (0.5 S/m) and the contact impedance, which scale the voltages; washers as squares \
-                  of equal area",
+        given: "outlines, depth, membrane, bolts and washers, 6 mA at 50 kHz, patterns, 16 frames a second, 59.7 \
+        dB, weights",
+        fitted: "the membrane's tension (60 N/m) and memory (5 % of the load within 20 s), so that force curves are \
+                 near linear, one weight is seen and the loop is small; the noise, to 59.7 dB taken as a ratio of \
+                 amplitudes",
+        assumed: "the liquid's conductivity (0.5 S/m) and the contact impedance, which scale the voltages; washers as \
+                  squares of equal area",
     },
     Method {
         letter: "P",
-        source: "A. Sánchez-Delgado and others: resistance tomography with frontend and backend apart, Intelligent Service \
-                 Robotics 17 (2024)",
+        source: "A. Sánchez-Delgado and others: resistance tomography with frontend and backend apart, Intelligent \
+                 Service Robotics 17 (2024)",
         doi: Some("10.1007/s11370-023-00502-5"),
         skins: &["piezo-square", "piezo-disc", "piezo-cylinder"],
         given: "outlines, number of electrodes, layers, indenter, weights and shifts",
         fitted: "the contact's reference pressure (0.888 kPa), on the square's limit of detection alone",
-        assumed: "places, size and contact impedance of the electrodes, the sheet's resistance, pitch and gap pressure of the \
-                  patches, exponent and saturation of the contact, the noise",
+        assumed: "places, size and contact impedance of the electrodes, the sheet's resistance, pitch and gap \
+                  pressure of the patches, exponent and saturation of the contact, the noise",
     },
 ];
 

@@ -57,9 +57,10 @@ fn detection() -> Result<Report, Error> {
     curves.push(Curve { name: "paper: limits of detection".into(), points: limits, look: Look::PaperPoints });
     let (x_label, y_label) = ("pressure (Pa)", "log₁₀ of change over deviation at rest");
     let title = "P1: change of the voltages against pressure".into();
-    let caption = "Change of the root mean square of the voltages over its standard deviation at rest, as a power of ten, \
-                   against the pressure of an indenter of 22 mm on the twins of the square and the round skin. Five \
-                   repeats of each weight. A pressure is detected from 3.3 deviations on; the paper's limits lie on that line."
+    let caption = "Change of the root mean square of the voltages over its standard deviation at rest, as a power of \
+                   ten, against the pressure of an indenter of 22 mm on the twins of the square and the round skin. \
+                   Five repeats of each weight. A pressure is detected from 3.3 deviations on; the paper's limits \
+                   lie on that line."
         .into();
     let figures = vec![Figure::Curves { name: "detection", title, caption, x_label, y_label, curves }];
     let notes = vec!["Fitted: the contact's reference pressure, on the square's limit alone.".into()];
@@ -85,8 +86,9 @@ fn discernment() -> Result<Report, Error> {
     }
     let (x_label, y_label) = ("shift (mm)", "correlation of frames");
     let title = "P2: Pearson correlation of difference frames".into();
-    let caption = "Correlation of the difference frames of two presses with 10 g against the distance between them, on the \
-                   twins of the square and the round skin. The paper prints at which distance the correlation is 0.9 and 0.5."
+    let caption = "Correlation of the difference frames of two presses with 10 g against the distance between them, \
+                   on the twins of the square and the round skin. The paper prints at which distance the \
+                   correlation is 0.9 and 0.5."
         .into();
     let figures = vec![Figure::Curves { name: "correlation", title, caption, x_label, y_label, curves }];
     Ok(Report { id: "P2", title: EXPERIMENTS[1].title, rows, figures, notes: Vec::new() })

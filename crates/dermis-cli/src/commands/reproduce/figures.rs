@@ -49,8 +49,8 @@ pub(super) fn caption(figure: &Figure) -> String {
             let mut text = caption.clone();
             if has(&[Look::Repeats]) {
                 text.push_str(
-                    " Symbols are means over the repeats, bars one standard deviation to both sides, pale dots the single \
-                     repeats.",
+                    " Symbols are means over the repeats, bars one standard deviation to both sides, pale dots the \
+                     single repeats.",
                 );
             }
             if has(&[Look::PaperPoints]) {

@@ -1,5 +1,5 @@
-//! One page for all experiments that were replayed: contents, methods, tables, figures with captions, downloads. It holds
-//! its pictures and its type, so that it can be sent alone; downloads lie in the folders beside it.
+//! One page for all experiments that were replayed: contents, methods, tables, figures with captions, downloads. It
+//! holds its pictures and its type, so that it can be sent alone; downloads lie in the folders beside it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -53,8 +53,8 @@ pub fn write_page(folder: &Path, reports: &[Report]) -> anyhow::Result<PathBuf> 
 /// Reports by paper, papers in their own order.
 fn chapters(reports: &[Report]) -> Vec<Chapter<'_>> {
     let chapter = |(letter, title, experiments): &(&'static str, &'static str, &[_])| Chapter {
-        letter: *letter,
-        title: *title,
+        letter,
+        title,
         reports: reports
             .iter()
             .filter(|report| experiments.iter().any(|e: &dermis::lab::experiments::Experiment| e.id == report.id))
@@ -85,8 +85,8 @@ impl Page {
              <title>Published skins, replayed on their twins: {papers}</title>\n<style>\n\
              @font-face{{font-family:\"DejaVu Sans\";src:url(data:font/ttf;base64,{font}) format(\"truetype\")}}\n\
              {STYLE}</style>\n</head>\n<body>\n<main>\n<header>\n<h1>Published skins, replayed on their twins</h1>\n\
-             <p class=\"lead\">{} experiments of {}, simulated and imaged by dermis {version}, each beside what its paper \
-             prints.</p>\n<p class=\"command\"><code>dermis reproduce {}</code></p>\n</header>",
+             <p class=\"lead\">{} experiments of {}, simulated and imaged by dermis {version}, each beside what its \
+             paper prints.</p>\n<p class=\"command\"><code>dermis reproduce {}</code></p>\n</header>",
             ids.len(),
             if letters.len() == 1 { format!("paper {papers}") } else { format!("papers {papers}") },
             ids.join(" ")
@@ -124,8 +124,9 @@ impl Page {
         let version = env!("CARGO_PKG_VERSION");
         let _ = writeln!(
             self.text,
-            "<p>dermis {version}. Noise and tolerances of a twin come from a seeded generator, so that a replay gives the same \
-             numbers on the same machine. Every experiment begins with a new twin.</p>\n<div class=\"scroll\"><table>\n\
+            "<p>dermis {version}. Noise and tolerances of a twin come from a seeded generator, so that a replay gives \
+             the same numbers on the same machine. Every experiment begins with a new twin.</p>\n<div \
+             class=\"scroll\"><table>\n\
              <thead><tr><th>skin<th>paper<th>seed<th>frames/s<th>channels</thead>\n<tbody>"
         );
         for method in chapters.iter().filter_map(|chapter| method(chapter.letter)) {
@@ -154,15 +155,15 @@ impl Page {
             let _ = writeln!(self.text, "<p class=\"source\">{}{doi}</p>", escaped(method.source));
         }
         if let Some(picture) = comparison(letter, &chapter.reports) {
-            let words = "Every number that the paper prints, if it is not 0, and the same of the twins, as the ratio of the two \
-                         on a logarithmic axis; beside it the twin's number and, in brackets, the paper's. The dashed line is \
-                         the paper. Where the numbers are errors, left of it is better.";
+            let words = "Every number that the paper prints, if it is not 0, and the same of the twins, as the ratio \
+                         of the two on a logarithmic axis; beside it the twin's number and, in brackets, the paper's. \
+                         The dashed line is the paper. Where the numbers are errors, left of it is better.";
             self.figure(&picture, words, "");
         }
         for (name, title, picture) in skins(letter)? {
             let words = format!(
-                "The skin {name} ({}) to scale, seen from the side that is touched: its outline and its electrodes or coils \
-                 with their numbers.",
+                "The skin {name} ({}) to scale, seen from the side that is touched: its outline and its electrodes or \
+                 coils with their numbers.",
                 escaped(&title)
             );
             self.figure(&picture, &words, "");
@@ -178,7 +179,8 @@ impl Page {
         let (id, title) = (report.id, escaped(report.title));
         let _ = writeln!(
             self.text,
-            "<article id=\"{id}\">\n<h3>{id}: {title}</h3>\n<div class=\"scroll\"><table>\n<thead><tr><th>quantity<th>paper\
+            "<article id=\"{id}\">\n<h3>{id}: {title}</h3>\n<div \
+            class=\"scroll\"><table>\n<thead><tr><th>quantity<th>paper\
              <th>here<th>ratio<th>unit<th>kind</thead>\n<tbody>"
         );
         for row in &report.rows {
@@ -215,7 +217,8 @@ impl Page {
             if links.is_empty() { String::new() } else { format!(" <span class=\"downloads\">{links}</span>") };
         let _ = writeln!(
             self.text,
-            "<figure>\n<div class=\"scroll{wide}\">{}</div>\n<figcaption><b>Figure {}.</b> {caption}{downloads}</figcaption>\n\
+            "<figure>\n<div class=\"scroll{wide}\">{}</div>\n<figcaption><b>Figure {}.</b> \
+            {caption}{downloads}</figcaption>\n\
              </figure>",
             draw::svg(picture).trim_end(),
             self.figures

@@ -63,8 +63,9 @@ fn sweep() -> Result<Report, Error> {
         curves.push(Curve { name: array.name.into(), points, look: Look::Line });
     }
     let title = "E12: change of the readings by one element half way down".into();
-    let caption = "Root mean square over the channels of the relative change of the readings when the middle element is \
-                   pressed by half its travel, against frequency, for the twins with eight and with sixteen coils. No noise."
+    let caption = "Root mean square over the channels of the relative change of the readings when the middle element \
+                   is pressed by half its travel, against frequency, for the twins with eight and with sixteen \
+                   coils. No noise."
         .into();
     let figures = vec![Figure::Curves {
         name: "sweep",
@@ -75,7 +76,9 @@ fn sweep() -> Result<Report, Error> {
         curves,
     }];
     let notes = vec![
-        "Noise is taken as the same share of a reading at every frequency; an instrument's own noise decides between frequencies that differ little.".into(),
+        "Noise is taken as the same share of a reading at every frequency; an instrument's own noise decides \
+        between frequencies that differ little."
+            .into(),
     ];
     Ok(Report { id: SWEEP.id, title: SWEEP.title, rows, figures, notes })
 }
@@ -146,7 +149,9 @@ fn foil() -> Result<Report, Error> {
     })?;
     add("copper foil", responses, neighbour)?;
     let notes = vec![
-        "35 um of copper under an assumed tension of 300 N/m on the sponge of the cylinders; readings without noise, 2 N on discs of 10 mm.".into(),
+        "35 um of copper under an assumed tension of 300 N/m on the sponge of the cylinders; readings without \
+        noise, 2 N on discs of 10 mm."
+            .into(),
     ];
     Ok(Report { id: FOIL.id, title: FOIL.title, rows, figures: Vec::new(), notes })
 }
@@ -240,7 +245,9 @@ fn metal() -> Result<Report, Error> {
     let figures = vec![Figure::Curves { name: "metal", title, caption, x_label, y_label, curves }];
     let notes = vec![
         "Plates conduct perfectly; the ball is of aluminium. A known plate is shield_mm in the skin file.".into(),
-        "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no element moved.".into(),
+        "Misfit: mean squared residual in units of noise and model error; far above a touch's it tells that no \
+        element moved."
+            .into(),
     ];
     Ok(Report { id: METAL.id, title: METAL.title, rows, figures, notes })
 }

@@ -28,7 +28,8 @@ fn ramps() -> Result<Report, Error> {
         rows.extend(more);
         let title = format!("E9, E10: {}, {} at the element against force", array.name, solve_name(solve));
         let caption = format!(
-            "Image at three elements of the EM-skin's twin ({}, {}) against the force on each; means of {mean_of} frames.",
+            "Image at three elements of the EM-skin's twin ({}, {}) against the force on each; means of {mean_of} \
+            frames.",
             array.name,
             solve_name(solve)
         );
@@ -37,7 +38,9 @@ fn ramps() -> Result<Report, Error> {
     }
     let notes = vec![
         "Stiffness and travel of sponge and springs are assumed; that they stiffen bends the curve.".into(),
-        "Means of ten frames of the eight coils, of 100 of the sixteen at 50 dB. Where the paper's L6, L9 and L14 lie among its elements is not said; here the 3rd, 4th and 6th row.".into(),
+        "Means of ten frames of the eight coils, of 100 of the sixteen at 50 dB. Where the paper's L6, L9 and L14 \
+        lie among its elements is not said; here the 3rd, 4th and 6th row."
+            .into(),
     ];
     Ok(Report { id: RAMPS.id, title: RAMPS.title, rows, figures, notes })
 }

@@ -61,8 +61,8 @@ fn cyclic() -> Result<Report, Error> {
         Figure::Curves {
             name: "cyclic-time",
             title: title.clone(),
-            caption: "Mean of the whole image of the EM-skin's twin with eight coils over time, one element pressed at 3 Hz; \
-                      ten frames a second."
+            caption: "Mean of the whole image of the EM-skin's twin with eight coils over time, one element pressed \
+                      at 3 Hz; ten frames a second."
                 .into(),
             x_label: "time (s)",
             y_label: "mean of the image (share of travel)",
@@ -71,8 +71,8 @@ fn cyclic() -> Result<Report, Error> {
         Figure::Curves {
             name: "cyclic",
             title,
-            caption: "Amplitude spectrum of the mean of the whole image while one element of the EM-skin's twin with eight \
-                      coils is pressed at 3 Hz; 128 frames."
+            caption: "Amplitude spectrum of the mean of the whole image while one element of the EM-skin's twin with \
+                      eight coils is pressed at 3 Hz; 128 frames."
                 .into(),
             x_label: "frequency (Hz)",
             y_label: "amplitude (share of travel)",
@@ -81,8 +81,8 @@ fn cyclic() -> Result<Report, Error> {
         Figure::Images {
             name: "cyclic-frames",
             title: "E7: successive frames".into(),
-            caption: "Six images in succession, 0.1 s apart, while one element of the EM-skin's twin with eight coils is \
-                      pressed at 3 Hz."
+            caption: "Six images in succession, 0.1 s apart, while one element of the EM-skin's twin with eight coils \
+                      is pressed at 3 Hz."
                 .into(),
             columns: bench.rig.columns(),
             panels: series.panels,

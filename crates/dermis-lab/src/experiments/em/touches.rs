@@ -62,7 +62,8 @@ fn single() -> Result<Report, Error> {
             _ => "single-16-square",
         };
         let caption = format!(
-            "Images of the EM-skin's twin ({name}), one frame each, with {} N on one element at a time; four of {} elements.",
+            "Images of the EM-skin's twin ({name}), one frame each, with {} N on one element at a time; four of {} \
+            elements.",
             array.press_n, array.elements
         );
         figures.push(Figure::Images { name: file, title, caption, columns, panels });
@@ -182,15 +183,17 @@ fn several() -> Result<Report, Error> {
         rows.push(travel_error(&mut bench, array.name, &fours)?);
         let title = format!("E3: {}, three and four touches", array.name);
         let caption = format!(
-            "Images of heights of the EM-skin's twin with {} coils, three and four elements pressed at once, near each other \
-             and far apart; the names are the elements' numbers.",
+            "Images of heights of the EM-skin's twin with {} coils, three and four elements pressed at once, near \
+             each other and far apart; the names are the elements' numbers.",
             array.name.replace(" coils", "")
         );
         figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
     }
     let notes = vec![
         "The last group of each four is of elements that touch each other.".into(),
-        "Single frames of the eight coils, means of ten of the sixteen. Travels are those of the mean of ten frames, against what the twin's mechanics did.".into(),
+        "Single frames of the eight coils, means of ten of the sixteen. Travels are those of the mean of ten \
+        frames, against what the twin's mechanics did."
+            .into(),
     ];
     Ok(Report { id: SEVERAL.id, title: SEVERAL.title, rows, figures, notes })
 }
@@ -263,7 +266,9 @@ fn coils() -> Result<Report, Error> {
         figures.push(Figure::Images { name: file, title, caption, columns: bench.rig.columns(), panels });
     }
     let notes = vec![
-        "Spread: root mean square distance from the element, weighted with the image squared; means of 16 frames. The paper finds square coils sharper.".into(),
+        "Spread: root mean square distance from the element, weighted with the image squared; means of 16 frames. \
+        The paper finds square coils sharper."
+            .into(),
     ];
     Ok(Report { id: COILS.id, title: COILS.title, rows, figures, notes })
 }

@@ -105,8 +105,8 @@ fn cut_and_touches() -> Result<Report, Error> {
     ]);
     let words = [
         "H4: a cut of 20 mm, and a touch while it is there",
-        "Images of the self-healing sandwich's twin with a cut of 20 mm, whose ends the crosses mark: against the intact \
-         skin, and of a disc of 20 mm pressed at 80 kPa beside it, against the cut skin.",
+        "Images of the self-healing sandwich's twin with a cut of 20 mm, whose ends the crosses mark: against the \
+         intact skin, and of a disc of 20 mm pressed at 80 kPa beside it, against the cut skin.",
     ];
     let figures = vec![images(&line, "cut", words, panels)];
     let notes = vec!["The length is the paper's; it shows place and shape, and gives no numbers.".into()];
@@ -165,8 +165,8 @@ fn healing() -> Result<Report, Error> {
     ];
     let words = [
         "H5: cut, healed, pressed with a new baseline",
-        "Images of the self-healing sandwich's twin: cut, and healed by 2 h at 90 °C and two days of rest, both against the \
-         intact skin; and pressed on the healed place against a new baseline.",
+        "Images of the self-healing sandwich's twin: cut, and healed by 2 h at 90 °C and two days of rest, both \
+         against the intact skin; and pressed on the healed place against a new baseline.",
     ];
     let curve = |name: &str, points: Vec<[f64; 2]>| Curve { name: name.into(), points, look: Look::Line };
     let figures = vec![
@@ -220,8 +220,8 @@ fn on_the_cut() -> Result<Report, Error> {
     ];
     let words = [
         "H6: pressing on the cut",
-        "Images of the self-healing sandwich's twin against the intact skin: cut, while a disc of 20 mm presses the cut at \
-         80 kPa, and after its release.",
+        "Images of the self-healing sandwich's twin against the intact skin: cut, while a disc of 20 mm presses the \
+         cut at 80 kPa, and after its release.",
     ];
     let figures = vec![images(&line, "on-the-cut", words, panels)];
     let notes = vec!["Against the intact skin, as in the paper's figure 12. 1 is yes.".into()];

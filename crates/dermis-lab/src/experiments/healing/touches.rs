@@ -17,9 +17,9 @@ const PUBLISHED: [[f64; 3]; 3] = [[0.80, 0.59, 0.92], [0.85, 0.54, 0.86], [0.70,
 
 /// What the images of all steps hold, and the truth.
 /// How the panels of a touch come about.
-const STEPS: &str = "Truth is what the indenters cover; the first step is the linear image over its own peak; the U-Net's \
-                     image is its probability of compressed less that of damaged; fitted discs are the touches of the live \
-                     pipeline. Single frames.";
+const STEPS: &str = "Truth is what the indenters cover; the first step is the linear image over its own peak; the \
+                     U-Net's image is its probability of compressed less that of damaged; fitted discs are the \
+                     touches of the live pipeline. Single frames.";
 const COMPRESSED: &str = "compressed (0: not, 1: fully)";
 
 /// Scores of all steps over some cases, with images of each.
@@ -144,9 +144,9 @@ fn positions() -> Result<Report, Error> {
     let mut curves = vec![curve("truth", &truth)];
     curves.extend(Step::ALL.iter().zip(&points).map(|(step, points)| curve(step.name(), points)));
     let title = "H2: nine places of the first quadrant".into();
-    let caption = "Where a disc of 20 mm pressed the self-healing sandwich's twin, at nine places 12.5 mm apart, and where it \
-                   was found by the linear image (first step) and the U-Net, each by the centroid above half of its peak, and \
-                   by the contact fitted to the forward model. Single frames."
+    let caption = "Where a disc of 20 mm pressed the self-healing sandwich's twin, at nine places 12.5 mm apart, and \
+                   where it was found by the linear image (first step) and the U-Net, each by the centroid above half \
+                   of its peak, and by the contact fitted to the forward model. Single frames."
         .into();
     let (x_label, y_label) = ("x (mm)", "y (mm)");
     let figures = vec![Figure::Curves { name: "places", title, caption, x_label, y_label, curves }];
