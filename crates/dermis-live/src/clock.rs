@@ -10,6 +10,8 @@ const MOST_FRAMES: u64 = 10;
 const LEAST_JUMP_NS: u64 = 2_000_000_000;
 /// Time between frames before two have come, nanoseconds.
 const FIRST_PERIOD_NS: u64 = 50_000_000;
+/// The first two frames may be so far apart, nanoseconds: slower skins are none.
+const LONGEST_PERIOD_NS: u64 = 1_000_000_000_000;
 /// One in so many parts of a new period enters the mean.
 const SMOOTHING: u64 = 8;
 
@@ -62,6 +64,8 @@ impl FrameClock {
             let elapsed_ns = read_ns.checked_sub(last.read_ns);
             // The host's own clock does not jump: what it shows are pauses.
             let most_ns = match frame.device_time_ns {
+                // There is no pace yet that it could have left.
+                Some(_) if self.period_ns.is_none() => LONGEST_PERIOD_NS.saturating_mul(anomalies.lost_before + 1),
                 Some(_) => expected_ns.saturating_mul(MOST_FRAMES).max(LEAST_JUMP_NS.saturating_add(expected_ns)),
                 None => u64::MAX,
             };
@@ -157,6 +161,20 @@ mod tests {
             assert!(clock.advance(&frame).is_none());
             assert_eq!(clock.time_ns(), time_ns);
         }
+    }
+
+    #[test]
+    fn frames_may_be_far_apart_from_the_start() {
+        let mut clock = FrameClock::default();
+        for sequence in 0..5 {
+            let time_ns = 8_000_000_000 * sequence;
+            assert!(clock.advance(&frame(sequence, time_ns)).is_none());
+            assert_eq!(clock.time_ns(), time_ns);
+        }
+        // Two hours are no pace.
+        let mut clock = FrameClock::default();
+        clock.advance(&frame(0, 0));
+        assert_eq!(clock.advance(&frame(1, 7_200_000_000_000)).clock_jump_ns, 7_199_950_000_000);
     }
 
     #[test]
