@@ -49,13 +49,13 @@ pub struct DamageFrame<'a> {
 
 /// A damage with what only the monitor knows.
 #[derive(Debug, Clone, Copy)]
-struct Record {
-    damage: Damage,
+pub(super) struct Record {
+    pub(super) damage: Damage,
     seen_ns: u64,
     /// Since when `share` asks for another state.
     leaning_ns: Option<u64>,
     /// Share that a model has found, in place of the image's.
-    modelled: bool,
+    pub(super) modelled: bool,
     bit: u16,
     /// Since when no touch has been on it.
     clear_ns: Option<u64>,
@@ -68,18 +68,18 @@ struct Record {
 /// what the image is taken against is the caller's, and must be the intact skin.
 #[derive(Debug, Clone)]
 pub struct DamageMonitor {
-    cells: ImageCells,
-    params: DamageParams,
-    finder: RegionFinder,
+    pub(super) cells: ImageCells,
+    pub(super) params: DamageParams,
+    pub(super) finder: RegionFinder,
     mean: Vec<f32>,
     /// Weight of the mean's noise: variance over that of one frame; none before the first free frame.
     variance: f64,
     free_since_ns: Option<u64>,
     loaded_ns: Option<u64>,
-    time_ns: Option<u64>,
-    records: Vec<Record>,
+    pub(super) time_ns: Option<u64>,
+    pub(super) records: Vec<Record>,
     damages: Vec<Damage>,
-    events: Vec<DamageEvent>,
+    pub(super) events: Vec<DamageEvent>,
     /// Bits of the records that each cell belongs to.
     masks: Vec<u16>,
     next_id: u64,
@@ -313,7 +313,7 @@ impl DamageMonitor {
     }
 
     /// The record whose place a region is: most of its cells, or the nearest within both extents.
-    fn record_of(&self, region: &Region) -> Option<usize> {
+    pub(super) fn record_of(&self, region: &Region) -> Option<usize> {
         let distance = |record: &Record| {
             let own = record.damage.shape.distance_m(region.shape.centre_m);
             let other = region.shape.distance_m(record.damage.shape.centre_m);
@@ -337,7 +337,7 @@ impl DamageMonitor {
         left.fold(0.0, f64::max) >= OF_ITS_OWN * region.depth
     }
 
-    fn suspect(&mut self, region: &Region, time_ns: u64) {
+    pub(super) fn suspect(&mut self, region: &Region, time_ns: u64) {
         let used = self.records.iter().fold(0_u16, |all, record| all | record.bit);
         if self.records.len() >= self.params.most {
             return;
@@ -448,7 +448,7 @@ impl DamageMonitor {
         }
     }
 
-    fn publish(&mut self) {
+    pub(super) fn publish(&mut self) {
         self.damages.clear();
         self.damages.extend(self.records.iter().map(|record| record.damage));
     }

@@ -1,0 +1,81 @@
+//! Damage that the caller knows to stay, beside what the monitor finds in the mean of free frames: it is believed at
+//! once, and how much of it is left is the caller's word.
+
+use super::{DamageEvent, DamageMonitor, DamageState};
+use crate::contact::PixelNoise;
+use crate::error::{TouchError, require_length};
+
+impl DamageMonitor {
+    /// Begins a frame that is judged by [`DamageMonitor::declare`] alone: what happened before is no longer told.
+    ///
+    /// # Errors
+    /// [`TouchError::TimeReversed`].
+    pub fn begin_frame(&mut self, time_ns: u64) -> Result<(), TouchError> {
+        if let Some(previous_ns) = self.time_ns.filter(|previous| time_ns < *previous) {
+            return Err(TouchError::TimeReversed { time_ns, previous_ns });
+        }
+        self.time_ns = Some(time_ns);
+        self.events.clear();
+        Ok(())
+    }
+
+    /// Takes the image of a change that is known to stay (below zero is damage) for that of damage. The deepest region
+    /// is its place, and the others are side lobes; where damage is known there already, that has grown. The identity of
+    /// the damage, or none where no region is deep enough.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn declare(&mut self, since_ns: u64, image: &[f32], noise: PixelNoise<'_>) -> Result<Option<u64>, TouchError> {
+        require_length("image", self.cells.len(), image.len())?;
+        noise.validate(self.cells.len())?;
+        let sigma = |cell: usize| f64::from(noise.at(cell));
+        self.finder.find(image, &self.cells, &self.params, sigma, self.params.smallest_depth);
+        let Some(&region) = self.finder.regions().first() else { return Ok(None) };
+        let known = self.record_of(&region);
+        if known.is_none() {
+            if self.records.len() >= self.params.most {
+                return Ok(None);
+            }
+            self.suspect(&region, since_ns);
+        }
+        let index = known.unwrap_or(self.records.len() - 1);
+        let record = &mut self.records[index];
+        let damage = &mut record.damage;
+        if known.is_some() {
+            if region.volume_m2 > damage.volume_m2 {
+                damage.shape = region.shape;
+            }
+            damage.depth = damage.depth.max(region.depth);
+            damage.volume_m2 = damage.share * damage.volume_m2 + region.volume_m2;
+            damage.share = 1.0;
+        }
+        damage.significance = region.depth / region.sigma;
+        damage.state = DamageState::Confirmed;
+        damage.confirmed_ns = self.time_ns.unwrap_or(since_ns);
+        record.modelled = true;
+        let damage = record.damage;
+        self.events.push(if known.is_some() { DamageEvent::Update(damage) } else { DamageEvent::Begin(damage) });
+        self.publish();
+        Ok(Some(damage.id))
+    }
+
+    /// So much is left of a damage, by the caller's word: it heals, or has healed.
+    pub fn set_share(&mut self, id: u64, share: f64) {
+        let [healing, healed] = [self.params.healing_share, self.params.healed_share];
+        let open = self.records.iter_mut().find(|record| record.damage.id == id && record.damage.is_open());
+        let Some(record) = open else { return };
+        record.damage.share = share.clamp(0.0, 1.0);
+        record.damage.state = match record.damage.share {
+            share if share < healed => DamageState::Healed,
+            share if share < healing => DamageState::Healing,
+            _ => DamageState::Confirmed,
+        };
+        let damage = record.damage;
+        match damage.state {
+            DamageState::Healed => self.events.push(DamageEvent::Healed(damage)),
+            DamageState::Healing => self.events.push(DamageEvent::Update(damage)),
+            _ => {}
+        }
+        self.publish();
+    }
+}
