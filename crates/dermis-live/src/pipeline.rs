@@ -3,6 +3,7 @@
 //! neither where frames come from nor where results go. Stages know nothing of each other: those that look at health,
 //! damage and classes return what follows, and it is applied here.
 
+mod levels;
 mod stage_latencies;
 mod state;
 
@@ -31,7 +32,7 @@ use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::reference::Reference;
 use crate::stages::classes::{ClassPace, ClassStage};
-use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, lobe_floor};
+use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State};
@@ -57,6 +58,8 @@ pub struct Pipeline {
     health: Option<HealthStage>,
     /// `None` where the skin file does not ask for damage to be watched.
     damage: Option<DamageStage>,
+    /// In place of it where the skin conducts less where it is pressed.
+    levels: Option<LevelStage>,
     /// A network that classifies pixels, where there is one.
     classes: Option<ClassStage>,
     state: State,
@@ -126,7 +129,10 @@ impl Pipeline {
         let backend = &prepared.skin.backend;
         let is_watched = prepared.skin.health.watch && backend.wiring.is_known() && !backend.differences;
         let health = if is_watched { Some(HealthStage::new(&prepared)?) } else { None };
-        let damage = if prepared.skin.damage.watch { Some(DamageStage::new(&prepared)?) } else { None };
+        let by_levels = LevelStage::is_wanted(&prepared);
+        let levels = if by_levels { Some(LevelStage::new(&prepared)?) } else { None };
+        let by_image = prepared.skin.damage.watch && !by_levels;
+        let damage = if by_image { Some(DamageStage::new(&prepared)?) } else { None };
         let image = vec![f32::NAN; prepared.map.grid().len()];
         Ok(Self {
             choices: Choices { calibration, ..Choices::default() },
@@ -134,6 +140,7 @@ impl Pipeline {
             baseline,
             health,
             damage,
+            levels,
             classes: None,
             state: State::Starting(Box::new(starting)),
             operators: Operators { making: None, coming: Beside::new(), next: None },
@@ -218,12 +225,14 @@ impl Pipeline {
 
     /// Looks at the frame just read, and lets the baseline learn from it.
     fn learn_from(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<BaselineChange, Error> {
+        self.follow_levels(time_ns)?;
         self.baseline.observe(time_ns, &self.buffers.channels)?;
         if let Some(health) = &mut self.health {
             health.read(self.baseline.raw())?;
         }
         let seen = self.see(time_ns, at, start)?;
-        let is_free = seen.believed && self.watch_damage(time_ns, at, seen.touched)?;
+        let is_level = self.watch_levels(time_ns, at)?;
+        let is_free = seen.believed && (self.watch_damage(time_ns, at, seen.touched)? || is_level);
         Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
     }
 
@@ -283,6 +292,10 @@ impl Pipeline {
         if self.damage.is_some() {
             reconstructor.touches.set_floor(lobe_floor(image));
         }
+        if let Some(levels) = &self.levels {
+            // While the readings keep to their levels, what noise and drift make of the image is no touch.
+            reconstructor.touches.set_floor(if levels.is_disturbed() { 0.0 } else { f64::INFINITY });
+        }
         reconstructor.follow_touches(time_ns, image, placement)?;
         self.timing.latencies.touches.record(imaged.elapsed());
         Ok(Seen { touched: reconstructor.is_loaded(), believed: true })
@@ -314,6 +327,9 @@ impl Pipeline {
             reconstructor.leave_out(&self.prepared, left_out, &reference.noise)?;
             if let Some(damage) = &mut self.damage {
                 damage.set_noise(reconstructor.imager.noise_image());
+            }
+            if let Some(levels) = &mut self.levels {
+                levels.set_noise(reconstructor.imager.noise_image());
             }
         }
         Ok(sight)
@@ -356,8 +372,9 @@ impl Pipeline {
     /// Damage, the baselines that were in use, and a new one where that is proposed.
     pub fn damage(&self) -> DamageView<'_> {
         let now_ns = self.timing.clock.time_ns();
-        let Some(damage) = &self.damage else { return DamageView::default() };
-        DamageView { now_ns, ..damage.view(&self.baseline) }
+        let by_image = self.damage.as_ref().map(|damage| damage.view(&self.baseline));
+        let by_levels = self.levels.as_ref().map(|levels| levels.view(&self.baseline));
+        by_image.or(by_levels).map_or_else(DamageView::default, |view| DamageView { now_ns, ..view })
     }
 
     /// Channels that are left out, and electrodes that are blamed.
@@ -399,6 +416,9 @@ impl Pipeline {
         }
         self.compare_with_reference()?;
         let State::Running(running) = &mut self.state else { return Ok(()) };
+        if let Some(levels) = &mut self.levels {
+            levels.set_baseline(&self.baseline, running.reconstructor.imager.noise_image())?;
+        }
         if let Some(damage) = &mut self.damage {
             damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
             // Touches are fitted to the sheet with the cuts that the baseline includes.
@@ -507,6 +527,9 @@ impl Pipeline {
                 touches.set_noise(imager.noise_image());
                 if let Some(damage) = &mut self.damage {
                     damage.set_noise(imager.noise_image());
+                }
+                if let Some(levels) = &mut self.levels {
+                    levels.set_noise(imager.noise_image());
                 }
                 self.compare_with_reference()?;
             }
@@ -617,7 +640,11 @@ fn check_circuit(prepared: &Prepared) -> Result<(), Error> {
 }
 
 /// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.
+/// Where it is told by levels, these are the baseline.
 fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
+    if LevelStage::is_wanted(prepared) {
+        return DriftCompensation::Off;
+    }
     match prepared.skin.touch.drift_time_constant_s {
         time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
             DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }

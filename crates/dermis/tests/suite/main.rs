@@ -12,6 +12,7 @@ mod five_skins;
 mod forces;
 mod frame_noise;
 mod fuzz;
+mod gel_damage;
 mod healing_square;
 mod health;
 mod hostile;

@@ -55,23 +55,27 @@ pub(crate) fn lobe_floor(image: &[f32]) -> f64 {
     LOBE_SHARE * -f64::from(lowest)
 }
 
+/// How the skin file wants damage to be told.
+pub(super) fn damage_params(prepared: &Prepared) -> DamageParams {
+    let settings = &prepared.skin.damage;
+    let half_width = prepared.half_width_m();
+    DamageParams {
+        begin_sigma: settings.begin_sigma,
+        smallest_depth: settings.smallest_depth,
+        confirm_s: settings.confirm_s,
+        reach_m: 0.1 * half_width,
+        point_spread_m: 0.12 * half_width,
+        // The last of a scar is hard to tell from the heat that closed it.
+        healed_share: 0.3,
+        ..DamageParams::default()
+    }
+}
+
 impl DamageStage {
     pub fn new(prepared: &Prepared) -> Result<Self, Error> {
-        let settings = &prepared.skin.damage;
-        let half_width = prepared.half_width_m();
-        let params = DamageParams {
-            begin_sigma: settings.begin_sigma,
-            smallest_depth: settings.smallest_depth,
-            confirm_s: settings.confirm_s,
-            reach_m: 0.1 * half_width,
-            point_spread_m: 0.12 * half_width,
-            // The last of a scar is hard to tell from the heat that closed it.
-            healed_share: 0.3,
-            ..DamageParams::default()
-        };
         let (channels, grid) = (prepared.channels(), prepared.map.grid());
         Ok(Self {
-            monitor: DamageMonitor::new(image_cells(grid), params)?,
+            monitor: DamageMonitor::new(image_cells(grid), damage_params(prepared))?,
             intact: IntactReference::new(channels, grid.len()),
             cuts: KnownCuts::new(prepared)?,
             unexplained: Unexplained::new(),

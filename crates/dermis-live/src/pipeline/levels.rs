@@ -1,0 +1,45 @@
+//! Frames of a skin whose damage is told by levels: the baseline of touches follows the drift of each channel, and what
+//! changes the levels for good is imaged and judged.
+
+use super::Pipeline;
+use super::state::{Running, State};
+use crate::Error;
+use crate::stages::health::HealthStage;
+
+impl Pipeline {
+    /// Brings the baseline to the levels that the frame just read is to be compared with.
+    pub(super) fn follow_levels(&mut self, time_ns: u64) -> Result<(), Error> {
+        let Some(levels) = &mut self.levels else { return Ok(()) };
+        let left_out = self.health.as_ref().map_or(&[][..], HealthStage::left_out);
+        levels.read(time_ns, &self.buffers.channels, left_out)?;
+        let Some(levels) = levels.levels() else { return Ok(()) };
+        // Health moves those that it has left out.
+        for (channel, &level) in levels.iter().enumerate() {
+            if left_out.binary_search(&(channel as u32)).is_err() {
+                self.baseline.move_channel(channel, level);
+            }
+        }
+        Ok(())
+    }
+
+    /// Images and judges what has changed the levels; what is damage becomes part of the baseline of touches. True where
+    /// nothing has left the levels, whatever contacts noise makes.
+    pub(super) fn watch_levels(&mut self, time_ns: u64, at: (u64, u64)) -> Result<bool, Error> {
+        let (Some(levels), State::Running(running)) = (&mut self.levels, &mut self.state) else { return Ok(false) };
+        let Running { reference, reconstructor } = &mut **running;
+        if let Some((change, image)) = levels.change(&reference.scale) {
+            reconstructor.image(change, image)?;
+        }
+        let adoption = levels.judge(time_ns)?;
+        if self.buffers.difference.iter().any(|value| value.is_finite()) {
+            let (difference, image) = levels.compare(&self.buffers.difference, &reference.scale);
+            reconstructor.image(difference, image)?;
+        }
+        let is_free = !levels.is_disturbed();
+        if let Some(adoption) = adoption {
+            self.baseline.adopt(time_ns, &adoption.readings, adoption.frames, &adoption.reason)?;
+            self.use_baseline(at)?;
+        }
+        Ok(is_free)
+    }
+}

@@ -1,0 +1,248 @@
+//! Damage of a gel that conducts less where it is pressed as where it is cut, and whose readings drift all the time: the
+//! measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and the twin of such a skin.
+
+use std::path::Path;
+
+use dermis::live::pipeline::Pipeline;
+use dermis::live::prepare::Prepared;
+use dermis::live::stages::damage::describe;
+use dermis::skin::Skin;
+use dermis::twin::{AnyTwin, TwinKit};
+use dermis_device::{FileSpec, Frame, HostStamp, Layout};
+use dermis_touch::ReferenceOrigin;
+use dermis_touch::damage::{Damage, DamageEvent};
+use dermis_twin::physics::Cut;
+use dermis_twin::{Frontend, Treatment};
+
+/// Frames of the long watch come so far apart, seconds.
+const SLOW_S: f64 = 8.0;
+
+fn skin() -> Skin {
+    let mut skin = Skin::open("hydrogel-disc").unwrap();
+    skin.damage.watch = true;
+    skin
+}
+
+/// A pipeline and what it has told.
+struct Watch {
+    pipeline: Pipeline,
+    frame: Frame,
+    frame_s: f64,
+    frames: u64,
+    events: Vec<(u64, DamageEvent)>,
+    /// Places of the touches of the last frame, millimetres.
+    touches_mm: Vec<[f64; 2]>,
+    drift: f64,
+}
+
+impl Watch {
+    fn new(skin: Skin, frame_s: f64) -> Self {
+        let prepared = Prepared::new(skin).unwrap();
+        let layout = Layout::Channels { count: prepared.channels() };
+        let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
+        let (events, touches_mm) = (Vec::new(), Vec::new());
+        Self { pipeline, frame: Frame::default(), frame_s, frames: 0, events, touches_mm, drift: 0.0 }
+    }
+
+    fn take(&mut self, values: &[f64]) {
+        let time_ns = (self.frames as f64 * self.frame_s * 1e9) as u64;
+        self.frame.refill(self.frames, HostStamp { monotonic_ns: time_ns, wall_ns: 0 }, values, &[]);
+        self.frame.device_time_ns = Some(time_ns);
+        let output = self.pipeline.process(&self.frame, time_ns).unwrap();
+        self.events.extend(output.damage.events.iter().map(|event| (self.frames, *event)));
+        self.touches_mm.clear();
+        self.touches_mm.extend(output.touches.iter().map(|touch| touch.position_m.map(|metres| 1e3 * metres)));
+        self.drift = output.damage.drift;
+        self.frames += 1;
+    }
+
+    fn names(&self) -> Vec<&'static str> {
+        self.events.iter().map(|(_, event)| event.name()).collect()
+    }
+
+    fn origins(&self) -> Vec<ReferenceOrigin> {
+        self.pipeline.baseline_records().iter().map(|record| record.origin).collect()
+    }
+}
+
+fn frames(folder: &Path, name: &str) -> Vec<Vec<f64>> {
+    let table = dermis_device::read(&FileSpec::all(folder.join(name)), None).unwrap();
+    table.rows().map(<[f64]>::to_vec).collect()
+}
+
+/// Two disturbances, counted from 0: frames 491 to 505 and 663 to 664, of which the last leaves other levels.
+#[test]
+fn damage_of_the_measured_gel_is_told_from_its_drift() {
+    let Some(folder) = dermis_testdata::set("hydrogel-damage") else { return };
+    let mut watch = Watch::new(skin(), SLOW_S);
+    let mut touched = Vec::new();
+    for values in frames(&folder, "monitored.csv") {
+        watch.take(&values);
+        if !watch.touches_mm.is_empty() {
+            touched.push(watch.frames - 1);
+        }
+    }
+    for (frame, event) in &watch.events {
+        println!("frame {frame}: {} {event:?}", describe(event));
+    }
+    println!(
+        "drift {:.3}, baselines {:?}, touched in {} frames: {touched:?}",
+        watch.drift,
+        watch.origins(),
+        touched.len()
+    );
+    let [(frame, DamageEvent::Begin(damage))] = watch.events[..] else { panic!("{:?}", watch.events) };
+    assert!((663..=667).contains(&frame), "{frame}");
+    // Nobody has said where it is; a matched filter that was calibrated on presses of the other set says (-22, 2) mm.
+    let off_mm = (1e3 * damage.shape.centre_m[0] + 22.0).hypot(1e3 * damage.shape.centre_m[1] - 2.0);
+    assert!(off_mm < 15.0, "{damage:?}");
+    assert!(damage.depth < 0.05 && damage.shape.length_m < 0.1, "{damage:?}");
+    assert_eq!(watch.origins(), [ReferenceOrigin::Startup, ReferenceOrigin::Damage]);
+    // The readings rose by an eighth beside what the damage did, and none of it is a touch or a damage.
+    assert!(watch.drift > 0.05, "{}", watch.drift);
+}
+
+/// The twin of such a skin, whose channels drift each by itself as those of the measured one do: by up to 3e-4 in eight
+/// seconds.
+struct Gel {
+    twin: AnyTwin,
+    watch: Watch,
+}
+
+impl Gel {
+    fn new(frame_s: f64) -> Self {
+        let skin = skin();
+        let twin = TwinKit::of(&skin).unwrap().twin;
+        let mut gel = Self { twin, watch: Watch::new(skin, frame_s) };
+        gel.run(60);
+        gel
+    }
+
+    fn values(&mut self) -> Vec<f64> {
+        let time_s = self.watch.frames as f64 * self.watch.frame_s;
+        let mut values = Vec::new();
+        self.twin.step(time_s, &mut values).unwrap();
+        for (channel, value) in values.iter_mut().enumerate() {
+            let per_s = (1.0 + (7.0 * channel as f64).sin()) * 1.5e-4 / SLOW_S;
+            *value *= (per_s * time_s).exp();
+        }
+        values
+    }
+
+    fn run(&mut self, frames: usize) {
+        for _ in 0..frames {
+            let values = self.values();
+            self.watch.take(&values);
+        }
+    }
+
+    fn press(&mut self, x_mm: f64, y_mm: f64) {
+        self.twin.scene_mut().press(1, 1e-3 * x_mm, 1e-3 * y_mm, 0.01, 35e3).unwrap();
+    }
+
+    fn release(&mut self) {
+        self.twin.scene_mut().release(1);
+    }
+
+    /// A blade, with the weight of a hand beside it for two frames: more than twice what the cut changes.
+    fn cut(&mut self, from_m: [f64; 2], to_m: [f64; 2]) {
+        self.twin.scene_mut().press(1, -0.01, -0.01, 0.025, 200e3).unwrap();
+        self.twin.frontend_mut().treat(&Treatment::Cut(Cut::open(from_m, to_m))).unwrap();
+        self.run(2);
+        self.release();
+    }
+
+    fn only_damage(&self) -> Damage {
+        let [damage] = self.watch.pipeline.damage().damages else {
+            panic!("{:?}", self.watch.pipeline.damage().damages)
+        };
+        *damage
+    }
+}
+
+const FROM_M: [f64; 2] = [0.014, 0.018];
+const TO_M: [f64; 2] = [0.041, 0.03];
+
+#[test]
+fn a_cut_is_told_from_presses_of_a_gel_that_drifts() {
+    let mut gel = Gel::new(SLOW_S);
+    for [x_mm, y_mm] in [[-30.0, 20.0], [20.0, -35.0], [0.0, 0.0]] {
+        gel.press(x_mm, y_mm);
+        gel.run(3);
+        let [touch] = gel.watch.touches_mm[..] else { panic!("{:?}", gel.watch.touches_mm) };
+        let off_mm = (touch[0] - x_mm).hypot(touch[1] - y_mm);
+        println!("press at {x_mm}, {y_mm} mm: {touch:.1?}, {off_mm:.1} mm off");
+        assert!(off_mm < 10.0, "{touch:?}");
+        gel.release();
+        gel.run(12);
+        assert!(gel.watch.touches_mm.is_empty(), "{:?}", gel.watch.touches_mm);
+    }
+    // Held for four minutes, as still as nothing but a twin can.
+    gel.press(-20.0, -20.0);
+    gel.run(30);
+    assert_eq!(gel.watch.touches_mm.len(), 1);
+    gel.release();
+    gel.run(12);
+    println!("before the cut: {:?}, drift {:.3}", gel.watch.events, gel.watch.drift);
+    assert!(gel.watch.events.is_empty() && gel.watch.touches_mm.is_empty());
+    gel.cut(FROM_M, TO_M);
+    gel.run(5);
+    for (frame, event) in &gel.watch.events {
+        println!("frame {frame}: {} {event:?}", describe(event));
+    }
+    let told = gel.watch.events.last().map_or(0, |(frame, _)| *frame);
+    assert_eq!((gel.watch.names(), told), (vec!["begin"], gel.watch.frames - 3), "three frames of rest");
+    let damage = gel.only_damage();
+    let middle_m = [0, 1].map(|axis| 0.5 * (FROM_M[axis] + TO_M[axis]));
+    let off_m = (damage.shape.centre_m[0] - middle_m[0]).hypot(damage.shape.centre_m[1] - middle_m[1]);
+    println!("{:.1} mm off", 1e3 * off_m);
+    assert!(off_m < 0.012, "{damage:?}");
+    // Touches go on beside it, and nothing more is damaged.
+    gel.run(10);
+    assert!(gel.watch.touches_mm.is_empty(), "{:?}", gel.watch.touches_mm);
+    gel.press(-30.0, 20.0);
+    gel.run(3);
+    let [touch] = gel.watch.touches_mm[..] else { panic!("{:?}", gel.watch.touches_mm) };
+    assert!((touch[0] + 30.0).hypot(touch[1] - 20.0) < 10.0, "{touch:?}");
+    gel.release();
+    gel.run(12);
+    assert_eq!(gel.watch.names(), ["begin"]);
+    assert_eq!(gel.watch.origins(), [ReferenceOrigin::Startup, ReferenceOrigin::Damage]);
+}
+
+#[test]
+fn drift_alone_is_neither_touch_nor_damage() {
+    let mut gel = Gel::new(SLOW_S);
+    for _ in 0..400 {
+        gel.run(1);
+        assert!(gel.watch.touches_mm.is_empty(), "frame {}: {:?}", gel.watch.frames, gel.watch.touches_mm);
+    }
+    assert!(gel.watch.events.is_empty(), "{:?}", gel.watch.events);
+    // Mean of 400 times 1.5e-4.
+    assert!((gel.watch.drift - 0.06).abs() < 0.02, "{}", gel.watch.drift);
+}
+
+/// At 25 frames a second, and back to the readings before the cut: what has closed is healed.
+#[test]
+fn a_change_that_undoes_a_cut_heals_it() {
+    let mut gel = Gel::new(0.04);
+    let intact: Vec<Vec<f64>> = (0..80).map(|_| gel.values()).collect();
+    gel.cut(FROM_M, TO_M);
+    gel.run(60);
+    assert_eq!(gel.watch.names(), ["begin"]);
+    intact.iter().for_each(|values| gel.watch.take(values));
+    println!("{:?}", gel.watch.events);
+    assert_eq!(gel.watch.names(), ["begin", "healed"]);
+    assert!(gel.only_damage().share < 0.2, "{:?}", gel.only_damage());
+}
+
+/// Of a cut that comes from one frame to the next nothing tells that it is no weight: not before ten minutes have gone.
+#[test]
+fn what_comes_at_once_and_stays_is_held_for_a_touch_first() {
+    let mut gel = Gel::new(SLOW_S);
+    gel.twin.frontend_mut().treat(&Treatment::Cut(Cut::open(FROM_M, TO_M))).unwrap();
+    gel.run(70);
+    assert!(gel.watch.events.is_empty() && gel.watch.touches_mm.len() == 1, "{:?}", gel.watch.events);
+    gel.run(12);
+    assert_eq!(gel.watch.names(), ["begin"]);
+}
