@@ -30,11 +30,12 @@ impl Pipeline {
         if let Some((change, image)) = levels.change(&reference.scale) {
             reconstructor.image(change, image)?;
         }
-        let adoption = levels.judge(time_ns)?;
+        // What is judged to be damage in this frame is still in its difference.
         if self.buffers.difference.iter().any(|value| value.is_finite()) {
             let (difference, image) = levels.compare(&self.buffers.difference, &reference.scale);
             reconstructor.image(difference, image)?;
         }
+        let adoption = levels.judge(time_ns)?;
         let is_free = !levels.is_disturbed();
         if let Some(adoption) = adoption {
             self.baseline.adopt(time_ns, &adoption.readings, adoption.frames, &adoption.reason)?;

@@ -5,6 +5,8 @@
 //! good.
 
 mod declared;
+#[cfg(test)]
+mod level_tests;
 mod levels;
 mod monitor;
 mod params;
