@@ -145,4 +145,30 @@ mod tests {
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.leave_one_out().median_error_m < 2e-3, "{:?}", calibration.leave_one_out().median_error_m);
     }
+
+    #[test]
+    fn channels_that_read_nothing_and_gaps_are_kept_through_a_file() {
+        let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
+        let rest = prepared.voltages.clone();
+        let positions_m: Vec<[f64; 2]> =
+            (0..30).map(|i| [0.01 * f64::from(i % 6) - 0.03, 0.01 * f64::from(i / 6) - 0.02]).collect();
+        let signatures = prepared.signatures(&positions_m);
+        let mut frames: Vec<Vec<f64>> = signatures
+            .chunks_exact(rest.len())
+            .map(|signature| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect())
+            .collect();
+        // One channel reads nothing at all, another misses a few pokes.
+        frames.iter_mut().for_each(|frame| frame[7] = f64::NAN);
+        frames[3..6].iter_mut().for_each(|frame| frame[40] = f64::NAN);
+        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
+        let pokes = Pokes { positions_m, loads: None };
+        let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
+        assert!(calibration.review().dead_channels.contains(&7));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("c.json");
+        calibration.save(&path).unwrap();
+        let opened = Calibration::load(&path).unwrap();
+        assert_eq!(opened.pokes(), 30);
+        opened.measured_jacobian(&prepared).unwrap();
+    }
 }

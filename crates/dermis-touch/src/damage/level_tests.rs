@@ -38,7 +38,7 @@ impl Bench {
         for _ in 0..frames {
             let value = |channel: usize| {
                 let drift = (channel as f64 / 19.5 - 1.0) * self.frame as f64;
-                1e3 + drift + noise(self.frame, channel) + if channel % 2 == 0 { step } else { 0.0 }
+                1e3 + drift + noise(self.frame, channel) + if channel.is_multiple_of(2) { step } else { 0.0 }
             };
             let raw: Vec<f64> = (0..CHANNELS).map(value).collect();
             said = self.watch.process(8_000_000_000 * self.frame, &raw, |_| true).unwrap();

@@ -7,7 +7,7 @@ use super::features::{Features, in_frame};
 use super::prior::Sister;
 use super::report::PriorUse;
 use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
-use crate::locator::design::basis;
+use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
 use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
 use crate::locator::posterior::{extent, spacing};
@@ -18,6 +18,11 @@ pub(super) const GRID: Grid =
     Grid { lengths: &[0.38, 0.25, 0.57, 0.8], noises: &[0.04, 0.02, 0.01, 0.08], shrinkages: &[0.9, 0.6, 0.3, 0.97] };
 /// At most so many examples choose the forward expert's form and hyperparameters.
 const CHOOSING: usize = 250;
+/// So many pokes choose in which form frames are seen by its score with usual hyperparameters, and on every second of
+/// the map's positions. Every fourth would do for most skins, but not for the gelatin skin.
+const DECIDED: usize = 100;
+/// A thinned map has at least so many positions.
+const FEWEST_POSITIONS: usize = 400;
 /// Pokes that the covariance of another skin is worth.
 const SISTER_WORTH: f64 = 10.0;
 /// With fewer pokes than this, leaving one out tells too little to choose by. Beside a sister's calibration its form
@@ -38,11 +43,42 @@ pub(super) struct Form<'a> {
     mean: Mean<'a>,
 }
 
+/// A form before its hyperparameters are chosen, with its score by those it starts from.
+struct Begun<'a> {
+    features: Features,
+    mean: Mean<'a>,
+    design: Design,
+    prior: Prior,
+    projection: Option<Mat<f64>>,
+    channel_prior: Option<ChannelPrior>,
+    start: Hyperparameters,
+    score: f64,
+}
+
+impl<'a> Begun<'a> {
+    fn fitting<'b>(&'b self, map: &'b SignatureMap, spacing_m: f64) -> Fitting<'b> {
+        Fitting {
+            positions: &map.positions_m,
+            basis: self.projection.as_ref(),
+            spacing_m,
+            channel_prior: self.channel_prior.as_ref(),
+            grid: GRID,
+        }
+    }
+
+    /// Whether the other form differs from this one in how it sees frames at most.
+    fn expects_the_same(&self, other: &Begun<'_>) -> bool {
+        std::mem::discriminant(&self.mean) == std::mem::discriminant(&other.mean)
+            && self.channel_prior.is_some() == other.channel_prior.is_some()
+    }
+}
+
 /// The mean of the forward expert's map before any poke.
 #[derive(Clone, Copy)]
 pub(super) enum Mean<'a> {
     Zero,
-    Physics(&'a SignatureMap),
+    /// What the map itself holds.
+    Physics,
     Sister(&'a Sister),
 }
 
@@ -70,8 +106,8 @@ fn mean_map(mean: Mean, map: &SignatureMap, features: &Features) -> Result<Signa
     match mean {
         Mean::Zero => SignatureMap::without_physics(c, map.positions_m.clone()),
         Mean::Sister(sister) => sister.map_at(&map.positions_m),
-        Mean::Physics(physics) => {
-            let mut signatures = physics.signatures.clone();
+        Mean::Physics => {
+            let mut signatures = map.signatures.clone();
             for row in signatures.chunks_exact_mut(c) {
                 row.iter_mut().zip(&features.weights).for_each(|(v, w)| *v *= w);
                 let length = row.iter().map(|v| v * v).sum::<f64>().sqrt().max(f64::MIN_POSITIVE);
@@ -92,12 +128,18 @@ pub(super) fn choose_form<'a>(
 ) -> Result<(Form<'a>, [Option<PriorUse>; 3]), LocatorError> {
     let chosen: Vec<usize> = evenly(rows.len(), CHOOSING).into_iter().map(|r| rows[r]).collect();
     let radius = extent(&map.positions_m);
-    let spacing_m = spacing(&map.positions_m);
+    let tries_all = chosen.len() < DECIDED;
+    let coarse = if tries_all { map.clone() } else { thinned(map, spacing(&map.positions_m)) };
+    let spacing_m = spacing(&coarse.positions_m);
     let mut means = vec![Mean::Zero];
-    means.extend(map.signatures.iter().any(|v| *v != 0.0).then_some(Mean::Physics(map)));
+    means.extend(map.signatures.iter().any(|v| *v != 0.0).then_some(Mean::Physics));
     means.extend(sister.map(Mean::Sister));
-    let mut forms: Vec<Form> = Vec::new();
+    let mut begun: Vec<Begun> = Vec::new();
     let untold = sister.is_some() && chosen.len() < TELLING;
+    let start = match untold {
+        true => Hyperparameters { length_m: UNTOLD.length_m * radius, ..UNTOLD },
+        false => default_hyperparameters(radius),
+    };
     for companded in [false, true] {
         let features = Features { companded, ..features.clone() };
         let seen = forward_examples(examples, &features, &chosen)?;
@@ -106,27 +148,27 @@ pub(super) fn choose_form<'a>(
             if akin.is_none() && (untold || matches!(mean, Mean::Sister(_))) {
                 continue;
             }
-            let about = mean_map(mean, map, &features)?;
-            let start = match untold {
-                true => Hyperparameters { length_m: UNTOLD.length_m * radius, ..UNTOLD },
-                false => default_hyperparameters(radius),
-            };
-            let (design, prior) = prepare(&seen, &about, &start)?;
-            let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
+            let about = mean_map(mean, &coarse, &features)?;
             for lent in [None, akin].into_iter().take(1 + usize::from(akin.is_some())) {
+                let (design, prior) = prepare(&seen, &about, &start)?;
+                let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
-                let fitting = Fitting {
-                    positions: &map.positions_m,
-                    basis: projection.as_ref(),
-                    spacing_m,
-                    channel_prior: channel_prior.as_ref(),
-                    grid: GRID,
-                };
-                let (score, hyper) = fitting.select(&design, &prior, start, radius)?;
-                let (features, map) = (features.clone(), about.clone());
-                forms.push(Form { features, map, prior: channel_prior, hyper, score, mean });
+                let features = features.clone();
+                let mut form = Begun { features, mean, design, prior, projection, channel_prior, start, score: 0.0 };
+                let judged = form.fitting(&coarse, spacing_m).judge(&form.design, &form.prior, &start)?;
+                form.score = judged.calibration.score;
+                begun.push(form);
             }
         }
+    }
+    // Many pokes choose how frames are seen before the hyperparameters, for each mean and covariance; few pokes try all.
+    let is_beaten = |form: &Begun| begun.iter().any(|other| form.expects_the_same(other) && other.score > form.score);
+    let mut forms: Vec<Form> = Vec::new();
+    for form in begun.iter().filter(|form| tries_all || !is_beaten(form)) {
+        let fitting = form.fitting(&coarse, spacing_m);
+        let (score, hyper) = fitting.select(&form.design, &form.prior, form.start, radius)?;
+        let (features, map) = (form.features.clone(), mean_map(form.mean, map, &form.features)?);
+        forms.push(Form { features, map, prior: form.channel_prior.clone(), hyper, score, mean: form.mean });
     }
     let best = |accept: &dyn Fn(&Form) -> bool| {
         forms.iter().filter(|f| accept(f)).map(|f| f.score).fold(f64::NEG_INFINITY, f64::max)
@@ -148,11 +190,32 @@ pub(super) fn choose_form<'a>(
         given.then(|| PriorUse { used: with(&forms[winner]), gain }).filter(|u| u.gain.is_finite())
     };
     let uses = [
-        compare(means.len() > 1 + usize::from(sister.is_some()), &|f| matches!(f.mean, Mean::Physics(_))),
+        compare(means.len() > 1 + usize::from(sister.is_some()), &|f| matches!(f.mean, Mean::Physics)),
         compare(sister.is_some(), &|f| matches!(f.mean, Mean::Sister(_))),
         compare(sister.is_some(), &|f| f.prior.is_some()),
     ];
     Ok((forms.swap_remove(winner), uses))
+}
+
+/// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square lattice.
+fn thinned(map: &SignatureMap, spacing_m: f64) -> SignatureMap {
+    let origin = map.positions_m[0];
+    let is_kept = |p: &[f64; 2]| {
+        let [column, row] = [0, 1].map(|axis| ((p[axis] - origin[axis]) / spacing_m).round() as i64);
+        (column + row) % 2 == 0
+    };
+    let (mut positions_m, mut signatures) = (Vec::new(), Vec::new());
+    for (p, row) in map.positions_m.iter().zip(map.signatures.chunks_exact(map.channels)) {
+        if is_kept(p) {
+            positions_m.push(*p);
+            signatures.extend_from_slice(row);
+        }
+    }
+    // Of a map of a few positions nothing is left out.
+    if positions_m.len() < FEWEST_POSITIONS {
+        return map.clone();
+    }
+    SignatureMap { channels: map.channels, positions_m, signatures }
 }
 
 fn channel_prior(sister: &Sister, projection: Option<&Mat<f64>>) -> ChannelPrior {
