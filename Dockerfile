@@ -3,10 +3,10 @@ FROM rust:1-slim AS build
 WORKDIR /dermis
 COPY . .
 RUN apt-get update && apt-get install -y --no-install-recommends build-essential \
-    && cargo build --release --locked -p dermis-cli
+    && cargo build --profile dist --locked -p dermis-cli
 
 FROM debian:stable-slim
-COPY --from=build /dermis/target/release/dermis /usr/local/bin/dermis
+COPY --from=build /dermis/target/dist/dermis /usr/local/bin/dermis
 COPY LICENSE-MIT LICENSE-APACHE /usr/share/doc/dermis/
 RUN useradd --create-home dermis
 USER dermis
