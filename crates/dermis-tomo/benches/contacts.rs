@@ -37,6 +37,7 @@ fn contacts(c: &mut Criterion) {
     let options = FitOptions {
         radius_m: 8e-3,
         radius_log_deviation: 0.5,
+        most_radius_m: f64::INFINITY,
         conductance_s_per_m2: 700.0,
         conductance_log_deviation: 0.5,
         gain_deviation: 0.0,

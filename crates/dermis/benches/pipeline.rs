@@ -4,7 +4,9 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use dermis::Error;
 use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
 use dermis::live::prepare::Prepared;
+use dermis::live::stages::damage::{Crack, CrackModel, CrackScratch, estimate_cut};
 use dermis::skin::{Skin, Solve};
+use dermis::touch::damage::DamageShape;
 use dermis::twin::TwinKit;
 use dermis_device::{Frame, HostStamp, Layout};
 
@@ -74,5 +76,28 @@ fn pipelines(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, pipelines);
+/// What the live watch does once for each new cut, on the thread of the stream.
+fn fits_of_cuts(c: &mut Criterion) {
+    let fit = || -> Result<_, Error> {
+        let prepared = Prepared::new(Skin::open("healing-square")?)?;
+        let model = CrackModel::new(&prepared)?;
+        let cut = Crack { centre_m: [0.02, -0.01], length_m: 0.02, direction_rad: 0.6, joined_per_m: 0.0 };
+        let mut change = vec![0.0; prepared.channels()];
+        model.respond(&cut, &mut CrackScratch::default(), &mut change);
+        let noise = vec![1e-6; change.len()];
+        Ok((prepared, model, change, noise))
+    };
+    let (prepared, model, change, noise) = match fit() {
+        Ok(made) => made,
+        Err(error) => return eprintln!("the fit of a cut could not be set up: {error}"),
+    };
+    // The image's middle is off by up to a centimetre.
+    let start =
+        DamageShape { centre_m: [0.026, -0.016], length_m: 0.03, width_m: 0.0, direction_rad: 0.0, deviations: None };
+    c.bench_function("fit of a cut, healing-square", |b| {
+        b.iter(|| estimate_cut(&prepared, &model, &change, &noise, &start).is_ok_and(|found| found.is_some()));
+    });
+}
+
+criterion_group!(benches, pipelines, fits_of_cuts);
 criterion_main!(benches);

@@ -25,3 +25,9 @@ pub(super) fn plausible(fits: &[ContactFit], summary: &FitSummary, half_width_m:
 pub(super) fn are_large(fits: &[ContactFit], half_width_m: f64) -> bool {
     fits.iter().any(|fit| fit.patch.radius_m > LARGEST * half_width_m)
 }
+
+/// Radius that a fit's patches may grow to on the way, metres: a little more than a touch has, so that those which want
+/// to be larger show.
+pub(super) fn most_radius_m(half_width_m: f64) -> f64 {
+    1.05 * LARGEST * half_width_m
+}

@@ -6,7 +6,7 @@ use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, FitOptions, PatchFit}
 use dermis_touch::{Contact, ContactSign, ContactStrength};
 
 use super::gathered::Gathered;
-use super::plausible::{BELIEVED, plausible};
+use super::plausible::{BELIEVED, most_radius_m, plausible};
 use super::seek::{Outcome, Seek, Tools};
 use super::sheets::{CutSheets, SheetCut, Sheets};
 use super::touch_rule::TouchRule;
@@ -138,6 +138,7 @@ impl PatchStage {
             options: FitOptions {
                 radius_m: typical.radius_m,
                 radius_log_deviation: LOG_DEVIATIONS[0],
+                most_radius_m: most_radius_m(prepared.half_width_m()),
                 conductance_s_per_m2: typical.conductance_s_per_m2,
                 conductance_log_deviation: LOG_DEVIATIONS[1],
                 gain_deviation: 0.0,

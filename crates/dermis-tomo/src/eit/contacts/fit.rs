@@ -28,6 +28,9 @@ pub struct FitOptions {
     pub radius_m: f64,
     /// Standard deviation of its natural logarithm.
     pub radius_log_deviation: f64,
+    /// Steps make no radius larger than this, metres, infinite for no bound: what a step costs grows with the fourth power
+    /// of it.
+    pub most_radius_m: f64,
     /// Typical conductance per area, S/m^2.
     pub conductance_s_per_m2: f64,
     /// Standard deviation of its natural logarithm.
@@ -389,7 +392,7 @@ impl Problem for FitUnderWay<'_> {
     }
 
     fn try_step(&mut self, step: &[f64]) -> Result<Option<Trial>, EitError> {
-        let mut next = self.fit.sheet.begin_fit(&stepped(&self.at.patches, step))?;
+        let mut next = self.fit.sheet.begin_fit(&stepped(&self.at.patches, step, self.fit.options.most_radius_m))?;
         let (misfit, cost) = self.fit.judge(&mut next);
         self.tried = Some((next, misfit));
         Ok(Some(Trial { cost, moved: 0.0 }))
@@ -417,14 +420,14 @@ fn inverse(equations: &NormalEquations) -> Option<Mat<f64>> {
     Some(factor.solve(Mat::<f64>::identity(size, size)))
 }
 
-fn stepped(patches: &[ContactPatch], step: &[f64]) -> Vec<ContactPatch> {
+fn stepped(patches: &[ContactPatch], step: &[f64], most_radius_m: f64) -> Vec<ContactPatch> {
     let moved = |(patch, step): (&ContactPatch, &[f64])| {
         let longest = LONGEST * patch.radius_m;
         let share = (longest / step[0].hypot(step[1])).min(1.0);
         let log = |value: f64| value.clamp(-LONGEST_LOG, LONGEST_LOG).exp();
         ContactPatch {
             position_m: [patch.position_m[0] + share * step[0], patch.position_m[1] + share * step[1]],
-            radius_m: patch.radius_m * log(step[2]),
+            radius_m: (patch.radius_m * log(step[2])).min(most_radius_m.max(patch.radius_m)),
             conductance_s_per_m2: patch.conductance_s_per_m2 * log(step[3]),
         }
     };

@@ -116,6 +116,7 @@ fn known_patches_are_found_and_fitted() {
     let options = FitOptions {
         radius_m: 10e-3,
         radius_log_deviation: 0.5,
+        most_radius_m: f64::INFINITY,
         // Data say little of radius and conductance apart: the prior decides, and is right here.
         conductance_s_per_m2: 600.0,
         conductance_log_deviation: 0.5,
@@ -162,6 +163,7 @@ fn a_change_of_all_voltages_displaces_no_patch_where_it_is_allowed_for() {
         let options = FitOptions {
             radius_m: 10e-3,
             radius_log_deviation: 0.5,
+            most_radius_m: f64::INFINITY,
             conductance_s_per_m2: truth.conductance_s_per_m2,
             conductance_log_deviation: 0.5,
             gain_deviation,
