@@ -2,7 +2,7 @@
 //! [`dermis_touch::damage`] tells from that image what is damaged. Once a damage is believed, touches are found against
 //! a baseline that includes it; the intact reference stays as it was until nothing is damaged any more. When the skin
 //! has rested for long enough at other values than its baseline's, a new baseline is proposed, never taken. Of skins
-//! that conduct less where they are pressed, damage is told by [`LevelStage`] instead.
+//! that conduct less where they are pressed, damage is told by levels instead.
 
 mod crack;
 mod cuts;
