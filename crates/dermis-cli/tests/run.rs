@@ -157,6 +157,10 @@ fn every_kind_of_file_is_a_source() {
     let recorded = run(desk.path(), &["--source", "frames.npy", "--speed", "0", "--headless", "--record", "x.mcap"]);
     assert_eq!(recorded.status.code(), Some(0), "{}", message(&recorded));
     assert_eq!(lines(&recorded).len(), 40, "a NumPy table");
+    // Frames without times are as far apart as the skin's, however fast they are played.
+    let time_s = lines(&recorded)[39]["time_s"].as_f64().expect("a time");
+    let usual_s = 39.0 / skin.backend.frames_per_s.unwrap_or(20.0);
+    assert!((time_s - usual_s).abs() < 1e-6, "{time_s} s, {usual_s} s expected");
     for (source, frames) in [("file:frames.csv#5..40", 35), ("file:x.mcap", 40)] {
         let output = run(desk.path(), &["--source", source, "--speed", "0", "--headless"]);
         assert_eq!(output.status.code(), Some(0), "{source}: {}", message(&output));

@@ -33,6 +33,9 @@ pub enum Error {
         /// What the system says.
         source: std::io::Error,
     },
+    /// Whoever asked for it wants it no longer.
+    #[error("interrupted")]
+    Interrupted,
     /// A file whose contents are not what they should be.
     #[error("{}: {field}: {reason}", file.display())]
     Content {

@@ -1,5 +1,8 @@
 //! [`PyMaps`]: what a skin will be able to do, before it is built; and what a workshop's errors cost it.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use dermis::lab::design::{Maps, Noise, spread_width};
 use dermis::lab::tolerances::{Extent, Tolerances, run as run_tolerances};
 use numpy::PyArray2;
@@ -159,14 +162,19 @@ pub fn tolerance_rows(
     seed: u64,
 ) -> PyResult<Vec<(String, usize, [f64; 2], [f64; 2], f64)>> {
     let skin = skin_of(skin)?;
-    run_interruptibly(py, "tolerances", move || {
+    // Work that nobody waits for would keep all threads for minutes.
+    let wanted = Arc::new(AtomicBool::new(true));
+    let told = wanted.clone();
+    let rows = run_interruptibly(py, "tolerances", move || {
         let pokes = pokes.unwrap_or_else(|| vec![20, 50, 200]);
         let extent = Extent { samples, presses, pokes, seed };
-        let report = run_tolerances(&skin, &Tolerances::default(), &extent, &|_, _| {})?;
+        let report = run_tolerances(&skin, &Tolerances::default(), &extent, &|_, _| told.load(Ordering::Relaxed))?;
         let rows =
             std::iter::once(report.nominal).chain(report.causes).chain([report.together]).chain(report.calibrated);
         Ok(rows
             .map(|row| (row.name, row.samples, row.position_mm, row.amplitude_percent, row.misses_percent))
             .collect())
-    })
+    });
+    wanted.store(false, Ordering::Relaxed);
+    rows
 }

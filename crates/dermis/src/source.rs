@@ -102,9 +102,15 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
         Box::new(Replay::new(Recording::open(&spec.path)?, pacing(None), Repeat::Once)?)
     } else {
         let table = read_frames(spec, options.format)?;
-        let rate = match table.times_s() {
-            Some(_) if options.speed == 1.0 => None,
-            _ => Some(skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S)),
+        let usual = skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let rate = (table.times_s().is_none() || options.speed != 1.0).then_some(usual);
+        // Frames without times are as far apart as the skin's, at whatever pace they are played.
+        let table = match table.times_s() {
+            Some(_) => table,
+            None => {
+                let times_s = (0..table.frames()).map(|index| index as f64 / usual).collect();
+                table.with_times_s(times_s)?
+            }
         };
         Box::new(Playback::new(table, pacing(rate), Repeat::Once)?)
     };

@@ -194,6 +194,7 @@ impl Arguments {
             let report = run(&skin, &tolerances, &extent, &|done, all| {
                 bar.set_length(all as u64);
                 bar.set_position(done as u64);
+                true
             });
             bar.finish_and_clear();
             let report = report?;

@@ -161,16 +161,18 @@ struct Task {
     samples: usize,
 }
 
-/// Tries a skin with these tolerances. `progress` is told how many samples are done and how many there are.
+/// Tries a skin with these tolerances. `progress` is told how many samples are done and how many there are, and says
+/// whether to go on.
 ///
 /// # Errors
-/// Numbers out of range, a skin that cannot be meshed or solved.
+/// Numbers out of range, a skin that cannot be meshed or solved; [`Error::Interrupted`] where `progress` says no.
 pub fn run(
     skin: &Skin,
     tolerances: &Tolerances,
     extent: &Extent,
-    progress: &(dyn Fn(usize, usize) + Sync),
+    progress: &(dyn Fn(usize, usize) -> bool + Sync),
 ) -> Result<ToleranceReport, Error> {
+    let go_on = |done: usize, all: usize| if progress(done, all) { Ok(()) } else { Err(Error::Interrupted) };
     extent.check()?;
     let bench = Bench::new(skin, PLACES)?;
     let causes = tolerances.causes(&bench.skin);
@@ -182,6 +184,7 @@ pub fn run(
     let nominal: Vec<Vec<Vec<Press>>> = [Reader::Model, Reader::Pokes(extent.pokes.clone())]
         .par_iter()
         .map(|reader| {
+            go_on(0, all)?;
             let seeds = [extent.seed, NOMINAL];
             bench.press(&bench.build(tolerances, &[], seeds)?, reader, &every, seeds, true)
         })
@@ -198,7 +201,7 @@ pub fn run(
             let (task, seeds) = (&tasks[k], [extent.seed, sample]);
             let built = bench.build(tolerances, &task.causes, seeds)?;
             let presses = bench.press(&built, &task.reader, &some_places(extent, sample), seeds, false);
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
+            go_on(done.fetch_add(1, Ordering::Relaxed) + 1, all)?;
             presses
         })
         .collect::<Result<_, Error>>()?;

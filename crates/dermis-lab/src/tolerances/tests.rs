@@ -9,7 +9,7 @@ fn extent(samples: usize) -> Extent {
 }
 
 fn tried(name: &str, tolerances: &Tolerances, extent: &Extent) -> ToleranceReport {
-    run(&Skin::open(name).unwrap(), tolerances, extent, &|_, _| {}).unwrap()
+    run(&Skin::open(name).unwrap(), tolerances, extent, &|_, _| true).unwrap()
 }
 
 fn same(a: &ToleranceRow, b: &ToleranceRow) -> bool {
@@ -77,11 +77,26 @@ fn what_is_wrong_with_a_file_is_said_with_key_and_value() {
 }
 
 #[test]
+fn nobody_waits_for_what_is_wanted_no_longer() {
+    let skin = Skin::open("ionic-disc").unwrap();
+    let extent = Extent { samples: 1000, presses: 1, pokes: Vec::new(), seed: 1 };
+    let most = std::sync::atomic::AtomicUsize::new(0);
+    let stopped = run(&skin, &Tolerances::none(), &extent, &|done, _| {
+        most.fetch_max(done, std::sync::atomic::Ordering::Relaxed);
+        done < 3
+    });
+    assert!(matches!(stopped, Err(crate::Error::Interrupted)));
+    // Those that were under way on other threads are ended.
+    let most = most.into_inner();
+    assert!((3..100).contains(&most), "{most}");
+}
+
+#[test]
 fn nonsense_extents_are_refused() {
     let skin = Skin::open("healing-square").unwrap();
     for extent in
         [extent(0), extent(10_001), Extent { presses: 0, ..extent(1) }, Extent { pokes: vec![2], ..extent(1) }]
     {
-        assert!(run(&skin, &Tolerances::none(), &extent, &|_, _| {}).is_err(), "{extent:?}");
+        assert!(run(&skin, &Tolerances::none(), &extent, &|_, _| true).is_err(), "{extent:?}");
     }
 }
