@@ -80,7 +80,9 @@ impl Locator {
             Selection::Fixed(hyper) => hyper,
             Selection::LeaveOneOut => {
                 let rows = evenly(design.positions_m.len(), options.selection_examples);
-                fitting.select(&design.subset(&rows), &prior.subset(&rows), start, radius)?.1
+                let (design, prior) = (design.subset(&rows), prior.subset(&rows));
+                let score = fitting.judge(&design, &prior, &start)?.calibration.score;
+                fitting.select(&design, &prior, (score, start), radius)?.1
             }
         };
         let judged = fitting.judge(&design, &prior, &hyper)?;
@@ -158,18 +160,18 @@ impl Fitting<'_> {
         Ok(Judged { map, calibration, left_out, misfits })
     }
 
-    /// Goes once through the candidates of each hyperparameter and keeps what the left-out examples like best, with its
-    /// score.
+    /// Goes once through the candidates of each hyperparameter, from a start with its score, and keeps what the left-out
+    /// examples like best, with its score.
     pub(super) fn select(
         &self,
         design: &Design,
         prior: &Prior,
-        start: Hyperparameters,
+        start: (f64, Hyperparameters),
         radius: f64,
     ) -> Result<(f64, Hyperparameters), LocatorError> {
         let score = |hyper: &Hyperparameters| Ok(self.judge(design, prior, hyper)?.calibration.score);
         let margin = SELECTION_MARGIN / design.positions_m.len() as f64;
-        let mut best = (score(&start)?, start);
+        let mut best = start;
         let mut consider = |propose: &dyn Fn(Hyperparameters) -> Hyperparameters| {
             let candidate = propose(best.1);
             let reached = score(&candidate)?;

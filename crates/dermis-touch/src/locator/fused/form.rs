@@ -43,7 +43,7 @@ pub(super) struct Form<'a> {
     mean: Mean<'a>,
 }
 
-/// A form before its hyperparameters are chosen, with its score by those it starts from.
+/// A form before its hyperparameters are chosen, with its score by those that all start from.
 struct Begun<'a> {
     features: Features,
     mean: Mean<'a>,
@@ -51,7 +51,6 @@ struct Begun<'a> {
     prior: Prior,
     projection: Option<Mat<f64>>,
     channel_prior: Option<ChannelPrior>,
-    start: Hyperparameters,
     score: f64,
 }
 
@@ -154,7 +153,7 @@ pub(super) fn choose_form<'a>(
                 let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
                 let features = features.clone();
-                let mut form = Begun { features, mean, design, prior, projection, channel_prior, start, score: 0.0 };
+                let mut form = Begun { features, mean, design, prior, projection, channel_prior, score: 0.0 };
                 let judged = form.fitting(&coarse, spacing_m).judge(&form.design, &form.prior, &start)?;
                 form.score = judged.calibration.score;
                 begun.push(form);
@@ -166,7 +165,7 @@ pub(super) fn choose_form<'a>(
     let mut forms: Vec<Form> = Vec::new();
     for form in begun.iter().filter(|form| tries_all || !is_beaten(form)) {
         let fitting = form.fitting(&coarse, spacing_m);
-        let (score, hyper) = fitting.select(&form.design, &form.prior, form.start, radius)?;
+        let (score, hyper) = fitting.select(&form.design, &form.prior, (form.score, start), radius)?;
         let (features, map) = (form.features.clone(), mean_map(form.mean, map, &form.features)?);
         forms.push(Form { features, map, prior: form.channel_prior.clone(), hyper, score, mean: form.mean });
     }
