@@ -18,6 +18,7 @@ mod prior;
 mod quantised_operator;
 mod reciprocity;
 mod self_calibration;
+mod smooth_covariance;
 mod spectrum;
 mod total_variation;
 mod weighting;
@@ -38,6 +39,7 @@ pub use quantised_operator::QuantisedOperator;
 pub use self_calibration::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,
 };
+pub use smooth_covariance::SmoothCovariance;
 pub use spectrum::{LCurvePoint, Spectrum};
 pub use total_variation::{TotalVariation, TotalVariationResult};
 pub use weighting::Weighting;

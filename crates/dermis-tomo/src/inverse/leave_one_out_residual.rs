@@ -1,7 +1,7 @@
 //! How far each channel is from what the others let expect: `e_c = (Q dv)_c / Q_cc` with
 //! `Q = (J P J' + lambda^2 W^-1)^-1`, the inverse covariance of difference data under prior and noise. It is `dv_c`
-//! less its conditional mean given all other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq. 2.5 and 2.6),
-//! the leave-one-out residual of the linear model, and costs one product with a matrix of the channels squared.
+//! less its conditional mean given all other channels (Rue and Held, Gaussian Markov Random Fields, 2005, eq. 2.5 and
+//! 2.6), the leave-one-out residual of the linear model, and costs one product with a matrix of the channels squared.
 
 use faer::{Mat, MatRef};
 
@@ -35,8 +35,8 @@ impl LeaveOneOutResidual {
         self.channels
     }
 
-    /// Writes the residuals of a difference frame (all finite; missing channels filled in, whose residuals come out as 0).
-    /// Both slices must be as long as there are channels; allocates nothing.
+    /// Writes the residuals of a difference frame (all finite; missing channels filled in, whose residuals come out as
+    /// 0). Both slices must be as long as there are channels; allocates nothing.
     pub fn of(&mut self, difference: &[f64], residuals: &mut [f64]) {
         self.sums.fill(0.0);
         for (column, value) in self.matrix.chunks_exact(self.channels.max(1)).zip(difference) {

@@ -270,7 +270,7 @@ impl LinearProblem {
     fn prior_variances(&self) -> Result<Vec<f64>, InverseError> {
         Ok(match &self.prior {
             PriorMatrix::Diagonal(values) => values.iter().map(|v| 1.0 / v).collect(),
-            PriorMatrix::Covariance(matrix) => (0..matrix.nrows()).map(|k| matrix[(k, k)]).collect(),
+            PriorMatrix::Covariance(covariance) => (0..covariance.len()).map(|k| covariance.variance(k)).collect(),
             other => {
                 let size = other.size();
                 let inverse = other.solve(Mat::<f64>::identity(size, size).as_ref())?;

@@ -11,10 +11,10 @@
 //! Nor are pixels, where the prior is smooth: with `P = U U'` of few columns (pivoted Cholesky) the step is
 //! `y+ = U (U'J'J U + lambda^2)^-1 U'J' b`, over those columns alone.
 
-use faer::{ColRef, Mat, MatRef, Side, linalg::solvers::Solve};
+use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
 use super::check::positive;
-use super::{InverseError, PriorMatrix, Weighting};
+use super::{InverseError, PriorMatrix, SmoothCovariance, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
 use crate::mesh::{ElectrodedMesh, PixelMap};
 
@@ -319,7 +319,7 @@ fn linearise(
 impl FactoredPrior {
     fn new(matrix: &PriorMatrix) -> Self {
         let factor = match matrix {
-            PriorMatrix::Covariance(covariance) => pivoted_cholesky(covariance.as_ref()),
+            PriorMatrix::Covariance(covariance) => pivoted_cholesky(covariance),
             _ => None,
         };
         Self { matrix: matrix.clone(), factor }
@@ -328,9 +328,9 @@ impl FactoredPrior {
 
 /// U with `U U'` a covariance up to a [`NEGLECTED`] share of its largest variance in every variance; `None` where that
 /// takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
-fn pivoted_cholesky(covariance: MatRef<'_, f64>) -> Option<Mat<f64>> {
-    let size = covariance.nrows();
-    let mut left: Vec<f64> = (0..size).map(|k| covariance[(k, k)]).collect();
+fn pivoted_cholesky(covariance: &SmoothCovariance) -> Option<Mat<f64>> {
+    let size = covariance.len();
+    let mut left: Vec<f64> = (0..size).map(|k| covariance.variance(k)).collect();
     let enough = NEGLECTED * left.iter().copied().fold(0.0, f64::max);
     let mut columns: Vec<Vec<f64>> = Vec::new();
     loop {
@@ -341,7 +341,7 @@ fn pivoted_cholesky(covariance: MatRef<'_, f64>) -> Option<Mat<f64>> {
         if columns.len() == size / 2 {
             return None;
         }
-        let mut column: Vec<f64> = covariance.col(pivot).iter().copied().collect();
+        let mut column = covariance.column(pivot);
         for earlier in &columns {
             let share = earlier[pivot];
             column.iter_mut().zip(earlier).for_each(|(value, part)| *value -= share * part);

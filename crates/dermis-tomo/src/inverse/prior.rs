@@ -2,8 +2,7 @@
 
 use faer::{Mat, MatRef, Side, linalg::solvers::Solve};
 
-use super::check::positive;
-use super::{InverseError, Weighting};
+use super::{InverseError, SmoothCovariance, Weighting};
 use crate::mesh::Mesh;
 use crate::sparse::{Ordering, SpdStructure};
 
@@ -78,8 +77,8 @@ pub enum PriorMatrix {
         /// Centres, used to order the elimination.
         positions: Vec<[f64; 3]>,
     },
-    /// The covariance, `R^-1`, dense.
-    Covariance(Mat<f64>),
+    /// The covariance, `R^-1`.
+    Covariance(SmoothCovariance),
     /// R itself, dense.
     Dense(Mat<f64>),
 }
@@ -105,7 +104,7 @@ impl Prior {
             Prior::Noser { exponent } => Ok(PriorMatrix::Diagonal(noser(jacobian, *exponent)?)),
             Prior::Laplace => Ok(laplace(basis)),
             Prior::Gaussian { correlation_length_m } => {
-                Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, None)?))
+                Ok(PriorMatrix::Covariance(SmoothCovariance::new(&basis.positions, *correlation_length_m, None)?))
             }
             Prior::GaussianNoser { correlation_length_m, exponent } => {
                 let mut whitened = jacobian.to_owned();
@@ -113,8 +112,9 @@ impl Prior {
                 weighting.whiten(whitened.as_mut());
                 let diagonal = balance(whitened.as_ref(), *exponent)?;
                 let mean = diagonal.iter().sum::<f64>() / size as f64;
-                let scale: Vec<f64> = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
-                Ok(PriorMatrix::Covariance(gaussian(basis, *correlation_length_m, Some(&scale))?))
+                let scale = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
+                let covariance = SmoothCovariance::new(&basis.positions, *correlation_length_m, Some(scale))?;
+                Ok(PriorMatrix::Covariance(covariance))
             }
             Prior::Mixture(parts) => mixture(parts, jacobian, weighting, basis),
         }
@@ -156,25 +156,6 @@ fn laplace(basis: &ImageBasis) -> PriorMatrix {
     let entries =
         basis.neighbours.iter().flat_map(|&[a, b]| [(a, a, 2.0), (b, b, 2.0), (a.max(b), a.min(b), -2.0)]).collect();
     PriorMatrix::Sparse { size: basis.len(), entries, positions: basis.positions.clone() }
-}
-
-fn gaussian(basis: &ImageBasis, length: f64, scale: Option<&[f64]>) -> Result<Mat<f64>, InverseError> {
-    positive("correlation length (m)", length)?;
-    let scale_of = |k: usize| scale.map_or(1.0, |scale| scale[k]);
-    let factor = -0.5 / (length * length);
-    let mut matrix = Mat::zeros(basis.len(), basis.len());
-    for column in 0..basis.len() {
-        let centre = basis.positions[column];
-        for row in column..basis.len() {
-            let offset = crate::mesh::subtract(basis.positions[row], centre);
-            let exponent = factor * crate::mesh::dot(offset, offset);
-            // Beyond 6 lengths the correlation is below 2e-8.
-            let value = if exponent > -18.0 { exponent.exp() * scale_of(row) * scale_of(column) } else { 0.0 };
-            matrix[(row, column)] = value;
-            matrix[(column, row)] = value;
-        }
-    }
-    Ok(matrix)
 }
 
 fn mixture(
@@ -244,7 +225,8 @@ impl PriorMatrix {
         match self {
             PriorMatrix::Diagonal(values) => values.len(),
             PriorMatrix::Sparse { size, .. } => *size,
-            PriorMatrix::Covariance(matrix) | PriorMatrix::Dense(matrix) => matrix.nrows(),
+            PriorMatrix::Covariance(covariance) => covariance.len(),
+            PriorMatrix::Dense(matrix) => matrix.nrows(),
         }
     }
 
@@ -288,7 +270,7 @@ impl PriorMatrix {
             }
             PriorMatrix::Dense(matrix) => matrix.clone(),
             PriorMatrix::Covariance(covariance) => {
-                let mut jittered = covariance.clone();
+                let mut jittered = covariance.dense();
                 for k in 0..jittered.nrows() {
                     jittered[(k, k)] *= 1.0 + COVARIANCE_JITTER;
                 }
@@ -316,7 +298,7 @@ impl PriorMatrix {
                 }
                 x
             }
-            PriorMatrix::Covariance(covariance) => covariance * b,
+            PriorMatrix::Covariance(covariance) => covariance.times(b),
             PriorMatrix::Dense(matrix) => {
                 let factor = matrix.llt(Side::Lower).map_err(|_| singular(()))?;
                 factor.solve(b)
