@@ -1,5 +1,6 @@
 //! From a skin file to its forward model on the image grid: done once per skin, before any frame is seen.
 
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 use dermis_tomo::eit::{ForwardModel, Jacobian, OrderReport, Protocol, diagnose_order};
@@ -142,19 +143,12 @@ impl Prepared {
         let sigma = self.skin.touch.relative_size * self.half_width_m();
         let polarity = self.skin.imaging.polarity.sign();
         let mut rows = Vec::with_capacity(positions_m.len() * self.channels());
+        let (mut runs, mut weights) = (Vec::new(), Vec::new());
         for p in positions_m {
-            let weights: Vec<(usize, f64)> = self
-                .basis
-                .positions
-                .iter()
-                .map(|q| ((q[0] - p[0]).powi(2) + (q[1] - p[1]).powi(2)) / (sigma * sigma))
-                .enumerate()
-                .filter(|(_, distance)| *distance < 16.0)
-                .map(|(pixel, distance)| (pixel, polarity * (-0.5 * distance).exp()))
-                .collect();
+            weigh_near(&self.basis.positions, *p, sigma, &mut runs, &mut weights);
             rows.extend((0..self.channels()).map(|channel| {
                 let row = self.jacobian.row(channel);
-                weights.iter().map(|&(pixel, weight)| weight * row[pixel]).sum::<f64>()
+                polarity * runs.iter().map(|(first, run)| dot(&weights[run.clone()], &row[*first..])).sum::<f64>()
             }));
         }
         rows
@@ -181,6 +175,44 @@ impl Prepared {
     pub fn prior(&self) -> Prior {
         prior_of(&self.skin.imaging.prior, self.half_width_m())
     }
+}
+
+/// Weights exp(-d^2 / 2 sigma^2) of the cells nearer to a place than four sigma, one run of successive cells after the
+/// other: the first cell of each run, and where its weights stand.
+fn weigh_near(
+    cells_m: &[[f64; 3]],
+    place_m: [f64; 2],
+    sigma_m: f64,
+    runs: &mut Vec<(usize, Range<usize>)>,
+    weights: &mut Vec<f64>,
+) {
+    runs.clear();
+    weights.clear();
+    for (cell, at) in cells_m.iter().enumerate() {
+        let distance = ((at[0] - place_m[0]).powi(2) + (at[1] - place_m[1]).powi(2)) / (sigma_m * sigma_m);
+        if distance >= 16.0 {
+            continue;
+        }
+        let next = weights.len();
+        match runs.last_mut() {
+            Some((first, run)) if *first + run.len() == cell => run.end = next + 1,
+            _ => runs.push((cell, next..next + 1)),
+        }
+        weights.push((-0.5 * distance).exp());
+    }
+}
+
+/// Inner product of the weights with as many values, in four running sums.
+fn dot(weights: &[f64], values: &[f64]) -> f64 {
+    let (whole, rest) = weights.as_chunks::<4>();
+    let mut sums = [0.0; 4];
+    for (w, v) in whole.iter().zip(values.chunks_exact(4)) {
+        for lane in 0..4 {
+            sums[lane] += w[lane] * v[lane];
+        }
+    }
+    let rest: f64 = rest.iter().zip(&values[4 * whole.len()..]).map(|(w, v)| w * v).sum();
+    sums.iter().sum::<f64>() + rest
 }
 
 fn prior_of(choice: &PriorChoice, half_width_m: f64) -> Prior {

@@ -10,7 +10,7 @@ use super::error::{LocatorError, check_length};
 use super::load::{LoadLaw, root_mean_square};
 use super::model::Locator;
 use super::posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile, spacing};
-use super::regression::{ChannelPrior, FittedMap, example_noise, median, smoothed};
+use super::regression::{ChannelPrior, FittedMap, WorkedOut, example_noise, median, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
 
 /// Passes of filling missing channels of the examples with what the regression makes of the others.
@@ -81,11 +81,12 @@ impl Locator {
             Selection::LeaveOneOut => {
                 let rows = evenly(design.positions_m.len(), options.selection_examples);
                 let (design, prior) = (design.subset(&rows), prior.subset(&rows));
-                let score = fitting.judge(&design, &prior, &start)?.calibration.score;
-                fitting.select(&design, &prior, (score, start), radius)?.1
+                let mut worked_out = WorkedOut::default();
+                let score = fitting.judge(&design, &prior, &start, &mut worked_out)?.calibration.score;
+                fitting.select(&design, &prior, (score, start), radius, worked_out)?.1
             }
         };
-        let judged = fitting.judge(&design, &prior, &hyper)?;
+        let judged = fitting.judge(&design, &prior, &hyper, &mut WorkedOut::default())?;
         let near = fitting.near_trials(&design, &judged);
         let far = fitting.far_trials(&design, &prior, &hyper, judged.calibration.temperature)?;
         let spread = Spread::fit(&near, &far);
@@ -130,7 +131,7 @@ impl LocatorState {
             rank,
             transform,
             signatures,
-            variance: map.variance.clone(),
+            variance: map.variance().to_vec(),
             median_amplitude: median(&design.amplitude),
             usual_misfit: quantile(&judged.misfits, 0.95),
             temperature: judged.calibration.temperature,
@@ -145,14 +146,15 @@ impl LocatorState {
 }
 
 impl Fitting<'_> {
-    /// Fits, leaves out each example in turn, and calibrates.
+    /// Fits, leaves out each example in turn, and calibrates; `worked_out` is of the same design and prior, or new.
     pub(super) fn judge(
         &self,
         design: &Design,
         prior: &Prior,
         hyper: &Hyperparameters,
+        worked_out: &mut WorkedOut,
     ) -> Result<Judged, LocatorError> {
-        let map = FittedMap::new(design, prior, self.positions, self.basis, hyper, self.channel_prior)?;
+        let map = FittedMap::new(design, prior, self.positions, self.basis, hyper, self.channel_prior, worked_out)?;
         let mut left_out = Mat::<f64>::zeros(self.positions.len(), map.examples());
         let misfits =
             (0..map.examples()).map(|i| map.left_out_log_likelihood(i, left_out.col_as_slice_mut(i))).collect();
@@ -160,21 +162,21 @@ impl Fitting<'_> {
         Ok(Judged { map, calibration, left_out, misfits })
     }
 
-    /// Goes once through the candidates of each hyperparameter, from a start with its score, and keeps what the left-out
-    /// examples like best, with its score.
+    /// Goes once through the candidates of each hyperparameter, from a start with its score, and keeps what the
+    /// left-out examples like best, with its score. `worked_out` is what judging the start left.
     pub(super) fn select(
         &self,
         design: &Design,
         prior: &Prior,
         start: (f64, Hyperparameters),
         radius: f64,
+        mut worked_out: WorkedOut,
     ) -> Result<(f64, Hyperparameters), LocatorError> {
-        let score = |hyper: &Hyperparameters| Ok(self.judge(design, prior, hyper)?.calibration.score);
         let margin = SELECTION_MARGIN / design.positions_m.len() as f64;
         let mut best = start;
         let mut consider = |propose: &dyn Fn(Hyperparameters) -> Hyperparameters| {
             let candidate = propose(best.1);
-            let reached = score(&candidate)?;
+            let reached = self.judge(design, prior, &candidate, &mut worked_out)?.calibration.score;
             if reached > best.0 + margin {
                 best = (reached, candidate);
             }
@@ -224,10 +226,11 @@ impl Fitting<'_> {
                 return Ok(Vec::new());
             }
             let (some, about) = (design.subset(&outside), prior.subset(&outside));
-            let map = FittedMap::new(&some, &about, self.positions, self.basis, hyper, self.channel_prior)?;
+            let new = &mut WorkedOut::default();
+            let map = FittedMap::new(&some, &about, self.positions, self.basis, hyper, self.channel_prior, new)?;
             for &i in &order[inside] {
                 map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
-                let variance = |p: usize| map.variance[p];
+                let variance = |p: usize| map.variance()[p];
                 trials.push(self.trial(&log_likelihood, variance, design.positions_m[i], temperature, &mut weights));
             }
         }

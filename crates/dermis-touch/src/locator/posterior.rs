@@ -4,6 +4,7 @@
 use faer::Mat;
 
 use super::regression::median;
+use super::rows::tempered_sums;
 
 /// Temperatures tried: from nearly flat to colder than the likelihood, evenly in the logarithm.
 const TEMPERATURES: usize = 20;
@@ -11,6 +12,8 @@ const COLDEST: f64 = 2.0;
 const HOTTEST: f64 = 0.003;
 /// Logarithms of weights below this count for nothing.
 const NEGLIGIBLE: f64 = -40.0;
+/// Positions that count for nothing are looked for anew after so many temperatures.
+const THINNED_EVERY: usize = 3;
 /// Fraction of errors within one standard deviation of a Gaussian.
 pub(super) const ONE_SIGMA: f64 = 0.6827;
 /// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
@@ -102,18 +105,15 @@ pub(super) fn calibrate(
     };
     // Per temperature: errors with the posterior's deviations, x and y of each example.
     let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::new(); TEMPERATURES];
-    let mut likely: Vec<(f64, [f64; 2])> = Vec::with_capacity(positions.len());
+    let mut likely = Likely::default();
     for (i, position) in truth.iter().enumerate() {
-        let log_likelihood = left_out.col_as_slice(i);
-        let top = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        likely.clear();
-        likely.extend(log_likelihood.iter().zip(positions).map(|(value, at)| (value - top, *at)));
-        // From the hottest on, ever fewer positions count.
+        let origin = likely.fill(positions, left_out.col_as_slice(i));
         for (step, errors) in errors.iter_mut().enumerate() {
-            let temperature = temperature(step);
-            likely.retain(|(below, _)| temperature * below > NEGLIGIBLE);
-            let (mean_m, variances_m2) = spread_of(&likely, temperature, spacing_m);
-            errors.extend([0, 1].map(|axis| (mean_m[axis] - position[axis], variances_m2[axis].sqrt())));
+            if step % THINNED_EVERY == 0 {
+                likely.forget_below((NEGLIGIBLE / temperature(step)) as f32);
+            }
+            let (mean_m, variances_m2) = likely.spread(temperature(step), spacing_m);
+            errors.extend([0, 1].map(|axis| (origin[axis] + mean_m[axis] - position[axis], variances_m2[axis].sqrt())));
         }
     }
     let mut best = Calibration { temperature: 1.0, score: f64::NEG_INFINITY };
@@ -128,24 +128,51 @@ pub(super) fn calibrate(
     best
 }
 
-/// Mean and variances along x and y of a tempered posterior, of positions with the logarithms of their likelihoods
-/// below the largest.
-fn spread_of(likely: &[(f64, [f64; 2])], temperature: f64, spacing_m: f64) -> ([f64; 2], [f64; 2]) {
-    let origin = likely.first().map_or([0.0; 2], |(_, at)| *at);
-    let (mut total, mut sum, mut squares) = (0.0, [0.0; 2], [0.0; 2]);
-    for (below, at) in likely {
-        let weight = (temperature * below).exp();
-        total += weight;
-        for axis in 0..2 {
-            let away = at[axis] - origin[axis];
-            sum[axis] += weight * away;
-            squares[axis] += weight * away * away;
+/// Positions with the logarithms of their likelihoods, those that count.
+#[derive(Default)]
+struct Likely {
+    /// How far the logarithm lies below the largest, zero or above.
+    below: Vec<f32>,
+    /// Coordinates relative to the likeliest position, metres.
+    x_m: Vec<f32>,
+    y_m: Vec<f32>,
+}
+
+impl Likely {
+    /// Takes all positions; returns the likeliest.
+    fn fill(&mut self, positions: &[[f64; 2]], log_likelihood: &[f64]) -> [f64; 2] {
+        let better = |best: usize, p: usize| if log_likelihood[p] > log_likelihood[best] { p } else { best };
+        let peak = (0..positions.len()).fold(0, better);
+        let (origin, top) = (positions[peak], log_likelihood[peak]);
+        self.below.clear();
+        self.below.extend(log_likelihood.iter().map(|value| (top - value) as f32));
+        for (axis, coordinates) in [&mut self.x_m, &mut self.y_m].into_iter().enumerate() {
+            coordinates.clear();
+            coordinates.extend(positions.iter().map(|at| (at[axis] - origin[axis]) as f32));
         }
+        origin
     }
-    let grain = spacing_m * spacing_m / 12.0;
-    let mean = sum.map(|sum| sum / total);
-    let variance = |axis: usize| (squares[axis] / total - mean[axis] * mean[axis]).max(0.0) + grain;
-    ([origin[0] + mean[0], origin[1] + mean[1]], [variance(0), variance(1)])
+
+    /// Forgets positions that lie farther below the likeliest than this, given as a number below zero.
+    fn forget_below(&mut self, least: f32) {
+        let mut kept = 0;
+        for i in 0..self.below.len() {
+            (self.below[kept], self.x_m[kept], self.y_m[kept]) = (self.below[i], self.x_m[i], self.y_m[i]);
+            kept += usize::from(self.below[i] < -least);
+        }
+        self.below.truncate(kept);
+        self.x_m.truncate(kept);
+        self.y_m.truncate(kept);
+    }
+
+    /// Mean, relative to the likeliest position, and variances along x and y of the tempered posterior.
+    fn spread(&self, temperature: f64, spacing_m: f64) -> ([f64; 2], [f64; 2]) {
+        let sums = tempered_sums(&self.below, &self.x_m, &self.y_m, temperature as f32);
+        let mean = sums.firsts.map(|sum| sum / sums.total);
+        let grain = spacing_m * spacing_m / 12.0;
+        let variance = |axis: usize| (sums.seconds[axis] / sums.total - mean[axis] * mean[axis]).max(0.0) + grain;
+        (mean, [variance(0), variance(1)])
+    }
 }
 
 /// One example as located by others: its error, the posterior's variances before calibration, and the part of the map's

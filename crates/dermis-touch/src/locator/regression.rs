@@ -3,6 +3,8 @@
 //! S, the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
 //! Williams (2006), sections 2.2 and 5.4.2, for the regression and for leaving one example out without refitting.
 
+use std::sync::Arc;
+
 use faer::linalg::solvers::DenseSolveCore;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, RowRef, Side};
@@ -36,9 +38,13 @@ pub(super) fn inverse_covariance(
     noise: &[f64],
     length_m: f64,
 ) -> Result<Mat<f64>, LocatorError> {
-    let mut k = correlations(positions, positions, length_m);
-    for i in 0..positions.len() {
-        k[(i, i)] += noise[i];
+    inverse_with_noise(correlations(positions, positions, length_m), noise)
+}
+
+/// Inverse of the examples' covariance: their correlations with each one's noise added.
+fn inverse_with_noise(mut k: Mat<f64>, noise: &[f64]) -> Result<Mat<f64>, LocatorError> {
+    for (i, noise) in noise.iter().enumerate() {
+        k[(i, i)] += noise;
     }
     let factor = k.llt(Side::Lower).map_err(|_| LocatorError::Singular { what: "covariance of the examples" })?;
     Ok(factor.inverse())
@@ -74,24 +80,114 @@ pub(super) struct FittedMap {
     pub transform: Mat<f64>,
     /// Whitened signature of each map position: rank by positions.
     pub signatures: Mat<f64>,
-    /// Remaining variance of the map at each position, relative to the prior's.
-    pub variance: Vec<f64>,
     /// Whitened examples: rank by examples.
     pub frames: Mat<f64>,
     /// Squared lengths of the columns of `signatures`.
     pub squares: Vec<f64>,
-    /// Noise variance of each example.
-    pub noise: Vec<f64>,
-    influence: Mat<f64>,
+    unwhitened: Arc<UnwhitenedMap>,
     alpha: Mat<f64>,
-    inverse_diagonal: Vec<f64>,
     sample_share: f64,
     signatures_frames: Mat<f64>,
     signatures_alpha: Mat<f64>,
 }
 
+/// The fitted map before its channels are whitened: what does not depend on their covariance.
+#[derive(Debug)]
+pub(super) struct UnwhitenedMap {
+    /// Noise variance of each example.
+    noise: Vec<f64>,
+    /// Examples, and what of them the prior does not explain: examples by rank.
+    z: Mat<f64>,
+    residual: Mat<f64>,
+    /// K^-1 times the residual.
+    alpha: Mat<f64>,
+    /// k(p, .) K^-1: positions by examples.
+    influence: Mat<f64>,
+    inverse_diagonal: Vec<f64>,
+    /// Remaining variance of the map at each position, relative to the prior's.
+    variance: Vec<f64>,
+    /// Positions by rank.
+    map: Mat<f64>,
+}
+
+/// Correlations of places at one length.
+#[derive(Debug)]
+struct Correlations {
+    among_examples: Mat<f64>,
+    /// Positions by examples.
+    to_map: Mat<f64>,
+}
+
+/// What a search through hyperparameters has worked out last for one design, prior, map and basis: most of it serves
+/// the next candidate too.
+#[derive(Debug, Default)]
+pub(super) struct WorkedOut {
+    correlations: Option<(f64, Arc<Correlations>)>,
+    /// By length and noise.
+    unwhitened: Option<([f64; 2], Arc<UnwhitenedMap>)>,
+}
+
+impl WorkedOut {
+    fn unwhitened(
+        &mut self,
+        design: &Design,
+        prior: &Prior,
+        positions: &[[f64; 2]],
+        basis: Option<&Mat<f64>>,
+        hyper: &Hyperparameters,
+    ) -> Result<Arc<UnwhitenedMap>, LocatorError> {
+        let key = [hyper.length_m, hyper.noise];
+        if let Some((_, known)) = self.unwhitened.as_ref().filter(|(of, _)| *of == key) {
+            return Ok(known.clone());
+        }
+        let known = self.correlations.as_ref().filter(|(of, _)| *of == hyper.length_m);
+        let correlations = known.map_or_else(
+            || {
+                let poked = &design.positions_m;
+                let to_map = correlations(positions, poked, hyper.length_m);
+                Arc::new(Correlations { among_examples: correlations(poked, poked, hyper.length_m), to_map })
+            },
+            |(_, known)| known.clone(),
+        );
+        self.correlations = Some((hyper.length_m, correlations.clone()));
+        let unwhitened = Arc::new(UnwhitenedMap::new(design, prior, &correlations, basis, hyper)?);
+        self.unwhitened = Some((key, unwhitened.clone()));
+        Ok(unwhitened)
+    }
+}
+
+impl UnwhitenedMap {
+    fn new(
+        design: &Design,
+        prior: &Prior,
+        correlations: &Correlations,
+        basis: Option<&Mat<f64>>,
+        hyper: &Hyperparameters,
+    ) -> Result<Self, LocatorError> {
+        let project = |m: &Mat<f64>| basis.map_or_else(|| m.clone(), |q| m * q);
+        let noise = example_noise(design, hyper.noise);
+        let inverse = inverse_with_noise(correlations.among_examples.clone(), &noise)?;
+        let z = project(&design.z);
+        let residual = &z - project(&prior.at_examples);
+        let alpha = &inverse * &residual;
+        let influence = &correlations.to_map * &inverse;
+        let map = project(&prior.over_map) + &correlations.to_map * &alpha;
+        Ok(Self {
+            variance: remaining_variance(&correlations.to_map, &influence),
+            inverse_diagonal: (0..noise.len()).map(|i| inverse[(i, i)]).collect(),
+            noise,
+            z,
+            residual,
+            alpha,
+            influence,
+            map,
+        })
+    }
+}
+
 impl FittedMap {
-    /// Fits the map to a design whose rows `basis` (if any) projects.
+    /// Fits the map to a design whose rows `basis` (if any) projects; `worked_out` is of the same design, prior,
+    /// positions and basis, or new.
     pub(super) fn new(
         design: &Design,
         prior: &Prior,
@@ -99,25 +195,18 @@ impl FittedMap {
         basis: Option<&Mat<f64>>,
         hyper: &Hyperparameters,
         channel_prior: Option<&ChannelPrior>,
+        worked_out: &mut WorkedOut,
     ) -> Result<Self, LocatorError> {
-        let n = design.z.nrows();
-        let project = |m: &Mat<f64>| basis.map_or_else(|| m.clone(), |q| m * q);
-        let noise = example_noise(design, hyper.noise);
-        let inverse = inverse_covariance(&design.positions_m, &noise, hyper.length_m)?;
-        let z = project(&design.z);
-        let residual = &z - project(&prior.at_examples);
-        let alpha = &inverse * &residual;
-        let factor = channel_factor(&residual, &alpha, hyper.shrinkage, channel_prior)?;
-        let to_map = correlations(positions, &design.positions_m, hyper.length_m);
-        let influence = &to_map * &inverse;
-        let variance = remaining_variance(&to_map, &influence);
-        let map = project(&prior.over_map) + &to_map * &alpha;
+        let unwhitened = worked_out.unwhitened(design, prior, positions, basis, hyper)?;
+        let UnwhitenedMap { z, residual, alpha, map, .. } = &*unwhitened;
+        let n = z.nrows();
+        let factor = channel_factor(residual, alpha, hyper.shrinkage, channel_prior)?;
         let whiten = |rows: &Mat<f64>| {
             let mut columns = rows.transpose().to_owned();
             solve_lower_triangular_in_place(factor.as_ref(), columns.as_mut(), Par::Seq);
             columns
         };
-        let (signatures, frames, alpha) = (whiten(&map), whiten(&z), whiten(&alpha));
+        let (signatures, frames, alpha) = (whiten(map), whiten(z), whiten(alpha));
         let transform = match basis {
             Some(q) => whiten(q),
             None => whiten(&Mat::identity(z.ncols(), z.ncols())),
@@ -127,17 +216,19 @@ impl FittedMap {
         Ok(Self {
             transform,
             signatures,
-            variance,
             frames,
             squares,
-            noise,
-            influence,
+            unwhitened,
             alpha,
-            inverse_diagonal: (0..n).map(|i| inverse[(i, i)]).collect(),
             sample_share: (1.0 - hyper.shrinkage) / (n as f64 + channel_prior.map_or(0.0, |p| p.examples)),
             signatures_frames,
             signatures_alpha,
         })
+    }
+
+    /// Remaining variance of the map at each position, relative to the prior's.
+    pub(super) fn variance(&self) -> &[f64] {
+        &self.unwhitened.variance
     }
 
     /// Number of examples.
@@ -147,7 +238,8 @@ impl FittedMap {
 
     /// Remaining variance of the map at position `p` under the fit without example `i`.
     pub(super) fn left_out_variance(&self, i: usize, p: usize) -> f64 {
-        self.variance[p] + self.influence[(p, i)].powi(2) / self.inverse_diagonal[i]
+        let UnwhitenedMap { variance, influence, inverse_diagonal, .. } = &*self.unwhitened;
+        variance[p] + influence[(p, i)].powi(2) / inverse_diagonal[i]
     }
 
     /// Log-likelihood over the map of a frame of a design that this fit has not seen.
@@ -157,7 +249,7 @@ impl FittedMap {
         let (frame_frame, rank) = (frame.squared_norm_l2(), self.frames.nrows() as f64);
         for (p, value) in out.iter_mut().enumerate() {
             let products = Products { frame_frame, frame_map: along[p], map_map: self.squares[p] };
-            let variance = self.variance[p] + noise;
+            let variance = self.variance()[p] + noise;
             *value = -0.5 * (products.misfit() / variance + rank * variance.ln());
         }
     }
@@ -168,8 +260,9 @@ impl FittedMap {
     /// by h^2 / K^-1_ii, and the sample covariance loses alpha_i alpha_i' / K^-1_ii, which Sherman and Morrison's
     /// formula turns into one extra term of every inner product.
     pub(super) fn left_out_log_likelihood(&self, i: usize, out: &mut [f64]) -> f64 {
-        let diagonal = self.inverse_diagonal[i];
-        let (z, a, h) = (self.frames.col(i), self.alpha.col(i), self.influence.col(i));
+        let UnwhitenedMap { variance: remaining, influence, inverse_diagonal, noise, .. } = &*self.unwhitened;
+        let diagonal = inverse_diagonal[i];
+        let (z, a, h) = (self.frames.col(i), self.alpha.col(i), influence.col(i));
         let (zz, za, aa) = (z.squared_norm_l2(), z.transpose() * a, a.squared_norm_l2());
         let extra = match self.sample_share {
             share if share > 0.0 => 1.0 / (diagonal / share - aa).max(1e-9 * diagonal / share),
@@ -186,7 +279,7 @@ impl FittedMap {
                 frame_map: mz - hr * za + extra * za * ma_out,
                 map_map: self.squares[p] - 2.0 * hr * ma + hr * hr * aa + extra * ma_out * ma_out,
             };
-            let variance = self.variance[p] + h[p] * hr + self.noise[i];
+            let variance = remaining[p] + h[p] * hr + noise[i];
             let misfit = products.misfit() / variance;
             *value = -0.5 * (misfit + rank * variance.ln());
             if *value > best.0 {
@@ -283,17 +376,19 @@ mod tests {
         let (n, channels, out) = (40, 6, 11);
         let (design, prior, map) = made_up(n, channels);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 1e-12 };
-        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None).expect("fits");
+        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None, &mut WorkedOut::default()).expect("fits");
         let mut closed = vec![0.0; map.len()];
         full.left_out_log_likelihood(out, &mut closed);
         let rows: Vec<usize> = (0..n).filter(|i| *i != out).collect();
-        let rest = FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper, None).expect("fits");
+        let (some, about) = (design.subset(&rows), prior.subset(&rows));
+        let new = &mut WorkedOut::default();
+        let rest = FittedMap::new(&some, &about, &map, None, &hyper, None, new).expect("fits");
         let frame = &rest.transform * design.z.row(out).transpose();
         for p in 0..map.len() {
             let signature = rest.signatures.col(p);
             let frame_map = signature.transpose() * &frame;
             let products = Products { frame_frame: frame.squared_norm_l2(), frame_map, map_map: rest.squares[p] };
-            let variance = rest.variance[p] + full.noise[out];
+            let variance = rest.variance()[p] + full.unwhitened.noise[out];
             let misfit = products.misfit() * n as f64 / (n - 1) as f64 / variance;
             let refitted = -0.5 * (misfit + channels as f64 * variance.ln());
             let difference = (closed[p] - refitted).abs();
@@ -308,16 +403,18 @@ mod tests {
         let (n, channels) = (10, 60);
         let (design, prior, map) = made_up(n, channels);
         let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 0.03 };
-        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None).expect("fits");
+        let full = FittedMap::new(&design, &prior, &map, None, &hyper, None, &mut WorkedOut::default()).expect("fits");
         let (mut closed, mut refitted) = (vec![0.0; map.len()], vec![0.0; map.len()]);
         for out in 0..n {
             full.left_out_log_likelihood(out, &mut closed);
             let rows: Vec<usize> = (0..n).filter(|i| *i != out).collect();
+            let (some, about) = (design.subset(&rows), prior.subset(&rows));
             let rest =
-                FittedMap::new(&design.subset(&rows), &prior.subset(&rows), &map, None, &hyper, None).expect("fits");
-            rest.log_likelihood(design.z.row(out), full.noise[out], &mut refitted);
+                FittedMap::new(&some, &about, &map, None, &hyper, None, &mut WorkedOut::default()).expect("fits");
+            rest.log_likelihood(design.z.row(out), full.unwhitened.noise[out], &mut refitted);
             let top = (0..map.len()).fold(0, |b, p| if closed[p] > closed[b] { p } else { b });
-            let misfit = |value: f64| -2.0 * value / channels as f64 - (rest.variance[top] + full.noise[out]).ln();
+            let misfit =
+                |value: f64| -2.0 * value / channels as f64 - (rest.variance()[top] + full.unwhitened.noise[out]).ln();
             let ratio = misfit(closed[top]) / misfit(refitted[top]);
             assert!((0.7..1.4).contains(&ratio), "example {out}: misfit {ratio} times that of the refit");
         }

@@ -83,6 +83,62 @@ pub(super) fn logarithms(values: &mut [f32]) {
     ));
 }
 
+/// Sums over positions weighted by their likelihoods.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TemperedSums {
+    /// Of the weights.
+    pub total: f64,
+    /// Of weights times x, and times y.
+    pub firsts: [f64; 2],
+    /// Of weights times x squared, and times y squared.
+    pub seconds: [f64; 2],
+}
+
+/// Sums over positions x, y with the weights exp(-temperature * below), `below` not below zero.
+pub(super) fn tempered_sums(below: &[f32], x: &[f32], y: &[f32], temperature: f32) -> TemperedSums {
+    Arch::new().dispatch(Tempered { below, x, y, temperature })
+}
+
+struct Tempered<'a> {
+    below: &'a [f32],
+    x: &'a [f32],
+    y: &'a [f32],
+    temperature: f32,
+}
+
+impl WithSimd for Tempered<'_> {
+    type Output = TemperedSums;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _simd: S) -> TemperedSums {
+        const LANES: usize = 16;
+        let mut lanes = [[0.0_f32; LANES]; 5];
+        let (whole_s, rest_s) = self.below.as_chunks::<LANES>();
+        let (whole_x, rest_x) = self.x.as_chunks::<LANES>();
+        let (whole_y, rest_y) = self.y.as_chunks::<LANES>();
+        for ((s, x), y) in whole_s.iter().zip(whole_x).zip(whole_y) {
+            for i in 0..LANES {
+                let w = exp_minus(self.temperature * s[i]);
+                let (wx, wy) = (w * x[i], w * y[i]);
+                lanes[0][i] += w;
+                lanes[1][i] += wx;
+                lanes[2][i] += wy;
+                lanes[3][i] += wx * x[i];
+                lanes[4][i] += wy * y[i];
+            }
+        }
+        let mut sums = lanes.map(|lane| lane.iter().map(|v| f64::from(*v)).sum::<f64>());
+        for ((s, x), y) in rest_s.iter().zip(rest_x).zip(rest_y) {
+            let w = f64::from(exp_minus(self.temperature * s));
+            let (x, y) = (f64::from(*x), f64::from(*y));
+            let terms = [w, w * x, w * y, w * x * x, w * y * y];
+            sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
+        }
+        let [total, sx, sy, sxx, syy] = sums;
+        TemperedSums { total, firsts: [sx, sy], seconds: [sxx, syy] }
+    }
+}
+
 /// Inner product in sixteen running sums, which the compiler keeps in vector registers.
 #[inline(always)]
 pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 {
@@ -154,6 +210,27 @@ mod tests {
         for step in 1..8000 {
             let v = (step as f32 * 0.01 - 40.0).exp();
             assert!((logarithm(v) - v.ln()).abs() < 4e-6, "ln {v} is {}", logarithm(v));
+        }
+    }
+
+    #[test]
+    fn tempered_sums_of_every_length_are_right() {
+        for n in 0..70_usize {
+            let value = |i: usize, k: usize| ((i * 37 + k * 101) % 29) as f32 / 29.0;
+            let below: Vec<f32> = (0..n).map(|i| 9.0 * value(i, 0)).collect();
+            let x: Vec<f32> = (0..n).map(|i| value(i, 1) - 0.5).collect();
+            let y: Vec<f32> = (0..n).map(|i| value(i, 2) - 0.5).collect();
+            let sums = tempered_sums(&below, &x, &y, 0.7);
+            let expected = |term: &dyn Fn(f64, f64) -> f64| {
+                let weighed = |i: usize| (-0.7 * f64::from(below[i])).exp() * term(f64::from(x[i]), f64::from(y[i]));
+                (0..n).map(weighed).sum::<f64>()
+            };
+            let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-5 * n.max(1) as f64, "{a} and {b} of {n}");
+            close(sums.total, expected(&|_, _| 1.0));
+            close(sums.firsts[0], expected(&|x, _| x));
+            close(sums.firsts[1], expected(&|_, y| y));
+            close(sums.seconds[0], expected(&|x, _| x * x));
+            close(sums.seconds[1], expected(&|_, y| y * y));
         }
     }
 

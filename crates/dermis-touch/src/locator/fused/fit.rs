@@ -16,7 +16,7 @@ use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, evenly, prepar
 use crate::locator::load::LoadLaw;
 use crate::locator::model::Locator;
 use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile, spacing};
-use crate::locator::regression::{FittedMap, example_noise};
+use crate::locator::regression::{FittedMap, WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
 
 /// Principal components of the features that the inverse expert sees.
@@ -233,7 +233,7 @@ fn fit_all(
         channel_prior: form.prior.as_ref(),
         grid: GRID,
     };
-    let judged = fitting.judge(&design, &prior, &form.hyper)?;
+    let judged = fitting.judge(&design, &prior, &form.hyper, &mut WorkedOut::default())?;
     let whitened = (n >= WHITENED_POKES * examples.channels)
         .then(|| whitened_rows(examples, &form.features, &judged))
         .transpose()?;
@@ -402,13 +402,14 @@ impl Far<'_> {
             }
             let (part, about) = (design.subset(&outside), prior.subset(&outside));
             let (basis, channel_prior) = (self.fitting.basis, self.fitting.channel_prior);
-            let map = FittedMap::new(&part, &about, positions, basis, &self.form.hyper, channel_prior)?;
+            let (hyper, new) = (&self.form.hyper, &mut WorkedOut::default());
+            let map = FittedMap::new(&part, &about, positions, basis, hyper, channel_prior, new)?;
             let features: Vec<&Vec<f64>> = outside.iter().map(|&i| rows[i]).collect();
             let regression = self.inverse.plain.refitted(&features, &part.positions_m)?;
             for &i in &order[inside] {
                 let truth = design.positions_m[i];
                 map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
-                let variance = |p: usize| map.variance[p];
+                let variance = |p: usize| map.variance()[p];
                 forward.push(self.fitting.trial(&log_likelihood, variance, truth, temperature, &mut weights));
                 let row: Vec<f32> = rows[i].iter().map(|v| *v as f32).collect();
                 let guess = regression.guess(&row, &mut memory, None);
@@ -417,7 +418,7 @@ impl Far<'_> {
                 fused.push(Trial {
                     error_m: [found.mean_m[0] - truth[0], found.mean_m[1] - truth[1]],
                     variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
-                    unexplained: weights.iter().enumerate().map(|(p, w)| w * map.variance[p]).sum(),
+                    unexplained: weights.iter().enumerate().map(|(p, w)| w * map.variance()[p]).sum(),
                 });
             }
         }

@@ -11,7 +11,7 @@ use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
 use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
 use crate::locator::posterior::{extent, spacing};
-use crate::locator::regression::ChannelPrior;
+use crate::locator::regression::{ChannelPrior, WorkedOut};
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =
@@ -52,6 +52,7 @@ struct Begun<'a> {
     projection: Option<Mat<f64>>,
     channel_prior: Option<ChannelPrior>,
     score: f64,
+    worked_out: WorkedOut,
 }
 
 impl<'a> Begun<'a> {
@@ -153,21 +154,35 @@ pub(super) fn choose_form<'a>(
                 let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
                 let features = features.clone();
-                let mut form = Begun { features, mean, design, prior, projection, channel_prior, score: 0.0 };
-                let judged = form.fitting(&coarse, spacing_m).judge(&form.design, &form.prior, &start)?;
-                form.score = judged.calibration.score;
+                let mut worked_out = WorkedOut::default();
+                let mut form = Begun {
+                    features,
+                    mean,
+                    design,
+                    prior,
+                    projection,
+                    channel_prior,
+                    score: 0.0,
+                    worked_out: WorkedOut::default(),
+                };
+                let fitting = form.fitting(&coarse, spacing_m);
+                form.score = fitting.judge(&form.design, &form.prior, &start, &mut worked_out)?.calibration.score;
+                form.worked_out = worked_out;
                 begun.push(form);
             }
         }
     }
-    // Many pokes choose how frames are seen before the hyperparameters, for each mean and covariance; few pokes try all.
+    // Many pokes choose how frames are seen before the hyperparameters, for each mean and covariance; few pokes try
+    // all.
     let is_beaten = |form: &Begun| begun.iter().any(|other| form.expects_the_same(other) && other.score > form.score);
+    let tried: Vec<bool> = begun.iter().map(|form| tries_all || !is_beaten(form)).collect();
     let mut forms: Vec<Form> = Vec::new();
-    for form in begun.iter().filter(|form| tries_all || !is_beaten(form)) {
+    for (mut form, _) in begun.into_iter().zip(tried).filter(|(_, tried)| *tried) {
+        let worked_out = std::mem::take(&mut form.worked_out);
         let fitting = form.fitting(&coarse, spacing_m);
-        let (score, hyper) = fitting.select(&form.design, &form.prior, (form.score, start), radius)?;
-        let (features, map) = (form.features.clone(), mean_map(form.mean, map, &form.features)?);
-        forms.push(Form { features, map, prior: form.channel_prior.clone(), hyper, score, mean: form.mean });
+        let (score, hyper) = fitting.select(&form.design, &form.prior, (form.score, start), radius, worked_out)?;
+        let map = mean_map(form.mean, map, &form.features)?;
+        forms.push(Form { features: form.features, map, prior: form.channel_prior, hyper, score, mean: form.mean });
     }
     let best = |accept: &dyn Fn(&Form) -> bool| {
         forms.iter().filter(|f| accept(f)).map(|f| f.score).fold(f64::NEG_INFINITY, f64::max)
@@ -196,7 +211,8 @@ pub(super) fn choose_form<'a>(
     Ok((forms.swap_remove(winner), uses))
 }
 
-/// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square lattice.
+/// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square
+/// lattice.
 fn thinned(map: &SignatureMap, spacing_m: f64) -> SignatureMap {
     let origin = map.positions_m[0];
     let is_kept = |p: &[f64; 2]| {
