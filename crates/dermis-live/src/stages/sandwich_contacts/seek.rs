@@ -17,9 +17,9 @@ const WORTH: (f64, f64) = (20.0, 0.5);
 const GOOD: f64 = 0.2;
 /// Steps of a fit at most.
 const STEPS: usize = 15;
-/// Steps at a time, at most, where a frame's share of the work is bounded: patches that grow make steps dear, some to
-/// two hundred times what the first one cost.
-const STEPS_AT_ONCE: usize = 2;
+/// Steps at a time where a frame's share of the work is bounded: patches that grow make a step dear, up to two hundred
+/// times what the first one cost.
+const STEPS_AT_ONCE: usize = 1;
 /// A fit whose patches are larger than touches after so many portions of its work in a row is given up.
 const MOST_LARGE: usize = 2;
 /// Sets that are judged at a time, at most: what is paid for, though there may be fewer.

@@ -402,7 +402,8 @@ impl PatchStage {
     }
 
     /// Begins to look whether a change of the free skin (model volts, NaN where missing) is that of touches that have
-    /// gone, which the reference holds: whether patches of the opposite sign explain it. None where that cannot be said.
+    /// gone, which the reference holds: whether patches of the opposite sign explain it. None where that cannot be
+    /// said.
     pub(crate) fn look_for_release(&self, change: &[f64]) -> Option<ReleaseLook> {
         let absent = self.channels.absent();
         let missing = |(value, absent): (&f64, &bool)| !value.is_finite() && !absent;
