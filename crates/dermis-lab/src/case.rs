@@ -1,6 +1,6 @@
 //! The exchange format of EIT problems, `case.json`: a mesh, electrodes, stimulation and measurement as explicit lists,
-//! and conductivities by name. Signs and units are those of EIDORS (current counted into the body, SI, 2D of thickness 1);
-//! indices count from zero. Keys that are not used here are passed over, since other tools write results beside the
+//! and conductivities by name. Signs and units are those of EIDORS (current counted into the body, SI, 2D of thickness
+//! 1); indices count from zero. Keys that are not used here are passed over, since other tools write results beside the
 //! problem.
 //!
 //! | key | holds |

@@ -109,8 +109,8 @@ impl LatencyHistogram {
     }
 
     /// Duration in microseconds that `fraction` of the recorded ones do not exceed: the upper edge of the bucket in
-    /// which the one of rank ceil(fraction * count) lies, but never more than the longest. `fraction` is clamped to 0..=1;
-    /// 0 without any duration.
+    /// which the one of rank ceil(fraction * count) lies, but never more than the longest. `fraction` is clamped to
+    /// 0..=1; 0 without any duration.
     #[must_use]
     pub fn quantile_us(&self, fraction: f64) -> f64 {
         let rank = ((fraction.clamp(0.0, 1.0) * self.count as f64).ceil() as u64).max(1);

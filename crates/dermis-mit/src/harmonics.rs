@@ -2,9 +2,9 @@
 //!
 //! Schmidt's semi-normalisation: `h_1 = z, x, y`; the mean of the square of a harmonic of degree l over the unit sphere
 //! is `1 / (2l + 1)`. Order: degree by degree, in each `m = 0`, then cosine and sine of 1, 2, ... l. With
-//! `C_m + j S_m = (x + j y)^m` a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, `N = sqrt(2 (l - m)!/(l + m)!)` (1 for m = 0),
-//! with `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`, whose derivatives
-//! are `(l + m) P_(l-1)^m` by z and `-x P_(l-1)^(m+1)` by x.
+//! `C_m + j S_m = (x + j y)^m` a harmonic is `N P_l^m C_m` or `N P_l^m S_m`, `N = sqrt(2 (l - m)!/(l + m)!)` (1 for m =
+//! 0), with `P_m^m = (2m - 1)!!` and `(l - m) P_l^m = (2l - 1) z P_(l-1)^m - (l + m - 1) r^2 P_(l-2)^m`, whose
+//! derivatives are `(l + m) P_(l-1)^m` by z and `-x P_(l-1)^(m+1)` by x.
 
 use std::sync::LazyLock;
 

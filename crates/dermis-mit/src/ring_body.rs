@@ -144,8 +144,8 @@ impl RingBody {
     }
 
     /// A cylinder with its middle at the origin, in so many rings from axis to rim and from end to end, those at the
-    /// surface a quarter of a skin depth thick at the given frequency, the others growing inward: 8 x 16 rings leave 0.1
-    /// to 0.3 %.
+    /// surface a quarter of a skin depth thick at the given frequency, the others growing inward: 8 x 16 rings leave
+    /// 0.1 to 0.3 %.
     ///
     /// # Errors
     /// Sizes or conductivity that are not positive, no rings, a frequency outside 1 Hz to 1 MHz.

@@ -85,7 +85,8 @@ impl PageFeed {
         self.update.state.demonstrates = demonstrates;
     }
 
-    /// Takes over one frame's results. `now_ns` is any clock that does not run back, nanoseconds; of all calls the same.
+    /// Takes over one frame's results. `now_ns` is any clock that does not run back, nanoseconds; of all calls the
+    /// same.
     pub fn show(&mut self, output: &Output<'_>, now_ns: u64) {
         let update = &mut self.update;
         update.frame = output.sequence;
@@ -144,8 +145,8 @@ impl PageFeed {
         }));
     }
 
-    /// No frame came until `now_ns`: true where there is something new to show of that. `problem` is the source's own word
-    /// for it.
+    /// No frame came until `now_ns`: true where there is something new to show of that. `problem` is the source's own
+    /// word for it.
     pub fn wait(&mut self, problem: Option<String>, now_ns: u64) -> bool {
         let since_ns = *self.waiting_since_ns.get_or_insert(now_ns);
         let source = match problem {

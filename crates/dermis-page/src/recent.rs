@@ -19,8 +19,8 @@ pub(crate) struct Recent {
 }
 
 impl Recent {
-    /// Median and 99th percentile of each stage over the last ten seconds, microseconds; `now` is the state at `now_ns`.
-    /// `None` where it is too early to say something new.
+    /// Median and 99th percentile of each stage over the last ten seconds, microseconds; `now` is the state at
+    /// `now_ns`. `None` where it is too early to say something new.
     pub(crate) fn quantiles_us(&mut self, now: [&LatencyHistogram; STAGES], now_ns: u64) -> Option<[[f64; 2]; STAGES]> {
         if self.last_ns.is_some_and(|last| now_ns.saturating_sub(last) < SECOND_NS) {
             return None;

@@ -10,7 +10,8 @@ use crate::error::Error;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DamageSettings {
-    /// Whether damage is watched: by the image where pressing raises the conductivity, by what stays where it lowers it.
+    /// Whether damage is watched: by the image where pressing raises the conductivity, by what stays where it lowers
+    /// it.
     pub watch: bool,
     /// Damage is suspected below minus this many standard deviations of the image's noise.
     pub begin_sigma: f64,

@@ -96,8 +96,8 @@ pub struct PatchesLayer {
     /// Contact of sheet and patches.
     #[serde(default = "ContactLaw::patches")]
     pub contact: ContactLaw,
-    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: evenly over 5.5
-    /// mm of neoprene to either side, 5.5 / sqrt(3).
+    /// Distance over which pressure spreads through the backing: standard deviation of a Gaussian. Default: evenly over
+    /// 5.5 mm of neoprene to either side, 5.5 / sqrt(3).
     #[serde(default = "PatchesLayer::smoothing")]
     pub smoothing_mm: f64,
     /// Viscoelastic memory, where wanted.

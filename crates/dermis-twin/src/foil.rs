@@ -215,7 +215,8 @@ mod tests {
         let sum = |values: &[f64]| values.iter().enumerate().map(|(k, v)| share(k) * v * cell).sum::<f64>();
         let (carried, pressed) = (options.stiffness_pa_per_m * sum(&foil.way_m), sum(&foil.pressure_pa));
         assert!((carried / pressed - 1.0).abs() < 1e-3, "{carried} {pressed}");
-        // Far from the press w falls as K0(r/l), l = 17.3 mm: from 30 to 45 mm by 0.348 (K0(2.598)/K0(1.732) = 0.0553/0.1588).
+        // Far from the press w falls as K0(r/l), l = 17.3 mm: from 30 to 45 mm by 0.348 (K0(2.598)/K0(1.732) =
+        // 0.0553/0.1588).
         let step = options.side_m / options.cells as f64;
         let fall = foil.way_m([6.0 * step, 0.0]) / foil.way_m([4.0 * step, 0.0]);
         let k0 = |x: f64| (std::f64::consts::FRAC_PI_2 / x).sqrt() * (-x).exp() * (1.0 - 0.125 / x + 0.0703 / (x * x));

@@ -2,12 +2,13 @@
 //! above it.
 //!
 //! Under a pressure p the local sheet conductance is multiplied by `exp(a p - k e)`, held between 1/50 and 50:
-//! - `e = p / E` is the compressive strain of a layer that is so thin and so well held that it cannot spread sideways, with E
-//!   its modulus in compression;
-//! - k, the gauge factor, is the relative loss of conductance per compressive strain. It is positive where thinning a layer
-//!   takes conductor away (a gel of constant conductivity has k near 1) and negative where compression packs a filler;
-//! - a, the pressure coefficient, is what pressure does by itself, as in fabrics whose fibres touch more. It is positive where
-//!   pressing makes the layer conduct better.
+//! - `e = p / E` is the compressive strain of a layer that is so thin and so well held that it cannot spread sideways,
+//!   with E its modulus in compression;
+//! - k, the gauge factor, is the relative loss of conductance per compressive strain. It is positive where thinning a
+//!   layer takes conductor away (a gel of constant conductivity has k near 1) and negative where compression packs a
+//!   filler;
+//! - a, the pressure coefficient, is what pressure does by itself, as in fabrics whose fibres touch more. It is
+//!   positive where pressing makes the layer conduct better.
 //!
 //! The exponential is the law `ds/s = (a - k/E) dp` in full: for small pressures the change is in proportion to p, and
 //! the conductance never falls to nothing. The pressure of each element is that at its centroid, smoothed by the cover

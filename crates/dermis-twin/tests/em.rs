@@ -51,7 +51,8 @@ fn a_press_changes_most_the_pair_of_coils_around_it_and_mirrors() {
     let mut skin = even(em_8());
     let places = skin.places_m().to_vec();
     let strongest = |change: &[f64]| (0..28).max_by(|a, b| change[*a].abs().total_cmp(&change[*b].abs())).unwrap();
-    // Element 22 of 25 (from 0) lies at (0, 40 mm), over coil 7 of 8 at (0, 45 mm): most in pairs of that coil (6 from 0).
+    // Element 22 of 25 (from 0) lies at (0, 40 mm), over coil 7 of 8 at (0, 45 mm): most in pairs of that coil (6 from
+    // 0).
     let over = change(&mut skin, &[press(places[22], 2.0)]);
     assert!(skin.pairs()[strongest(&over)].contains(&6), "{:?}", skin.pairs()[strongest(&over)]);
     // At (-20, -40) mm, between coils 1 and 2 at (-45, -45) and (0, -45): that pair.

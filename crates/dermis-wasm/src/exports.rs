@@ -1,5 +1,5 @@
-//! The functions of the module, called by `web/src/engine.ts`. Messages pass through two buffers in the module's memory:
-//! the page writes what it says into the one that `dermis_input` makes room in, and reads from the other what
+//! The functions of the module, called by `web/src/engine.ts`. Messages pass through two buffers in the module's
+//! memory: the page writes what it says into the one that `dermis_input` makes room in, and reads from the other what
 //! `dermis_next` has put there. A panic leaves its text there too, before the module traps.
 
 // Names that JavaScript calls by, and one that it gives: nothing else here is unsafe, and no pointer is followed.

@@ -26,8 +26,8 @@ const VERSION_BY_MODEL: u32 = 3;
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
 /// Positions of the locator's map lie so far apart that there are about so many, but within these bounds, relative to
-/// half the shorter side. On the gelatin skin 400 pokes place others 1.48, 1.31 and 1.28 mm off (median) with spacings of
-/// 0.058, 0.042 and 0.027; the time for a frame grows with the number of positions.
+/// half the shorter side. On the gelatin skin 400 pokes place others 1.48, 1.31 and 1.28 mm off (median) with spacings
+/// of 0.058, 0.042 and 0.027; the time for a frame grows with the number of positions.
 const MAP_POSITIONS: usize = 2800;
 const FINEST_SPACING: f64 = 0.025;
 const MAP_SPACING: f64 = 0.04;
@@ -285,8 +285,9 @@ impl Calibration {
         &self.locator
     }
 
-    /// How strong the locator shows a typical poke over a skin of which half the shorter side is `half_width_m`, metres;
-    /// `None` of a file of version 1, whose touches keep the amplitudes of images, and of pokes that are all silent.
+    /// How strong the locator shows a typical poke over a skin of which half the shorter side is `half_width_m`,
+    /// metres; `None` of a file of version 1, whose touches keep the amplitudes of images, and of pokes that are all
+    /// silent.
     ///
     /// # Errors
     /// As [`TypicalAmplitude::fit`].

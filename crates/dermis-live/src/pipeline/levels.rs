@@ -22,8 +22,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Images and judges what has changed the levels; what is damage becomes part of the baseline of touches. True where
-    /// nothing has left the levels, whatever contacts noise makes.
+    /// Images and judges what has changed the levels; what is damage becomes part of the baseline of touches. True
+    /// where nothing has left the levels, whatever contacts noise makes.
     pub(super) fn watch_levels(&mut self, time_ns: u64, at: (u64, u64)) -> Result<bool, Error> {
         let (Some(levels), State::Running(running)) = (&mut self.levels, &mut self.state) else { return Ok(false) };
         let Running { reference, reconstructor } = &mut **running;

@@ -1,7 +1,7 @@
 //! Apache Parquet, as little of it as a table of numbers and words needs: plain encoding, no compression, one page for
 //! each column of a row group (<https://github.com/apache/parquet-format>; the records are Thrift's compact protocol,
-//! <https://github.com/apache/thrift/blob/master/doc/specs/thrift-compact-protocol.md>). The crate `parquet` and those it
-//! needs would take longer to compile than the rest of recordings together.
+//! <https://github.com/apache/thrift/blob/master/doc/specs/thrift-compact-protocol.md>). The crate `parquet` and those
+//! it needs would take longer to compile than the rest of recordings together.
 
 use std::io::{self, Write};
 

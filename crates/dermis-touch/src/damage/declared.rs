@@ -20,8 +20,8 @@ impl DamageMonitor {
     }
 
     /// Takes the image of a change that is known to stay (below zero is damage) for that of damage. The deepest region
-    /// is its place, and the others are side lobes; where damage is known there already, that has grown. The identity of
-    /// the damage, or none where no region is deep enough.
+    /// is its place, and the others are side lobes; where damage is known there already, that has grown. The identity
+    /// of the damage, or none where no region is deep enough.
     ///
     /// # Errors
     /// [`TouchError::Length`].

@@ -1,11 +1,11 @@
 //! Levels that drift, each channel by itself, and changes that stay. A gel that dries and warms changes its readings by
-//! amounts that no common factor describes. [`LevelWatch`] follows level and slope of every channel, judges each frame's
-//! innovations by their own noise, and stands still where they jump. Once the readings have come to rest at other levels
-//! it says by how much they changed, and whether something was let go on the way there: a press that goes takes its
-//! change with it, a cut leaves one behind.
+//! amounts that no common factor describes. [`LevelWatch`] follows level and slope of every channel, judges each
+//! frame's innovations by their own noise, and stands still where they jump. Once the readings have come to rest at
+//! other levels it says by how much they changed, and whether something was let go on the way there: a press that goes
+//! takes its change with it, a cut leaves one behind.
 //!
-//! Level and slope follow the innovation `e = raw - (level + slope dt)` by `level += a e`, `slope += a^2 e / (4 dt)` with
-//! `a = 1 - exp(-dt / follow_s)`; the noise of a channel is the mean of `|e|` over the last frames, as that of a
+//! Level and slope follow the innovation `e = raw - (level + slope dt)` by `level += a e`, `slope += a^2 e / (4 dt)`
+//! with `a = 1 - exp(-dt / follow_s)`; the noise of a channel is the mean of `|e|` over the last frames, as that of a
 //! Gaussian.
 
 use crate::blob::seconds_between;
@@ -53,8 +53,8 @@ const OF_MEDIAN_DEVIATION: f64 = 1.482_602_218_505_602;
 pub struct LevelParams {
     /// Time constant of the levels, seconds, above 0; infinite where they are not to move.
     pub follow_s: f64,
-    /// A jump is so many deviations above what the innovations usually are, and a change that counts is so many standard
-    /// deviations of the channels' noise (root mean square over the channels). Above 0.
+    /// A jump is so many deviations above what the innovations usually are, and a change that counts is so many
+    /// standard deviations of the channels' noise (root mean square over the channels). Above 0.
     pub jump_sigma: f64,
     /// Readings that rest for so long, and for three frames, have come to rest, seconds. At least 0.
     pub rest_s: f64,
@@ -75,10 +75,11 @@ impl LevelParams {
 pub struct LevelChange {
     /// When the levels were left, nanoseconds.
     pub since_ns: u64,
-    /// Root mean square of the change over the channels, in standard deviations of their noise; channels count for 30 at
-    /// most.
+    /// Root mean square of the change over the channels, in standard deviations of their noise; channels count for 30
+    /// at most.
     pub significance: f64,
-    /// Mean size of the change over the channels, in the same terms, as a share of the largest since the levels were left.
+    /// Mean size of the change over the channels, in the same terms, as a share of the largest since the levels were
+    /// left.
     pub share_of_peak: f64,
     /// The same over what it was when the readings first rested away from the levels.
     pub growth: f64,
@@ -190,8 +191,8 @@ impl LevelWatch {
         &self.change
     }
 
-    /// Relative change since the start that was followed as drift, mean over the channels; changes that were accepted are
-    /// no part of it.
+    /// Relative change since the start that was followed as drift, mean over the channels; changes that were accepted
+    /// are no part of it.
     #[must_use]
     pub fn drift(&self) -> f64 {
         let finite = self.drift.iter().filter(|share| share.is_finite());

@@ -212,8 +212,8 @@ mod tests {
         let spectrum = SpectrumAnalyser::new(count, rate).unwrap().spectrum(&series(count, rate, value)).unwrap();
         let peaks = spectrum.peaks(2, 20.0);
         assert_eq!(peaks.len(), 2);
-        // The parabola in logarithms of a Hann lobe is off by less than 0.02 bins (0.05 Hz each), hence the height by 1.5
-        // %.
+        // The parabola in logarithms of a Hann lobe is off by less than 0.02 bins (0.05 Hz each), hence the height by
+        // 1.5 %.
         for (peak, (frequency, amplitude)) in peaks.iter().zip([(1.013, 2.0), (3.271, 0.4)]) {
             assert!((peak.frequency_hz - frequency).abs() < 0.02 * 0.05, "{peak:?}");
             assert!((peak.amplitude / amplitude - 1.0).abs() < 0.015, "{peak:?}");

@@ -1,5 +1,5 @@
-//! Damage of a gel that conducts less where it is pressed as where it is cut, and whose readings drift all the time: the
-//! measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and the twin of such a skin.
+//! Damage of a gel that conducts less where it is pressed as where it is cut, and whose readings drift all the time:
+//! the measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and the twin of such a skin.
 
 use std::path::Path;
 

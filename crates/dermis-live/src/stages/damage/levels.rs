@@ -1,7 +1,8 @@
-//! Damage of skins on which a cut and a press look alike, because both lower the conductivity: told apart by what stays.
-//! [`LevelWatch`] follows the drift of each channel, which is the baseline of touches, and says when the readings have
-//! come to rest elsewhere. A change that is left when something has been let go is imaged; where that image is deep
-//! enough it is damage, with its place and extent there. What merely lies still is held for a touch, for ten minutes.
+//! Damage of skins on which a cut and a press look alike, because both lower the conductivity: told apart by what
+//! stays. [`LevelWatch`] follows the drift of each channel, which is the baseline of touches, and says when the
+//! readings have come to rest elsewhere. A change that is left when something has been let go is imaged; where that
+//! image is deep enough it is damage, with its place and extent there. What merely lies still is held for a touch, for
+//! ten minutes.
 
 use dermis_skin::Polarity;
 use dermis_touch::damage::{DamageMonitor, LevelChange, LevelParams, LevelWatch};
@@ -15,7 +16,8 @@ use crate::prepare::Prepared;
 
 /// What lies still for so long, seconds, and was never let go, is no touch any more.
 const HELD_S: f64 = 600.0;
-/// A change undoes a damage where the two are so much alike, but for the sign (cosine, channels in standard deviations).
+/// A change undoes a damage where the two are so much alike, but for the sign (cosine, channels in standard
+/// deviations).
 const UNDOES: f64 = 0.7;
 
 /// The watch of a skin with what its images are made into.
@@ -98,8 +100,8 @@ impl LevelStage {
         self.watch.disturbed_since_ns().is_some()
     }
 
-    /// A new baseline stands. One that this stage has not made is taken for the levels, and for those of the intact skin
-    /// where nothing is damaged.
+    /// A new baseline stands. One that this stage has not made is taken for the levels, and for those of the intact
+    /// skin where nothing is damaged.
     ///
     /// # Errors
     /// A baseline of another length.
@@ -140,8 +142,8 @@ impl LevelStage {
         has_any.then_some((&*self.change, &mut *self.fall))
     }
 
-    /// Judges the change whose image was made. What stays becomes part of the levels; where it is damage, they are to be
-    /// the baseline of touches from now on.
+    /// Judges the change whose image was made. What stays becomes part of the levels; where it is damage, they are to
+    /// be the baseline of touches from now on.
     ///
     /// # Errors
     /// An image of another size.

@@ -28,8 +28,8 @@ pub struct FitOptions {
     pub radius_m: f64,
     /// Standard deviation of its natural logarithm.
     pub radius_log_deviation: f64,
-    /// Steps make no radius larger than this, metres, infinite for no bound: what a step costs grows with the fourth power
-    /// of it.
+    /// Steps make no radius larger than this, metres, infinite for no bound: what a step costs grows with the fourth
+    /// power of it.
     pub most_radius_m: f64,
     /// Typical conductance per area, S/m^2.
     pub conductance_s_per_m2: f64,

@@ -112,8 +112,8 @@ fn without_electrodes(directory: &Path, lost: &[u32], refined: bool) -> (Vec<f64
     (correlations(directory, &outcome), gone.iter().filter(|gone| !**gone).count())
 }
 
-// Measured means, refined (linear): level 5 consecutive 0.846 (0.805), scattered 0.883 (0.826); level 7 consecutive 0.796
-// (0.780), scattered 0.866 (0.822).
+// Measured means, refined (linear): level 5 consecutive 0.846 (0.805), scattered 0.883 (0.826); level 7 consecutive
+// 0.796 (0.780), scattered 0.866 (0.822).
 #[test]
 fn lost_electrodes_leave_images() {
     let Some(directory) = measured("ktc", "") else { return };
