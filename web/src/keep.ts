@@ -56,7 +56,12 @@ export async function savePicture(scene: Scene, frame: number, stage: HTMLElemen
     const place = layer.getBoundingClientRect();
     const look = getComputedStyle(layer);
     if (look.display === "none" || look.visibility === "hidden" || layer.hidden) continue;
-    context.drawImage(layer, MARGIN + place.left - box.left, MARGIN + place.top - box.top, place.width, place.height);
+    context.save();
+    context.translate(MARGIN + place.left - box.left, MARGIN + place.top - box.top);
+    const outline = /"(.*)"/.exec(layer.style.clipPath)?.[1];
+    if (outline) context.clip(new Path2D(outline), "evenodd");
+    context.drawImage(layer, 0, 0, place.width, place.height);
+    context.restore();
   }
   if (getComputedStyle(overlay).visibility !== "hidden") context.drawImage(await drawing(overlay, box.width, box.height), MARGIN, MARGIN, box.width, box.height);
   const top = box.height + 2 * MARGIN;

@@ -3,6 +3,7 @@
 
 import { Range, paint, table } from "./colour";
 import type { Electrode, Image, Point, Scene, Touch } from "./protocol";
+import { Rim } from "./rim";
 import { SolidView } from "./solid";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -53,6 +54,7 @@ export class View {
   private pixels: ImageData | null = null;
   private colours = table("viridis");
   private scene: Scene | null = null;
+  private rim: Rim | null = null;
   private unit = 1;
 
   constructor(
@@ -96,6 +98,7 @@ export class View {
     this.canvas.width = Math.max(grid.cols, 1);
     this.canvas.height = Math.max(grid.rows, 1);
     this.pixels = null;
+    this.rim = new Rim(scene);
     this.solid.begin(scene, touchColour);
     this.place();
   }
@@ -108,9 +111,11 @@ export class View {
       this.pixels = this.context.createImageData(image.cols, image.rows);
     }
     const range = this.range.update(image.values);
-    paint(image.values, new Uint32Array(this.pixels.data.buffer), this.colours, range);
+    const words = new Uint32Array(this.pixels.data.buffer);
+    paint(image.values, words, this.colours, range);
+    this.solid.image(words.slice(), image.rows, image.cols);
+    paint(this.rim?.fill(image.values, image.rows, image.cols) ?? image.values, words, this.colours, range);
     this.context.putImageData(this.pixels, 0, 0);
-    this.solid.image(new Uint32Array(this.pixels.data.buffer), image.rows, image.cols);
     return range;
   }
 
@@ -166,14 +171,18 @@ export class View {
   private place(): void {
     const matrix = this.overlay.getScreenCTM();
     if (!matrix || !this.scene) return;
-    const { grid } = this.scene;
+    const { grid, outline_mm } = this.scene;
     const stage = this.stage.getBoundingClientRect();
+    // Along the outline, in pixels of the window from the image's corner.
+    const rings = outline_mm.map((ring) => ring.map(([x, y]): Point => [(x - grid.x_min_mm) * matrix.a, (y - grid.y_max_mm) * matrix.d]));
+    const clip = `path(evenodd, "${rings.map((ring) => path(ring, true)).join("")}")`;
     const corner = new DOMPoint(grid.x_min_mm, -grid.y_max_mm).matrixTransform(matrix);
     for (const { style } of [this.canvas, ...this.over]) {
       style.left = `${corner.x - stage.left - this.stage.clientLeft}px`;
       style.top = `${corner.y - stage.top - this.stage.clientTop}px`;
       style.width = `${(grid.x_max_mm - grid.x_min_mm) * matrix.a}px`;
       style.height = `${(grid.y_max_mm - grid.y_min_mm) * matrix.d}px`;
+      style.clipPath = rings.length > 0 ? clip : "";
     }
   }
 
