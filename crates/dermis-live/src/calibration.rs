@@ -2,6 +2,7 @@
 //! places single touches. Skins whose readout circuit is known only in kind calibrate themselves.
 
 mod calibrated_imager;
+mod circuit_fit;
 mod circuit_search;
 mod matched;
 mod place_locator;
@@ -13,7 +14,8 @@ mod self_calibrated;
 
 pub use calibrated_imager::CalibratedImager;
 pub(crate) use calibrated_imager::{check_wiring, learnt_finder};
-pub use circuit_search::{CircuitFit, TRUSTED_SCORE, find_circuit, relative_changes};
+pub use circuit_fit::{CLEAR_BY, CircuitFit, CircuitNews, RunnerUp, TRUSTED_SCORE, circuit_words};
+pub use circuit_search::{find_circuit, relative_changes};
 pub use matched::MatchedFinder;
 pub use placement_finder::{LearntFinder, PlacementFinder};
 pub use poke_calibration::{Calibration, CalibrationOptions, PokeFrames, PokeReview};

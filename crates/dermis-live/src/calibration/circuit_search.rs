@@ -1,6 +1,7 @@
 //! Finds what a readout does to the potentials (loads of its lines, what a reading is made of) from frames of unknown
-//! touches. The score of a circuit is the median correlation of frames with the best of its touch templates, once each
-//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part.
+//! touches. Circuits are ranked by the likelihood of the frames as single touches at their best places, once each
+//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part. What is told of a circuit
+//! is its score, the median correlation of frames with the best of its touch templates.
 //!
 //! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear,
 //! `J = sum_ab I_a K_b J_ab`, with J_ab of one unit current from electrode 0 to a, read between 0 and b. The J_ab are
@@ -13,17 +14,13 @@ use dermis_tomo::inverse::{
 };
 use faer::Mat;
 
+use super::circuit_fit::{CircuitFit, RunnerUp};
 use super::self_calibrated::{RIM_SIZES, places_off_the_rim};
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::{Reference, check_frames};
 
-/// Below this score the model is doubted: another circuit, another order or another layout.
-pub const TRUSTED_SCORE: f64 = 0.75;
-/// A circuit that reads other lines must score less by this. On a measured skin, 500 presses tell them apart by 0.023
-/// and choose well; 20 presses by 0.002, and choose lines that place worse.
-pub const CLEAR_BY: f64 = 0.01;
-/// A circuit must beat what the file has by this much to take its place.
+/// A circuit must be likelier than what the file has by this much to take its place, nats a reading.
 const LEAST_GAIN: f64 = 0.005;
 /// At most so many frames take part in the search; all judge what it ends with.
 const SEARCH_FRAMES: usize = 150;
@@ -54,40 +51,6 @@ const HALVINGS: usize = 3;
 const LEAST_CHANGE: f64 = 0.1;
 /// Loads stay within these bounds.
 const LOAD_BOUNDS: [f64; 2] = [1e-3, 1e2];
-
-/// What was found.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CircuitFit {
-    /// The best circuit; `None` where an ideal voltmeter explains the frames as well.
-    pub circuit: Option<Circuit>,
-    /// Its score on all frames.
-    pub score: f64,
-    /// The score of the skin file's own circuit, or of an ideal voltmeter where it has none.
-    pub score_before: f64,
-    /// The best score of a circuit that reads other lines: how clear the choice is.
-    pub runner_up: Option<(Circuit, f64)>,
-    /// Frames that took part.
-    pub frames: usize,
-    /// Circuits tried.
-    pub tried: usize,
-}
-
-impl CircuitFit {
-    /// Whether the frames look like single touches on the model at all.
-    pub fn fits(&self) -> bool {
-        self.score >= TRUSTED_SCORE
-    }
-
-    /// Whether no circuit that reads other lines fits nearly as well.
-    pub fn is_clear(&self) -> bool {
-        self.runner_up.is_none_or(|(_, score)| self.score - score >= CLEAR_BY)
-    }
-
-    /// Whether the circuit is to be relied on: it fits, and no other does.
-    pub fn is_trusted(&self) -> bool {
-        self.fits() && self.is_clear()
-    }
-}
 
 /// Relative changes `(v - v_0) / mean(v_0)` of frames against their own baselines (as many) or the mean of all; of
 /// successive baselines where there are no frames.
@@ -138,20 +101,52 @@ pub fn find_circuit(
     frames: &[Vec<f64>],
     mut progress: impl FnMut(usize),
 ) -> Result<CircuitFit, Error> {
-    let refuse = |what: &str, expected: String, got: String| Err(Error::Frames { what: what.into(), expected, got });
+    check_searchable(prepared)?;
+    let frames: Vec<Vec<f64>> = touched(frames).into_iter().cloned().collect();
+    let fit = find_circuit_while(prepared, &frames, |tried| {
+        progress(tried);
+        true
+    })?;
+    fit.ok_or_else(|| too_few(frames.len()))
+}
+
+/// Refuses a skin whose circuit cannot be searched for.
+///
+/// # Errors
+/// As said.
+pub(crate) fn check_searchable(prepared: &Prepared) -> Result<(), Error> {
+    let refuse = |expected: String, got: String| {
+        let what = format!("finding the circuit of skin {}", prepared.skin.name);
+        Err(Error::Frames { what, expected, got })
+    };
     let (electrodes, channels) = (prepared.protocol.electrode_count(), prepared.channels());
-    let name = &prepared.skin.name;
     if prepared.skin.frontend.coils.is_some() || !prepared.skin.backend.wiring.is_known() {
-        return refuse("finding the circuit", "a skin of electrodes of known wiring".into(), format!("skin {name}"));
+        return refuse("electrodes of known wiring".into(), "coils, or wiring that is unknown".into());
     }
     if electrodes > MOST_ELECTRODES || channels > MOST_CHANNELS {
         let expected = format!("at most {MOST_ELECTRODES} electrodes and {MOST_CHANNELS} channels");
-        return refuse("finding the circuit", expected, format!("{electrodes} and {channels}"));
+        return refuse(expected, format!("{electrodes} and {channels}"));
     }
-    let frames: &[Vec<f64>] = &touched(frames).into_iter().cloned().collect::<Vec<_>>();
+    Ok(())
+}
+
+fn too_few(got: usize) -> Error {
+    let expected = format!("at least {LEAST_CALIBRATION_FRAMES}, of touches at different places");
+    Error::Frames { what: "frames to find the circuit from".into(), expected, got: got.to_string() }
+}
+
+/// As [`find_circuit`], of frames that are all touches; `None` where `go_on`, which is told how many circuits were
+/// tried, has ended the search.
+///
+/// # Errors
+/// Too few frames.
+pub(crate) fn find_circuit_while(
+    prepared: &Prepared,
+    frames: &[Vec<f64>],
+    mut go_on: impl FnMut(usize) -> bool,
+) -> Result<Option<CircuitFit>, Error> {
     if frames.len() < LEAST_CALIBRATION_FRAMES {
-        let expected = format!("at least {LEAST_CALIBRATION_FRAMES}, of touches at different places");
-        return refuse("frames to find the circuit from", expected, frames.len().to_string());
+        return Err(too_few(frames.len()));
     }
     let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
     let sigma = vec![prepared.skin.sheet_conductance_s(); prepared.body.mesh.mesh.element_count()];
@@ -159,36 +154,52 @@ pub fn find_circuit(
     let count = frames.len().min(SEARCH_FRAMES);
     let some: Vec<Vec<f64>> = (0..count).map(|i| frames[i * frames.len() / count].clone()).collect();
     let mut judge = Judge { prepared, solution: &solution, products: Products::new(prepared, &sigma)?, tried: 0 };
-    let mut score = |circuit: Option<&Circuit>| {
-        let score = judge.score(circuit, &some);
-        progress(judge.tried);
-        score
+    let mut is_wanted = true;
+    let mut likelihood = |circuit: Option<&Circuit>| {
+        if !is_wanted {
+            return Judged::NOTHING.likelihood;
+        }
+        let judged = judge.judge(circuit, &some);
+        is_wanted = go_on(judge.tried);
+        judged.likelihood
     };
     let mut begun: Vec<(f64, Point)> = Vec::new();
     for reading in READINGS {
         let tries = LOADS.map(|[load, idle]| Point { load, idle, reading: unit(reading) });
-        let scored = tries.map(|point| (score(Some(&point.circuit())), point));
+        let ranked = tries.map(|point| (likelihood(Some(&point.circuit())), point));
         // One of each kind of reading is kept, so that the search does not begin thrice at one place.
-        begun.extend(scored.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
+        begun.extend(ranked.into_iter().max_by(|a, b| a.0.total_cmp(&b.0)));
     }
     begun.sort_by(|a, b| b.0.total_cmp(&a.0));
     begun.truncate(IMPROVED);
-    let mut improved: Vec<(f64, Point)> = begun.iter().map(|start| climb(*start, &mut score)).collect();
+    let mut improved: Vec<(f64, Point)> = begun.iter().map(|start| climb(*start, &mut likelihood)).collect();
+    if !is_wanted {
+        return Ok(None);
+    }
     improved.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let best = improved[0].1;
+    let Some(&(_, best)) = improved.first() else { return Ok(None) };
     let other = improved.iter().skip(1).find(|(_, point)| dot(point.reading, best.reading).abs() < 0.9);
     let own = match &prepared.skin.backend.circuit {
         Some(CircuitChoice::Known(circuit)) => Some(*circuit),
         _ => None,
     };
-    let score_before = judge.score(own.as_ref(), frames);
-    let ideal = if own.is_some() { judge.score(None, frames) } else { score_before };
-    let found = judge.score(Some(&best.circuit()), frames);
-    let runner_up = other.map(|(_, point)| (point.circuit(), judge.score(Some(&point.circuit()), frames)));
-    let candidates = [(own, score_before), (None, ideal), (Some(best.circuit()), found - LEAST_GAIN)];
-    let winner = candidates.iter().fold(candidates[0], |best, next| if next.1 > best.1 { *next } else { best });
-    let score = if winner.0 == Some(best.circuit()) { found } else { winner.1 };
-    Ok(CircuitFit { circuit: winner.0, score, score_before, runner_up, frames: frames.len(), tried: judge.tried })
+    let before = judge.judge(own.as_ref(), frames);
+    let ideal = if own.is_some() { judge.judge(None, frames) } else { before };
+    let found = judge.judge(Some(&best.circuit()), frames);
+    let runner_up = other.map(|(_, point)| {
+        let judged = judge.judge(Some(&point.circuit()), frames);
+        let behind = found.likelihood - judged.likelihood;
+        RunnerUp { circuit: point.circuit(), score: judged.score, behind }
+    });
+    let candidates = [(own, before), (None, ideal), (Some(best.circuit()), found)];
+    // What stands in the file stays unless another is likelier, and scores higher as well.
+    let beats =
+        |next: &Judged, least: &Judged| next.likelihood > least.likelihood + LEAST_GAIN && next.score > least.score;
+    let winner = candidates.iter().fold(candidates[0], |best, next| if beats(&next.1, &best.1) { *next } else { best });
+    let Judged { score, likelihood } = winner.1;
+    let (frames, tried) = (frames.len(), judge.tried);
+    let gain = likelihood - before.likelihood;
+    Ok(Some(CircuitFit { circuit: winner.0, score, score_before: before.score, gain, runner_up, frames, tried }))
 }
 
 /// A circuit on its way.
@@ -230,14 +241,14 @@ impl Point {
 }
 
 /// Goes to better neighbours as long as there are any, in ever smaller steps.
-fn climb(start: (f64, Point), score: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
+fn climb(start: (f64, Point), likelihood: &mut impl FnMut(Option<&Circuit>) -> f64) -> (f64, Point) {
     let mut best = start;
     for halving in 0..=HALVINGS {
         let share = 0.5_f64.powi(halving as i32);
         for _ in 0..3 {
             let before = best.0;
             for next in best.1.neighbours(share) {
-                let reached = score(Some(&next.circuit()));
+                let reached = likelihood(Some(&next.circuit()));
                 if reached > best.0 {
                     best = (reached, next);
                 }
@@ -267,11 +278,27 @@ struct Judge<'a> {
     tried: usize,
 }
 
+/// How well a circuit explains frames.
+#[derive(Clone, Copy, Debug)]
+struct Judged {
+    score: f64,
+    /// Nats a reading.
+    likelihood: f64,
+}
+
+impl Judged {
+    /// Of a circuit that cannot be.
+    const NOTHING: Self = Self { score: -1.0, likelihood: -1e3 };
+}
+
 impl Judge<'_> {
-    /// The score of a circuit, of an ideal voltmeter for `None`; that of nothing at all for one that cannot be.
-    fn score(&mut self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> f64 {
+    /// How well a circuit explains frames, an ideal voltmeter for `None`.
+    fn judge(&mut self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> Judged {
         self.tried += 1;
-        self.calibrate(circuit, frames).map_or(-1.0, |calibration| calibration.score())
+        self.calibrate(circuit, frames).map_or(Judged::NOTHING, |calibration| Judged {
+            score: calibration.score(),
+            likelihood: calibration.log_likelihood(),
+        })
     }
 
     fn calibrate(&self, circuit: Option<&Circuit>, frames: &[Vec<f64>]) -> Result<SelfCalibration, Error> {

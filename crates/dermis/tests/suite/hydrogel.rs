@@ -166,7 +166,7 @@ fn the_circuit_is_found_from_unknown_presses() {
     let ignorant = Prepared::new(skin.clone()).unwrap();
     let all: Vec<usize> = (0..500).collect();
     let few: Vec<usize> = (0..500).step_by(25).collect();
-    for (rows, is_enough) in [(&all, true), (&few, false)] {
+    for rows in [&all, &few] {
         let pick = |frames: &[Vec<f64>]| rows.iter().map(|&i| frames[i].clone()).collect::<Vec<_>>();
         let (before, pressed) = (pick(&data.before), pick(&data.pressed));
         let changes = relative_changes(&ignorant, &before, &pressed).unwrap();
@@ -193,10 +193,8 @@ fn the_circuit_is_found_from_unknown_presses() {
         errors.sort_by(f64::total_cmp);
         let at = |share: f64| errors[(errors.len() as f64 * share) as usize];
         println!("{} presses: {fit:?}, {} found, {:.2} / {:.2} mm", rows.len(), errors.len(), at(0.5), at(0.9));
-        assert!(fit.score > fit.score_before + 0.05 && fit.fits(), "{fit:?}");
-        // Twenty presses do not tell which lines are read: that is said, and most places are not found.
-        assert_eq!(fit.is_trusted(), is_enough, "{fit:?}");
-        if is_enough {
+        assert!(fit.score > fit.score_before + 0.05 && fit.is_trusted(), "{fit:?}");
+        if rows.len() == all.len() {
             // Weak presses are left to the image by the finder's threshold.
             assert!(errors.len() >= 450, "{}", errors.len());
             assert!(at(0.5) <= 5.0 && at(0.9) <= 10.0, "{} {}", at(0.5), at(0.9));

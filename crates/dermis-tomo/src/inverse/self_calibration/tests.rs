@@ -122,6 +122,8 @@ fn signs_and_gains_are_recovered_and_touches_located() {
         assert!((ratio / gains[channel].abs() - 1.0).abs() < 1e-12);
     }
     assert!(found.score() > 0.95, "{}", found.score());
+    // Nearly nothing is left unexplained: at most the floor, -1/2 ln 0.02.
+    assert!(found.log_likelihood() > 1.0 && found.log_likelihood() < 1.96, "{}", found.log_likelihood());
     // Pixels of 4.2 mm, touches of 5 mm (one standard deviation).
     let worst = worst_error_m(&found, &distorted);
     assert!(worst < 0.003, "{worst}");
