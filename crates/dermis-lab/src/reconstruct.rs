@@ -194,6 +194,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             classes: None,
             health: Health::default(),
             damage: dermis_live::stages::damage::DamageView::default(),
+            circuit: None,
             anomalies: dermis_live::clock::FrameAnomalies::default(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;

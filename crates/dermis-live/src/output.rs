@@ -3,6 +3,7 @@
 use dermis_touch::health::Health;
 use dermis_touch::{Touch, TouchEvent};
 
+use crate::calibration::CircuitNews;
 use crate::clock::FrameAnomalies;
 use crate::stages::classes::SeenClasses;
 use crate::stages::damage::DamageView;
@@ -36,6 +37,8 @@ pub struct Output<'a> {
     pub health: Health<'a>,
     /// Damage, baselines and proposals, where damage is watched.
     pub damage: DamageView<'a>,
+    /// What a search for the readout's circuit has come to with this frame, where the skin file asks for one.
+    pub circuit: Option<&'a CircuitNews>,
     /// What is odd about the frame's number or time.
     pub anomalies: FrameAnomalies,
 }

@@ -3,6 +3,7 @@
 //! neither where frames come from nor where results go. Stages know nothing of each other: those that look at health,
 //! damage and classes return what follows, and it is applied here.
 
+mod circuit;
 mod levels;
 mod stage_latencies;
 mod state;
@@ -11,7 +12,6 @@ use std::time::Duration;
 
 use dermis_device::{Frame, FrameTable, Layout};
 use dermis_learn::Model;
-use dermis_skin::CircuitChoice;
 use dermis_tomo::inverse::check_hyperparameter;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
@@ -31,6 +31,7 @@ use crate::output::Output;
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::reference::Reference;
+use crate::stages::circuit::CircuitStage;
 use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
@@ -60,6 +61,8 @@ pub struct Pipeline {
     damage: Option<DamageStage>,
     /// In place of it where the skin conducts less where it is pressed.
     levels: Option<LevelStage>,
+    /// `None` where the readout's circuit need not be found.
+    circuit: Option<CircuitStage>,
     /// A network that classifies pixels, where there is one.
     classes: Option<ClassStage>,
     state: State,
@@ -76,6 +79,19 @@ struct Operators {
     coming: Beside<Result<NewOperator, Error>>,
     /// What was asked for last, while another one is being made.
     next: Option<f64>,
+    /// Frames that have waited for operators of a model that is no longer in use.
+    waited: u64,
+}
+
+impl Operators {
+    /// None is being made; so many frames have waited before.
+    fn after(waited: u64) -> Self {
+        Self { making: None, coming: Beside::new(), next: None, waited }
+    }
+
+    fn waits(&self) -> u64 {
+        self.waited + self.coming.waits()
+    }
 }
 
 /// The frame at hand on its way to an image.
@@ -116,13 +132,16 @@ impl Pipeline {
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let drift = drift_compensation(&prepared);
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;
-        match &calibration {
-            Some(calibration) => calibration.check(&prepared)?,
+        let circuit = match &calibration {
+            Some(calibration) => {
+                calibration.check(&prepared)?;
+                None
+            }
             None => {
                 check_wiring(&prepared)?;
-                check_circuit(&prepared)?;
+                CircuitStage::new(&prepared)?
             }
-        }
+        };
         // An operator that does not depend on the baseline is built before any frame has to wait for it.
         let starting = Starting::new(&prepared, calibration.as_ref())?;
         // Neither unknown wiring nor differences can be compared with the model's resting values.
@@ -141,9 +160,10 @@ impl Pipeline {
             health,
             damage,
             levels,
+            circuit,
             classes: None,
             state: State::Starting(Box::new(starting)),
-            operators: Operators { making: None, coming: Beside::new(), next: None },
+            operators: Operators::after(0),
             buffers: Buffers { channels: Vec::new(), difference: Vec::new(), image },
             timing: Timing::default(),
             prepared,
@@ -175,6 +195,7 @@ impl Pipeline {
         }
         self.take_up_operator(time_ns)?;
         let at = (frame.host_monotonic_ns, frame.sequence);
+        self.take_up_circuit(time_ns, at)?;
         let change = match self.is_blank() {
             // Nothing to learn from: the baseline begins with the first frame that has readings.
             true => BaselineChange::None,
@@ -212,6 +233,7 @@ impl Pipeline {
             classes: self.classes.as_ref().and_then(ClassStage::seen),
             health: self.health(),
             damage: self.damage(),
+            circuit: self.circuit.as_ref().and_then(CircuitStage::news),
             anomalies,
         })
     }
@@ -231,6 +253,7 @@ impl Pipeline {
             health.read(self.baseline.raw())?;
         }
         let seen = self.see(time_ns, at, start)?;
+        self.gather_presses(time_ns, seen.believed);
         let is_level = self.watch_levels(time_ns, at)?;
         let is_free = seen.believed && (self.watch_damage(time_ns, at, seen.touched)? || is_level);
         Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
@@ -400,7 +423,11 @@ impl Pipeline {
         }
         match &mut self.state {
             State::Running(running) => {
-                let Reconstructor { imager, touches, refinement, .. } = &mut running.reconstructor;
+                let Reconstructor { imager, touches, refinement, placement, .. } = &mut running.reconstructor;
+                let reference = match placement {
+                    Some(finder) => finder.adapt(reference),
+                    None => reference,
+                };
                 imager.set_noise(&reference.noise)?;
                 touches.set_noise(imager.noise_image());
                 refinement.set_noise(&reference.noise);
@@ -545,11 +572,11 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Frames that have waited for work beside the stream: operators for other hyperparameters, sheets with new cuts.
-    /// None does on a machine that is as fast as the stream needs.
+    /// Frames that have waited for work beside the stream: operators for other hyperparameters, sheets with new cuts,
+    /// searches for the readout's circuit. None does on a machine that is as fast as the stream needs.
     pub fn waits(&self) -> u64 {
         let of_sheets = self.running().map_or(0, |running| running.reconstructor.refinement.waits());
-        self.operators.coming.waits() + of_sheets
+        self.operators.waits() + of_sheets + self.circuit.as_ref().map_or(0, CircuitStage::waits)
     }
 
     /// Classifies the pixels of frames by a network from now on, or no longer.
@@ -564,9 +591,15 @@ impl Pipeline {
     /// Reads forces by a calibration from now on.
     ///
     /// # Errors
-    /// A calibration of another skin, or numbers in it that make no sense.
+    /// A calibration of another skin, or numbers in it that make no sense; a skin whose circuit is still to be found,
+    /// with which amplitudes change.
     pub fn set_forces(&mut self, forces: ForceCalibration) -> Result<(), Error> {
         forces.check(&self.prepared.skin.name)?;
+        if self.circuit.is_some() {
+            let what = format!("force calibration of skin {}", self.prepared.skin.name);
+            let expected = "the circuit itself in the skin file, with which forces were calibrated".into();
+            return Err(Error::Frames { what, expected, got: "backend.circuit = \"learn\"".into() });
+        }
         if let State::Running(running) = &mut self.state {
             running.reconstructor.touches.set_forces(Some(forces.clone()));
         }
@@ -625,18 +658,6 @@ impl Pipeline {
             State::Running(running) => Some(running),
         }
     }
-}
-
-/// Refuses a circuit that is still to be found: live frames would be read through a voltmeter that is not there.
-fn check_circuit(prepared: &Prepared) -> Result<(), Error> {
-    if !matches!(prepared.skin.backend.circuit, Some(CircuitChoice::ToLearn(_))) {
-        return Ok(());
-    }
-    Err(Error::Frames {
-        what: format!("skin {}, backend.circuit", prepared.skin.name),
-        expected: "the circuit that dermis calibrate --write-skin finds from recorded touches, or a calibration".into(),
-        got: "\"learn\"".into(),
-    })
 }
 
 /// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.

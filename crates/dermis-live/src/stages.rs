@@ -1,11 +1,13 @@
 //! The stages of the live pipeline between difference data and touches. None knows another: what one finds out is
 //! handed on by the pipeline.
 
+pub(crate) mod circuit;
 pub mod classes;
 pub mod damage;
 pub(crate) mod element_contacts;
 pub mod health;
 pub mod placement;
+pub(crate) mod press_frames;
 pub mod refinement;
 mod sandwich_contacts;
 pub mod touch_refinement;

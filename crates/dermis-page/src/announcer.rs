@@ -1,4 +1,4 @@
-//! What a frame gives cause to say in words: damage, faults of channels, clocks that jump.
+//! What a frame gives cause to say in words: damage, faults of channels, a circuit that was found, clocks that jump.
 
 use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
@@ -30,6 +30,10 @@ impl Announcer {
                 text: detail,
             },
         ));
+        notices.extend(output.circuit.map(|news| {
+            let is_doubted = news.is_new && !news.fit.is_trusted();
+            Notice { level: if is_doubted { Level::Warning } else { Level::Info }, text: news.describe() }
+        }));
         let FrameAnomalies { clock_jump_ns, renumbered, .. } = output.anomalies;
         if clock_jump_ns != 0 || renumbered {
             let jump_s = clock_jump_ns as f64 * 1e-9;

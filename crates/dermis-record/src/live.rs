@@ -86,7 +86,7 @@ impl LiveRecording {
     }
 
     /// Takes what was made of the frame. Faults that it made known, and recoveries, are events; so is, in the first
-    /// frame, what was broken before the recording began.
+    /// frame, what was broken before the recording began, and what a search for the readout's circuit has come to.
     pub fn results(&mut self, output: &Output<'_>) {
         self.handle.offer_results(output, self.time_ns);
         for event in output.damage.events {
@@ -95,6 +95,10 @@ impl LiveRecording {
         }
         for change in self.health.changes(output.health) {
             self.handle.offer_event(output.wall_ns, change.event, &change.detail, &change.numbers);
+        }
+        if let Some(news) = output.circuit {
+            let numbers = [news.fit.score_before, news.fit.score, news.fit.frames as f64];
+            self.handle.offer_event(output.wall_ns, "circuit", &news.describe(), &numbers);
         }
     }
 

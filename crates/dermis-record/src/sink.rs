@@ -67,6 +67,7 @@ pub(crate) mod testing {
             classes: None,
             health,
             damage,
+            circuit: None,
             anomalies,
         }
     }

@@ -93,6 +93,9 @@ impl Arguments {
             for change in health.changes(output.health) {
                 tracing::warn!(frame = output.sequence, "{}", change.detail);
             }
+            if let Some(news) = output.circuit {
+                tracing::warn!(frame = output.sequence, "{}", news.describe());
+            }
             if let Some(lines) = &mut lines {
                 lines.accept(output)?;
                 if let Err(error) = out.write_all(lines.get_mut()).and_then(|()| out.flush()) {

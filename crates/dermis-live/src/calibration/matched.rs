@@ -3,6 +3,7 @@
 use dermis_tomo::inverse::SelfCalibration;
 
 use crate::Error;
+use crate::reference::Reference;
 use crate::stages::placement::Placement;
 
 /// Below this correlation with the best place's signature, a frame is doubted to be a single touch.
@@ -19,14 +20,24 @@ pub struct MatchedFinder {
 }
 
 impl MatchedFinder {
-    /// Frames whose root mean square in units of `noise` (model volts) is below `smallest_amplitude` show no touch.
-    pub(super) fn new(
-        calibration: SelfCalibration,
-        noise: Vec<f64>,
-        smallest_amplitude: f64,
-        variance_m2: f64,
-    ) -> Self {
-        Self { calibration, relative: Vec::new(), noise, smallest_amplitude, variance_m2 }
+    /// Frames whose root mean square in units of the noise is below `smallest_amplitude` show no touch. Without a
+    /// reference yet: [`MatchedFinder::adapt`].
+    pub(super) fn new(calibration: SelfCalibration, smallest_amplitude: f64, variance_m2: f64) -> Self {
+        Self { calibration, relative: Vec::new(), noise: Vec::new(), smallest_amplitude, variance_m2 }
+    }
+
+    /// Reads differences from this baseline from now on: the reference with the scales of the calibration, in whose
+    /// units its noise is as well.
+    pub(crate) fn adapt(&mut self, mut reference: Reference) -> Reference {
+        for (channel, data_scale) in self.calibration.data_scale().iter().enumerate() {
+            let scale = 1.0 / (reference.baseline[channel] * data_scale);
+            let old = reference.scale[channel].abs();
+            let scale = if scale.is_finite() { scale } else { 0.0 };
+            reference.noise[channel] *= if old > 0.0 { scale.abs() / old } else { 0.0 };
+            reference.scale[channel] = scale;
+        }
+        self.noise.clone_from(&reference.noise);
+        reference
     }
 
     pub(super) fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {

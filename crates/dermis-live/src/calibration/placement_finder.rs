@@ -7,6 +7,7 @@ use super::matched::MatchedFinder;
 use super::place_locator::{PlaceLocator, PlaceScratch};
 use super::poke_calibration::Calibration;
 use crate::Error;
+use crate::reference::Reference;
 use crate::stages::placement::Placement;
 
 /// Above this novelty a frame is doubted to be a single touch, and several contacts of the image stand against it.
@@ -45,6 +46,15 @@ impl PlacementFinder {
         match self {
             PlacementFinder::Learnt(finder) => finder.place(difference),
             PlacementFinder::Matched(finder) => finder.place(difference),
+        }
+    }
+
+    /// The reference of a new baseline, in the units that frames are read in from now on: those of a skin that has
+    /// calibrated itself, else as it is.
+    pub(crate) fn adapt(&mut self, reference: Reference) -> Reference {
+        match self {
+            PlacementFinder::Learnt(_) => reference,
+            PlacementFinder::Matched(finder) => finder.adapt(reference),
         }
     }
 

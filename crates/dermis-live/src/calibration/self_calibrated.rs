@@ -20,7 +20,8 @@ const FEWEST: usize = 20;
 pub(super) const RIM_SIZES: f64 = 1.2;
 
 /// What a skin has calibrated itself to.
-pub(super) struct SelfCalibrated {
+#[derive(Debug)]
+pub(crate) struct SelfCalibrated {
     pub imager: Imager,
     /// The reference with the signs and weights that were found.
     pub reference: Reference,
@@ -43,6 +44,17 @@ impl SelfCalibrated {
         if prepared.skin.backend.differences || prepared.skin.backend.circuit.is_none() || frames.len() < FEWEST {
             return Ok(None);
         }
+        Self::of_changes(prepared, reference.clone(), &frames, prepared.skin.touch.hold_sigma).map(Some)
+    }
+
+    /// Calibrated on frames of relative changes from their baselines. Frames whose root mean square in units of the
+    /// noise is below `smallest_amplitude` show no touch.
+    pub fn of_changes(
+        prepared: &Prepared,
+        reference: Reference,
+        frames: &[Vec<f64>],
+        smallest_amplitude: f64,
+    ) -> Result<Self, Error> {
         let pixels = prepared.map.inside_centres_m();
         let size = prepared.skin.touch.relative_size * prepared.half_width_m();
         let places = places_off_the_rim(prepared, RIM_SIZES * size);
@@ -52,15 +64,7 @@ impl SelfCalibrated {
             Polarity::RaisesConductivity => TouchEffect::RaisesConductivity,
         };
         let options = CalibrationOptions { effect, ..CalibrationOptions::default() };
-        let calibration = SelfCalibration::fit(&templates, &prepared.voltages, &frames, options)?;
-        let mut reference = reference.clone();
-        for channel in 0..prepared.channels() {
-            let scale = 1.0 / (reference.baseline[channel] * calibration.data_scale()[channel]);
-            let old = reference.scale[channel].abs();
-            let scale = if scale.is_finite() { scale } else { 0.0 };
-            reference.noise[channel] *= if old > 0.0 { scale.abs() / old } else { 0.0 };
-            reference.scale[channel] = scale;
-        }
+        let calibration = SelfCalibration::fit(&templates, &prepared.voltages, frames, options)?;
         let rows = calibration.calibrated_rows(prepared.jacobian.as_mat())?;
         let prior = prepared.prior().matrix(rows.as_ref(), &calibration.weighting(), &prepared.basis)?;
         let problem = LinearProblem::new(rows.as_ref(), calibration.weighting(), prior)?;
@@ -70,12 +74,12 @@ impl SelfCalibrated {
             _ => Hyperparameter::Relative(10.0),
         };
         let lambda = problem.choose(&rule, &[])?;
+        let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
+        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, variance_m2);
+        let reference = finder.adapt(reference);
         let imager =
             Imager::from_problem(prepared, problem, lambda, &reference.noise, prepared.skin.imaging.polarity.sign())?;
-        let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
-        let smallest_amplitude = prepared.skin.touch.hold_sigma;
-        let finder = MatchedFinder::new(calibration, reference.noise.clone(), smallest_amplitude, variance_m2);
-        Ok(Some(Self { imager, reference, finder }))
+        Ok(Self { imager, reference, finder })
     }
 }
 

@@ -266,7 +266,10 @@ impl TouchStage {
     /// The stream was interrupted before the next frame, for so long that nobody knows what happened: all touches end,
     /// and what that frame shows begins anew. The ends are among its events.
     pub fn interrupt(&mut self, time_ns: u64) {
-        self.tracker.end_all(time_ns, &mut self.ended);
+        // A second interruption before the next frame finds nothing left to end.
+        if self.ended.is_empty() {
+            self.tracker.end_all(time_ns, &mut self.ended);
+        }
         self.contacts.clear();
     }
 

@@ -3,6 +3,7 @@
 mod allocation;
 mod any_skin;
 mod channel_search;
+mod circuit;
 mod damage;
 mod design;
 mod doctor;
