@@ -127,7 +127,7 @@ impl Pipeline {
     /// Sets up the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline.
     ///
     /// # Errors
-    /// A layout that does not hold the skin's channels.
+    /// A layout that does not hold the skin's channels; a circuit to be found that cannot be found beside a stream.
     pub fn new(prepared: Prepared, layout: &Layout, calibration: Option<Calibration>) -> Result<Self, Error> {
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let drift = drift_compensation(&prepared);
@@ -518,7 +518,7 @@ impl Pipeline {
     /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
     /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
     /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
-    /// kept for it.
+    /// kept for it; once a circuit has been found, the skin file's rule counts again.
     ///
     /// # Errors
     /// A lambda that is not positive and finite.
