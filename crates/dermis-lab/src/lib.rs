@@ -24,12 +24,14 @@
 //! | [`reconstruct`](mod@reconstruct), [`forces`], [`learning`] | files to images and touches; force calibrations; training sets, labels |
 //! | [`case`], [`solve`] | single forward problems |
 //! | [`experiments`], [`report`], [`twin_bench`] | published experiments again |
+//! | [`evidence`] | measured data of others: errors of dermis beside a plain method's |
 
 pub mod case;
 pub mod channel_search;
 pub mod design;
 pub mod doctor;
 mod error;
+pub mod evidence;
 pub mod experiments;
 pub mod forces;
 pub mod learning;

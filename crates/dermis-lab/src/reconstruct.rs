@@ -73,7 +73,29 @@ const DEFAULT_FRAMES_PER_S: f64 = 20.0;
 /// # Errors
 /// Files that cannot be read or do not fit the skin, a calibration of another skin, outputs that cannot be written. No
 /// partial file is left under its final name.
-pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) -> Result<Report, Error> {
+pub fn reconstruct(request: &Request, progress: impl FnMut(usize, usize)) -> Result<Report, Error> {
+    reconstruct_to(request, None, None, progress)
+}
+
+/// [`reconstruct`] within a program: by a calibration that is in no file, and into a sink beside the request's files.
+///
+/// # Errors
+/// As [`reconstruct`], and what the sink says.
+pub fn reconstruct_into(
+    request: &Request,
+    calibration: Option<&Calibration>,
+    sink: &mut dyn Sink,
+    progress: impl FnMut(usize, usize),
+) -> Result<Report, Error> {
+    reconstruct_to(request, calibration, Some(sink), progress)
+}
+
+fn reconstruct_to(
+    request: &Request,
+    at_hand: Option<&Calibration>,
+    mut beside: Option<&mut dyn Sink>,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Report, Error> {
     let mut skin = request.skin.clone();
     if let Some(lambda) = request.hyperparameter {
         skin.imaging.hyperparameter = HyperparameterChoice::Number(lambda);
@@ -84,7 +106,8 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     let read = |file| dermis_record::read_frames(file, request.format);
     let baseline_table = request.baseline.as_ref().map(read).transpose()?;
     let frame_table = dermis_record::read_frames(&request.frames, request.format)?;
-    let calibration = request.calibration.as_deref().map(Calibration::load).transpose()?;
+    let loaded = request.calibration.as_deref().map(Calibration::load).transpose()?;
+    let calibration = at_hand.or(loaded.as_ref());
     let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
     let mut prepared = Prepared::new(skin)?;
     let reads = prepared.skin.backend.reads;
@@ -123,10 +146,10 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         reference.estimate_noise(&data);
     }
     let CalibratedImager { imager, reference, placement } =
-        CalibratedImager::new(&prepared, calibration.as_ref(), reference, &data)?;
+        CalibratedImager::new(&prepared, calibration, reference, &data)?;
     // A calibration may have scaled the channels anew.
     let differences = differences_to(&reference);
-    let by_pokes = calibration.as_ref().is_some_and(|calibration| calibration.correction().is_none());
+    let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
     let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
     let refined = match &refinement {
         Some(refinement) => {
@@ -139,13 +162,13 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
         None => Vec::new(),
     };
     let hyperparameter = imager.hyperparameter();
-    let is_refined = Refinement::is_wanted(&prepared, calibration.as_ref());
+    let is_refined = Refinement::is_wanted(&prepared, calibration);
     let refinement_of_touches =
         if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
     reconstructor.touches.set_forces(forces.clone());
     let grid = prepared.map.grid();
-    let load = calibration.as_ref().and_then(Calibration::load_quantity);
+    let load = calibration.and_then(Calibration::load_quantity);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
         sinks.push(Box::new(TouchTable::create_with_load(path, forces.is_some(), load)?));
@@ -198,6 +221,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
             anomalies: dermis_live::clock::FrameAnomalies::default(),
         };
         sinks.iter_mut().try_for_each(|sink| sink.accept(&output))?;
+        beside.iter_mut().try_for_each(|sink| sink.accept(&output))?;
         if refinement.is_none() {
             progress(index + 1, frames.len());
         }
@@ -205,6 +229,7 @@ pub fn reconstruct(request: &Request, mut progress: impl FnMut(usize, usize)) ->
     for sink in &mut sinks {
         sink.finish()?;
     }
+    beside.iter_mut().try_for_each(|sink| sink.finish().map(|_| ()))?;
     Ok(Report {
         frames: frames.len(),
         touch_rows,

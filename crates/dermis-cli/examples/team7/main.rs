@@ -2,11 +2,10 @@
 //!
 //! `cargo run --release --example team7 -- --frequency 50`
 
-mod problem;
-
 use std::process::ExitCode;
 
 use clap::Parser;
+use dermis::lab::evidence::team7::{X_MM, flux_density, mesh};
 
 #[derive(Parser)]
 struct Arguments {
@@ -20,11 +19,11 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let found = problem::mesh(arguments.fine.into()).and_then(|mesh| problem::flux_density(&mesh, arguments.frequency));
+    let found = mesh(arguments.fine.into()).and_then(|mesh| flux_density(&mesh, arguments.frequency));
     match found {
         Ok(rows) => {
             println!("x_mm,Bz_A1B1_re,Bz_A1B1_im,Bz_A2B2_re,Bz_A2B2_im");
-            for (x, [a, b, c, d]) in problem::X_MM.iter().zip(rows) {
+            for (x, [a, b, c, d]) in X_MM.iter().zip(rows) {
                 println!("{x},{a:.3},{b:.3},{c:.3},{d:.3}");
             }
             ExitCode::SUCCESS

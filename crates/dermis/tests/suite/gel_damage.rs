@@ -1,8 +1,7 @@
 //! Damage of a gel that conducts less where it is pressed as where it is cut, and whose readings drift all the time:
 //! the measured skin of DSHardman/HydrogelEIT (the set `hydrogel-damage`), and the twin of such a skin.
 
-use std::path::Path;
-
+use dermis::lab::evidence::gel_watch;
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
 use dermis::live::stages::damage::describe;
@@ -15,12 +14,10 @@ use dermis_twin::physics::Cut;
 use dermis_twin::{Frontend, Treatment};
 
 /// Frames of the long watch come so far apart, seconds.
-const SLOW_S: f64 = 8.0;
+const SLOW_S: f64 = gel_watch::PERIOD_S;
 
 fn skin() -> Skin {
-    let mut skin = Skin::open("hydrogel-disc").unwrap();
-    skin.damage.watch = true;
-    skin
+    gel_watch::skin().unwrap()
 }
 
 /// A pipeline and what it has told.
@@ -65,31 +62,21 @@ impl Watch {
     }
 }
 
-fn frames(folder: &Path, name: &str) -> Vec<Vec<f64>> {
-    let table = dermis_device::read(&FileSpec::all(folder.join(name)), None).unwrap();
-    table.rows().map(<[f64]>::to_vec).collect()
-}
-
 /// Two disturbances, counted from 0: frames 491 to 505 and 663 to 664, of which the last leaves other levels.
 #[test]
 fn damage_of_the_measured_gel_is_told_from_its_drift() {
     let Some(folder) = dermis_testdata::set("hydrogel-damage") else { return };
-    let mut watch = Watch::new(skin(), SLOW_S);
-    let mut touched = Vec::new();
-    for values in frames(&folder, "monitored.csv") {
-        watch.take(&values);
-        if !watch.touches_mm.is_empty() {
-            touched.push(watch.frames - 1);
-        }
-    }
+    let table = dermis_device::read(&FileSpec::all(folder.join("monitored.csv")), None).unwrap();
+    let watch = gel_watch::watch(skin(), &table, SLOW_S).unwrap();
     for (frame, event) in &watch.events {
         println!("frame {frame}: {} {event:?}", describe(event));
     }
     println!(
-        "drift {:.3}, baselines {:?}, touched in {} frames: {touched:?}",
+        "drift {:.3}, baselines {:?}, touched in {} frames: {:?}",
         watch.drift,
-        watch.origins(),
-        touched.len()
+        watch.origins,
+        watch.touched.len(),
+        watch.touched
     );
     let [(frame, DamageEvent::Begin(damage))] = watch.events[..] else { panic!("{:?}", watch.events) };
     assert!((663..=667).contains(&frame), "{frame}");
@@ -97,7 +84,7 @@ fn damage_of_the_measured_gel_is_told_from_its_drift() {
     let off_mm = (1e3 * damage.shape.centre_m[0] + 22.0).hypot(1e3 * damage.shape.centre_m[1] - 2.0);
     assert!(off_mm < 15.0, "{damage:?}");
     assert!(damage.depth < 0.05 && damage.shape.length_m < 0.1, "{damage:?}");
-    assert_eq!(watch.origins(), [ReferenceOrigin::Startup, ReferenceOrigin::Damage]);
+    assert_eq!(watch.origins, [ReferenceOrigin::Startup, ReferenceOrigin::Damage]);
     // The readings rose by an eighth beside what the damage did, and none of it is a touch or a damage.
     assert!(watch.drift > 0.05, "{}", watch.drift);
 }

@@ -2,57 +2,24 @@
 
 use std::path::Path;
 
-use super::{Outcome, chosen, measured, run, run_with, write_frames};
+use dermis::lab::evidence::imaged::Imaged;
+use dermis::lab::evidence::ktc::{PHANTOMS, correlation, truth};
 use dermis::skin::Skin;
+
+use super::{chosen, measured, run_with, write_frames};
 
 const FRAMES: &str = "train1,train2,train3,train4";
 
-/// Truth of a phantom, 256 x 256: 0 background, 1 resistive, 2 conductive, as 0, -1, +1.
-fn truth(directory: &Path, phantom: usize) -> Vec<f64> {
-    let text = std::fs::read_to_string(directory.join(format!("truth_train{phantom}.csv"))).unwrap();
-    let label = |cell: &str| match cell.trim().parse::<f64>().unwrap() as i64 {
-        1 => -1.0,
-        2 => 1.0,
-        _ => 0.0,
-    };
-    text.lines().flat_map(|line| line.split(',').map(label).collect::<Vec<_>>()).collect()
-}
-
 /// Correlation of every image with its truth over the pixels of the truth inside the tank.
-fn correlations(directory: &Path, outcome: &Outcome) -> Vec<f64> {
-    (0..4)
-        .map(|frame| {
-            let truth = truth(directory, frame + 1);
-            assert_eq!(truth.len(), 256 * 256);
-            let centre = |k: usize| (2.0 * k as f64 + 1.0) / 256.0 - 1.0;
-            let (mut found, mut expected) = (Vec::new(), Vec::new());
-            for row in 0..256 {
-                for column in 0..256 {
-                    let (x, y) = (centre(column), -centre(row));
-                    if x.hypot(y) < 1.0 {
-                        found.push(outcome.images.at(frame, x, y));
-                        expected.push(truth[row * 256 + column]);
-                    }
-                }
-            }
-            correlation(&found, &expected)
-        })
-        .collect()
-}
-
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (ma, mb) = (mean(a), mean(b));
-    let product =
-        |a: &[f64], ma: f64, b: &[f64], mb: f64| a.iter().zip(b).map(|(x, y)| (x - ma) * (y - mb)).sum::<f64>();
-    product(a, ma, b, mb) / (product(a, ma, a, ma) * product(b, mb, b, mb)).sqrt()
+fn correlations(directory: &Path, outcome: &Imaged) -> Vec<f64> {
+    (0..PHANTOMS).map(|frame| correlation(&outcome.images, frame, &truth(directory, frame + 1).unwrap())).collect()
 }
 
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-fn assert_no_holes(outcome: &Outcome) {
+fn assert_no_holes(outcome: &Imaged) {
     for frame in 0..outcome.images.frames.len() {
         assert_eq!(outcome.images.holes(frame), 0, "NaN inside the tank in frame {frame}");
     }
@@ -63,7 +30,7 @@ fn assert_no_holes(outcome: &Outcome) {
 fn refined_images_show_the_phantoms() {
     let Some(directory) = measured("ktc", "") else { return };
     let file = directory.join("voltages.csv");
-    let outcome = run("ktc-tank", chosen(&file, "ref"), chosen(&file, FRAMES));
+    let outcome = run_with(Skin::open("ktc-tank").unwrap(), chosen(&file, "ref"), chosen(&file, FRAMES));
     let found = correlations(&directory, &outcome);
     println!("ktc refined {found:.3?} mean {:.4}, order {:.4}", mean(&found), outcome.report.order.correlation);
     assert_no_holes(&outcome);

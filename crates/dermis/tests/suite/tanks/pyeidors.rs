@@ -1,42 +1,25 @@
 //! Metal and plastic near electrodes that the folders' names give.
 
-use super::{Outcome, chosen, measured, run};
+use std::path::Path;
 
-/// Electrode number (1 to 17, fractional) at which a touch lies: electrodes count counter-clockwise from the top.
-fn electrode(x_mm: f64, y_mm: f64) -> f64 {
-    (y_mm.atan2(x_mm).to_degrees() - 90.0).rem_euclid(360.0) / 22.5 + 1.0
-}
+use dermis::lab::evidence::pyeidors::{files, found, objects, target};
 
-/// `electrode05_plastic` parts of a folder's name: number and sign of the change of conductivity.
-fn objects(folder: &str) -> Vec<(f64, f64)> {
-    let words: Vec<&str> = folder.split('_').collect();
-    let object = |pair: &[&str]| {
-        let number = pair[0].trim_start_matches("electrode").parse().unwrap();
-        (number, if pair[1] == "metal" { 1.0 } else { -1.0 })
-    };
-    words.chunks(2).map(object).collect()
-}
+use super::measured;
 
-fn check(name: &str, folder: &str, outcome: &Outcome) {
-    let expected = objects(folder);
-    let found: Vec<(f64, f64)> = outcome
-        .touches
-        .iter()
-        .map(|row| {
-            // The skin is a disc of 200 mm; the sign is the image's.
-            let value = outcome.images.at(0, row.x_mm / 100.0, row.y_mm / 100.0);
-            (electrode(row.x_mm, row.y_mm), value.signum())
-        })
-        .collect();
+fn check(folder: &Path, file: &Path) {
+    let (expected, outcome) = (objects(folder).unwrap(), target(file).unwrap());
+    let found = found(&outcome);
+    let name = file.file_name().unwrap().to_string_lossy();
     println!(
         "pyeidors {name}: expected {expected:?}, found {found:.2?}, order {:.4}",
         outcome.report.order.correlation
     );
     assert_eq!(found.len(), expected.len(), "{name}");
-    for (number, sign) in expected {
-        let distance = |e: f64| (e - number + 8.0).rem_euclid(16.0) - 8.0;
-        let near = found.iter().any(|&(e, s)| s == sign && distance(e).abs() <= 0.5);
-        assert!(near, "{name}: nothing of sign {sign} within half a pitch of electrode {number}: {found:.2?}");
+    for object in expected {
+        let is_near = |other: &dermis::lab::evidence::pyeidors::Object| {
+            other.sign == object.sign && other.pitches_from(object.electrode).abs() <= 0.5
+        };
+        assert!(found.iter().any(is_near), "{name}: nothing like {object:?} within half a pitch: {found:.2?}");
     }
     assert!(outcome.report.order.correlation > 0.98 && outcome.report.order.better.is_none());
 }
@@ -45,14 +28,15 @@ fn check(name: &str, folder: &str, outcome: &Outcome) {
 #[test]
 fn metal_and_plastic_lie_at_their_electrodes() {
     let Some(directory) = measured("pyeidors-tank", "") else { return };
-    let mut files = 0;
-    for folder in std::fs::read_dir(directory).unwrap().flatten() {
-        for file in std::fs::read_dir(folder.path()).unwrap().flatten().map(|entry| entry.path()) {
-            let outcome = run("pyeidors-tank", chosen(&file, "reference"), chosen(&file, "target"));
-            let name = file.file_name().unwrap().to_string_lossy().into_owned();
-            check(&name, &folder.file_name().to_string_lossy(), &outcome);
-            files += 1;
-        }
+    let files = files(&directory).unwrap();
+    files.iter().for_each(|(folder, file)| check(folder, file));
+    assert_eq!(files.len(), 6);
+}
+
+#[test]
+fn other_names_of_folders_are_refused() {
+    for name in ["electrode01", "electrode17_metal", "electrodeNaN_metal", "cup_metal", "electrode01_wood", ""] {
+        assert!(objects(Path::new(name)).is_err(), "{name}");
     }
-    assert_eq!(files, 6);
+    assert_eq!(objects(Path::new("x/electrode01_metal_electrode05_plastic")).unwrap().len(), 2);
 }

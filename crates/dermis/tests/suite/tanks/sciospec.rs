@@ -1,20 +1,20 @@
 //! A cup lowered into a tank, moved once around it by hand and taken out again.
 
-use super::{chosen, measured, run};
+use dermis::lab::evidence::sciospec::{largest_step_mm, run};
+
+use super::measured;
 
 #[test]
 fn the_cup_is_followed_from_the_frame_it_enters() {
     let Some(directory) = measured("sciospec", "run1/setup") else { return };
-    let outcome = run("sciospec-tank", chosen(&directory, "0..55"), chosen(&directory, ""));
+    let outcome = run(&directory).unwrap();
     let touches = &outcome.touches;
     assert_eq!(outcome.report.frames, 255);
     assert_eq!(outcome.report.noise_source, dermis::live::reference::NoiseSource::Baseline);
     assert!(outcome.report.order.correlation >= 0.99, "{}", outcome.report.order.correlation);
     assert!(outcome.report.order.better.is_none());
     let (first, last) = (touches[0], touches[touches.len() - 1]);
-    let steps: Vec<f64> =
-        touches.windows(2).map(|pair| (pair[1].x_mm - pair[0].x_mm).hypot(pair[1].y_mm - pair[0].y_mm)).collect();
-    let largest = steps.iter().copied().fold(0.0, f64::max);
+    let largest = largest_step_mm(&outcome);
     println!(
         "sciospec order {:.4}, frames {} to {}, {} rows, largest step {largest:.1} mm",
         outcome.report.order.correlation,
@@ -36,6 +36,6 @@ fn the_cup_is_followed_from_the_frame_it_enters() {
     assert!(largest < 12.0, "{largest}");
     // Once around: the angle passes through all quadrants.
     let quadrants: std::collections::BTreeSet<(bool, bool)> =
-        touches.iter().map(|touch| (touch.x_mm > 0.0, touch.y_mm > 0.0)).collect();
+        touches.iter().map(|touch| (touch.at_mm[0] > 0.0, touch.at_mm[1] > 0.0)).collect();
     assert_eq!(quadrants.len(), 4);
 }

@@ -71,6 +71,9 @@ fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
 }
 
 /// The plate in air: `fine` cells where there is one at least; 0 is a coarser mesh for a quick look.
+///
+/// # Errors
+/// Never for these planes.
 pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
     let divided = |marks: &[f64], parts: usize| {
         let parts = parts.max(1);
@@ -99,11 +102,14 @@ pub fn mesh(fine: usize) -> Result<EdgeMesh, MitError> {
 
 /// Bz in 1e-4 T on the two lines, per place: phases 0 and 90 degrees of the first line, then of the second. The value
 /// at phase 90 is that a quarter of a period later: with `e^{j w t}`, minus the imaginary part.
+///
+/// # Errors
+/// A frequency that makes no sense.
 pub fn flux_density(mesh: &EdgeMesh, frequency_hz: f64) -> Result<Vec<[f64; 4]>, MitError> {
     let plate = Material { conductivity_s_per_m: CONDUCTIVITY_S_PER_M, relative_permeability: 1.0 };
     let system = EddySystem::new(mesh, &[plate], frequency_hz, Order::Second)?;
     for warning in system.info().warnings {
-        eprintln!("{warning}");
+        tracing::warn!("{warning}");
     }
     let wires = coil(3, 5, 4);
     let fields = system.solve(&[&wires])?;

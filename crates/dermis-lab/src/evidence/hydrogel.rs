@@ -1,0 +1,89 @@
+//! `hydrogel`: the round gelatin skin of Hardman, Thuruthel and Iida, 500 presses by a robot.
+
+use dermis_skin::{CircuitChoice, LearnCircuit, Skin};
+
+use super::bench::{Bench, Row, Stop};
+use super::finding::Comparison;
+use super::place_errors::{PlaceErrors, Presses, shuffled};
+use crate::Error;
+
+/// Presses that are judged after a calibration.
+const JUDGED: usize = 100;
+const NONE_PUBLISHED: &str = "none published for these presses that we know of";
+
+/// The presses of a folder, of the built-in skin `hydrogel-disc`.
+///
+/// # Errors
+/// Files that cannot be read or do not fit.
+pub fn presses(folder: &std::path::Path) -> Result<Presses, Error> {
+    let [before, pressed, places] = FILES.map(|name| folder.join(name));
+    Presses::read(Skin::open("hydrogel-disc")?, Some(&before), &pressed, &places)
+}
+
+const FILES: [&str; 3] = ["ohmc16_before.csv", "ohmc16_pressed.csv", "ohmc16_positions.csv"];
+
+pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    for name in FILES {
+        bench.need(name)?;
+    }
+    let presses = presses(bench.folder())?;
+    let (count, skin) = (presses.count(), Skin::open("hydrogel-disc")?);
+    let all: Vec<usize> = (0..count).collect();
+    bench.say("without labels");
+    let mut textbook = skin.clone();
+    textbook.backend.circuit = None;
+    let figures = |errors: PlaceErrors| PlaceErrors::without_sigmas(&[errors]);
+    let mut plain = figures(presses.with_skin(textbook).judge(&all, None)?);
+    plain.extend(figures(presses.judge_middle()).into_iter().take(1).map(|mut figure| {
+        figure.name = "guessing the middle, median".into();
+        figure
+    }));
+    bench.add(Row {
+        measured: &format!("place of {count} presses, no label"),
+        known: "outline, electrodes, protocol and the board's circuit, from the built-in skin file; no position and no \
+                pressed frame: channels are calibrated on the untouched frames",
+        here: figures(presses.judge(&all, None)?),
+        plain: Comparison::computed("the same without the circuit (textbook model)", plain),
+        published: Comparison::said(NONE_PUBLISHED),
+    });
+    if !bench.is_quick() {
+        bench.say("circuit learnt from unlabelled frames");
+        let mut ignorant = skin;
+        ignorant.backend.circuit = Some(CircuitChoice::ToLearn(LearnCircuit::Learn));
+        bench.add(Row {
+            measured: &format!("place of {count} presses, no label and no circuit"),
+            known: "outline, electrodes and protocol; the circuit is searched with the same unlabelled frames",
+            here: figures(presses.with_skin(ignorant).judge(&all, None)?),
+            plain: Comparison::said("as above"),
+            published: Comparison::said(NONE_PUBLISHED),
+        });
+    }
+    let seeds = if bench.is_quick() { 1..=1 } else { 1..=5 };
+    for taught in [50, 400] {
+        if count < taught + JUDGED {
+            continue;
+        }
+        let (mut here, mut plain) = (Vec::new(), Vec::new());
+        for seed in seeds.clone() {
+            bench.say(&format!("{taught} pokes, draw {seed} of {}", seeds.end()));
+            let order = shuffled(count, seed);
+            let (taught, judged) = (&order[..taught], &order[count - JUDGED..]);
+            here.push(presses.judge(judged, Some(&presses.calibrate(taught)?))?);
+            plain.push(presses.judge_plain(taught, judged));
+        }
+        bench.add(Row {
+            measured: &format!("place of {JUDGED} presses after {taught} pokes; mean over {} draws", here.len()),
+            known: &format!(
+                "the skin file, {taught} labelled pokes; the judged presses are not among them (seeds {})",
+                {
+                    let (first, last) = (seeds.start(), seeds.end());
+                    if first == last { first.to_string() } else { format!("{first} to {last}") }
+                }
+            ),
+            here: PlaceErrors::figures(&here),
+            plain: Comparison::computed("kernel ridge regression", PlaceErrors::without_sigmas(&plain)),
+            published: Comparison::said(NONE_PUBLISHED),
+        });
+    }
+    Ok(())
+}

@@ -1,0 +1,65 @@
+//! `sciospec`: a cup lowered into a tank, moved once around it by hand and taken out again, in the files of an
+//! instrument.
+
+use std::path::Path;
+
+use dermis_skin::Skin;
+
+use super::bench::{Bench, Row, Stop};
+use super::finding::{Comparison, Figure};
+use super::imaged::{Imaged, chosen, imaged};
+use crate::Error;
+
+/// Frames that are known to be without the cup.
+const EMPTY: usize = 55;
+/// The frame at which the cup is said to enter, counted from 0, give or take two.
+const ENTERS: f64 = 60.0;
+/// The plain detector fires at so many times the change that the empty tank shows.
+const PLAIN_FACTOR: f64 = 5.0;
+
+/// All frames of a run against the first, which are empty.
+///
+/// # Errors
+/// Files that cannot be read or do not fit.
+pub fn run(folder: &Path) -> Result<Imaged, Error> {
+    let empty = chosen(folder, &format!("0..{EMPTY}"))?;
+    imaged(Skin::open("sciospec-tank")?, Some(empty), chosen(folder, "")?, None)
+}
+
+/// Largest step of the cup from one frame to the next, millimetres.
+pub fn largest_step_mm(found: &Imaged) -> f64 {
+    found.touches.windows(2).map(|pair| pair[1].distance_mm(pair[0].at_mm)).fold(0.0, f64::max)
+}
+
+pub(super) fn measure(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    let folder = bench.need("run1/setup")?;
+    bench.say("run1");
+    let found = run(&folder)?;
+    let mut here = Vec::new();
+    if let (Some(first), Some(last)) = (found.touches.first(), found.touches.last()) {
+        let mut identities: Vec<u64> = found.touches.iter().map(|touch| touch.id).collect();
+        identities.sort_unstable();
+        identities.dedup();
+        here.push(Figure::new("seen from frame", first.frame as f64, "(from 0)"));
+        here.push(Figure::new("after it is said to enter by", first.frame as f64 - ENTERS, "frames"));
+        here.push(Figure::new("seen to frame", last.frame as f64, "(from 0)"));
+        here.push(Figure::new("identities", identities.len() as f64, "of one cup"));
+        here.push(Figure::new("largest step", largest_step_mm(&found), "mm"));
+    } else {
+        here.push(Figure::new("frames with a touch", 0.0, "in all"));
+    }
+    here.push(Figure::new("correlation of the baseline with the model", found.report.order.correlation, ""));
+    let usual = found.change.iter().take(EMPTY).sum::<f64>() / EMPTY as f64;
+    let fired = found.change.iter().position(|change| *change > PLAIN_FACTOR * usual).map_or(f64::NAN, |at| at as f64);
+    bench.add(Row {
+        measured: &format!("a cup enters a tank, {} frames", found.report.frames),
+        known: "electrodes, protocol, that the first 55 frames are empty; not where the cup is",
+        here,
+        plain: Comparison::computed(
+            "change of the frame above five times that of the empty tank",
+            vec![Figure::new("fires in frame", fired, "(from 0)")],
+        ),
+        published: Comparison::said("none published: sample data of Sciospec, cup at frame 60 give or take two"),
+    });
+    Ok(())
+}

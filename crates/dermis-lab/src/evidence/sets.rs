@@ -1,0 +1,147 @@
+//! All sets: what they are, what was tuned on them, and running one.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::bench::{Bench, Extent, Stop};
+use super::finding::Finding;
+use super::{five_skins, gel_watch, golfball, hydrogel, ktc, pyeidors, sciospec, team7};
+use crate::Error;
+
+/// A set of measured data.
+pub struct Set {
+    /// Its folder, and its name for the command.
+    pub name: &'static str,
+    /// What was measured, in a line.
+    pub title: &'static str,
+    /// Whose it is.
+    pub source: &'static str,
+    /// What in dermis was chosen while looking at these data.
+    pub tuned: &'static str,
+    /// What was not.
+    pub not_tuned: &'static str,
+    measure: fn(&mut Bench<'_>) -> Result<(), Stop>,
+}
+
+/// What came of a set.
+#[derive(Debug)]
+pub struct SetReport {
+    /// Rows, in the order in which they were made; those before a failure are kept.
+    pub findings: Vec<Finding>,
+    /// Files and folders that were looked for and are not there.
+    pub missing: Vec<PathBuf>,
+    /// Why it ended early.
+    pub failed: Option<Error>,
+    /// Time that it took, seconds.
+    pub seconds: f64,
+}
+
+impl SetReport {
+    /// Nothing of the set is there.
+    pub fn is_missing(&self) -> bool {
+        self.findings.is_empty() && self.failed.is_none()
+    }
+}
+
+impl Set {
+    /// The set of that name.
+    pub fn named(name: &str) -> Option<&'static Set> {
+        SETS.iter().find(|set| set.name == name)
+    }
+
+    /// Runs dermis on the set, which lies in a folder of its name in `data`; `tell` is told each step.
+    pub fn measure(&self, data: &Path, extent: Extent, tell: &mut dyn FnMut(&str)) -> SetReport {
+        let begun = Instant::now();
+        let mut bench = Bench::new(data.join(self.name), extent, tell);
+        let mut failed = None;
+        match (self.measure)(&mut bench) {
+            Ok(()) => {}
+            Err(Stop::Missing(path)) => bench.missing.push(path),
+            Err(Stop::Failed(error)) => failed = Some(error),
+        }
+        let Bench { findings, missing, .. } = bench;
+        SetReport { findings, missing, failed, seconds: begun.elapsed().as_secs_f64() }
+    }
+}
+
+impl std::fmt::Debug for Set {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Set").field("name", &self.name).finish_non_exhaustive()
+    }
+}
+
+/// All sets that dermis has been tried on.
+pub const SETS: [Set; 8] = [
+    Set {
+        name: "hydrogel",
+        title: "a round gelatin skin, 16 electrodes, 500 presses by a robot",
+        source: "D. Hardman, T. G. Thuruthel and F. Iida, HydrogelEIT (`ohmc16`)",
+        tuned: "the form of the board's circuit was found on these presses with their places at hand, its loads and \
+                weights by the score of unlabelled frames; the size of a touch, the noise floor and the band of the \
+                centroid were kept after seeing errors; the calibration's rules were developed on this skin and on \
+                `five-skins`",
+        not_tuned: "no hyperparameter of a calibration is set by hand: each is chosen by leaving out pokes of the draw",
+        measure: hydrogel::measure,
+    },
+    Set {
+        name: "five-skins",
+        title: "skins of one family, conductive patterns cast into a gel, 2,500 presses each by a robot",
+        source: "D. Hardman, T. G. Thuruthel and F. Iida, Variable-Sensitivity-E-Skins",
+        tuned: "the calibration's two experts and their combination were developed on `plain` and `circles`; the guessed \
+                square was chosen with the data",
+        not_tuned: "other folders of the set: nobody has looked at them while dermis was made",
+        measure: five_skins::measure,
+    },
+    Set {
+        name: "hydrogel-damage",
+        title: "a gel skin watched for two hours, with two disturbances",
+        source: "D. Hardman, T. G. Thuruthel and F. Iida, HydrogelEIT (`DamageTests`)",
+        tuned: "the watch was made for this recording: following drift, three frames of rest, a tenth of the disturbance; \
+                `smallest_depth` 0.006 was chosen knowing it and the 500 presses of `hydrogel`",
+        not_tuned: "the model of the skin and its circuit, which come from `hydrogel`; there is no second such recording",
+        measure: gel_watch::measure,
+    },
+    Set {
+        name: "ktc",
+        title: "a water tank with 32 electrodes, 4 training phantoms with photographed truth",
+        source: "Kuopio Tomography Challenge 2023",
+        tuned: "the recipe of the tanks (weights, prior, hyperparameter rule) while looking at all four tanks; the soft \
+                threshold of the images and the thresholds of the labels on these phantoms; the rule by which the \
+                network's labels are taken was checked on them",
+        not_tuned: "the network's weights: simulated frames alone",
+        measure: ktc::measure,
+    },
+    Set {
+        name: "golfball",
+        title: "balls of 2 cm radius in a saline tank of 30 cm, 16 electrodes",
+        source: "M. Soleimani, C. Gomez-Laberge and A. Adler, 2006 (EIDORS sample data)",
+        tuned: "the recipe of the tanks while looking at all four; gain by channel for this deep tank",
+        not_tuned: "no position of a ball enters a parameter",
+        measure: golfball::measure,
+    },
+    Set {
+        name: "pyeidors-tank",
+        title: "metal and plastic at named electrodes of a tank, 16 electrodes",
+        source: "PyEIDORS sample data",
+        tuned: "the recipe of the tanks while looking at all four; gain by regression with intercept, and touches from half \
+                of the strongest, for this instrument",
+        not_tuned: "nothing is chosen by file or by object",
+        measure: pyeidors::measure,
+    },
+    Set {
+        name: "sciospec",
+        title: "a cup moved through a tank by hand, 255 frames of a Sciospec instrument",
+        source: "Sciospec, sciospec_EIT_matlab_example",
+        tuned: "the recipe of the tanks while looking at all four; touches from a relative conductivity of 0.08",
+        not_tuned: "the frame at which the cup enters enters no parameter; which frames are empty was given",
+        measure: sciospec::measure,
+    },
+    Set {
+        name: "team7",
+        title: "a racetrack coil over an aluminium plate with a hole, 50 Hz",
+        source: "K. Fujiwara and T. Nakata, COMPEL 9, 137 (1990), TEAM Workshop Problem 7",
+        tuned: "the mesh was chosen for its run time, with the deviations of three meshes known",
+        not_tuned: "no parameter of the physics",
+        measure: team7::measure,
+    },
+];
