@@ -3,6 +3,8 @@
 
 #[path = "cli/earlier.rs"]
 mod earlier;
+#[path = "cli/evidence.rs"]
+mod evidence;
 #[path = "cli/newcomer.rs"]
 mod newcomer;
 
@@ -449,6 +451,7 @@ fn the_examples_of_every_help_run() {
     let earlier = SKIN.replace("kind = \"sheet\"", "kind = \"gel\"");
     let desk = Desk::with(&[("case.json", SQUARE), ("frames.csv", &frames), ("my-skin.toml", &earlier)]);
     measured_files(&desk);
+    evidence::synthetic_sets(&desk);
     let mut ran = 0;
     for command in documented_commands(&desk) {
         let words: Vec<&str> = command.iter().map(String::as_str).chain(["--help"]).collect();

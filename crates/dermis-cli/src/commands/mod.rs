@@ -9,6 +9,7 @@ mod design;
 mod device;
 mod devices;
 mod doctor;
+mod evidence;
 mod export;
 mod extent;
 mod info;
@@ -87,6 +88,8 @@ pub enum Command {
     Design(design::Arguments),
     /// Replay the experiments of the published skins on their twins.
     Reproduce(reproduce::Arguments),
+    /// Run dermis on measurements that others published, beside plain methods, and write the tables.
+    Evidence(evidence::Arguments),
     /// List serial ports and what answers at them.
     Devices(devices::Arguments),
     /// Examine an instrument and its skin, and say what to do about what is wrong.
@@ -117,6 +120,7 @@ impl Command {
             Command::Train(arguments) => arguments.run(out),
             Command::Calibrate(arguments) => arguments.run(out),
             Command::Reproduce(arguments) => arguments.run(out),
+            Command::Evidence(arguments) => arguments.run(out),
             Command::Design(arguments) => arguments.run(out),
             Command::Devices(arguments) => arguments.run(out),
             Command::Doctor(arguments) => arguments.run(out),

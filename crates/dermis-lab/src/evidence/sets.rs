@@ -89,7 +89,7 @@ pub const SETS: [Set; 8] = [
         source: "D. Hardman, T. G. Thuruthel and F. Iida, Variable-Sensitivity-E-Skins",
         tuned: "the calibration's two experts and their combination were developed on `plain` and `circles`; the guessed \
                 square was chosen with the data",
-        not_tuned: "other folders of the set: nobody has looked at them while dermis was made",
+        not_tuned: "other folders of the set: none was at hand while dermis was made",
         measure: five_skins::measure,
     },
     Set {
