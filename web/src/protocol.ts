@@ -57,6 +57,8 @@ export interface Touch {
   sigma_y_mm: number | null;
   force_n: number | null;
   force_range: "within" | "below" | "above" | "saturated" | "none" | null;
+  /** Where else it may be, with the probability that it is there instead. */
+  other: { x_mm: number; y_mm: number; probability: number } | null;
 }
 
 export interface Pipeline {

@@ -37,6 +37,9 @@ interface Drawn {
   group: SVGGElement;
   circle: SVGCircleElement;
   label: SVGTextElement;
+  /** Where else the touch may be: hidden where that is known. */
+  other: SVGCircleElement;
+  otherLabel: SVGTextElement;
 }
 
 /** y grows downwards in the drawing. */
@@ -229,24 +232,34 @@ export class View {
         group: element("g", { class: "touch", "data-touch": touch.id }),
         circle: element("circle", { stroke: colour }),
         label: element("text", { "font-size": 3.1 * this.unit }),
+        other: element("circle", { class: "other", stroke: colour }),
+        otherLabel: element("text", { "font-size": 3.1 * this.unit }),
       };
-      drawn.group.append(drawn.circle, drawn.label);
+      drawn.group.append(drawn.circle, drawn.label, drawn.other, drawn.otherLabel);
       this.touchLayer.append(drawn.group);
       this.drawn.set(touch.id, drawn);
     }
     const { x_mm: x, y_mm: y } = touch;
     const radius = Math.max(Math.sqrt(Math.max(touch.area_mm2, 0) / Math.PI), 1.6 * this.unit);
-    drawn.circle.setAttribute("cx", String(x));
-    drawn.circle.setAttribute("cy", String(-y));
-    drawn.circle.setAttribute("r", String(radius));
+    this.ring(drawn.circle, drawn.label, [x, y], radius, `${touch.id}: ${x.toFixed(1)}, ${y.toFixed(1)} mm`);
+    for (const part of [drawn.other, drawn.otherLabel]) part.style.display = touch.other ? "" : "none";
+    if (touch.other) {
+      const percent = (100 * touch.other.probability).toFixed(0);
+      this.ring(drawn.other, drawn.otherLabel, [touch.other.x_mm, touch.other.y_mm], radius, `${touch.id}? ${percent} %`);
+    }
+    this.extendTrail(touch);
+  }
+
+  private ring(circle: SVGCircleElement, label: SVGTextElement, [x, y]: Point, radius: number, text: string): void {
+    circle.setAttribute("cx", String(x));
+    circle.setAttribute("cy", String(-y));
+    circle.setAttribute("r", String(radius));
     // The label keeps to the side with more room.
     const isRight = x > 0;
-    drawn.label.setAttribute("x", String(isRight ? x - radius - this.unit : x + radius + this.unit));
-    drawn.label.setAttribute("y", String(-y + this.unit));
-    drawn.label.setAttribute("text-anchor", isRight ? "end" : "start");
-    const text = `${touch.id}: ${x.toFixed(1)}, ${y.toFixed(1)} mm`;
-    if (drawn.label.textContent !== text) drawn.label.textContent = text;
-    this.extendTrail(touch);
+    label.setAttribute("x", String(isRight ? x - radius - this.unit : x + radius + this.unit));
+    label.setAttribute("y", String(-y + this.unit));
+    label.setAttribute("text-anchor", isRight ? "end" : "start");
+    if (label.textContent !== text) label.textContent = text;
   }
 
   private extendTrail({ id, x_mm, y_mm }: Touch): void {

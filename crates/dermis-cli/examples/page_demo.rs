@@ -164,6 +164,7 @@ fn touch(blob: &Press, before: &[u64]) -> TouchView {
         sigma_y_mm: 0.5,
         force_n: None,
         force_range: None,
+        other: None,
     }
 }
 

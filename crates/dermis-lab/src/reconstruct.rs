@@ -17,7 +17,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::{NoiseSource, Reference};
 use dermis_live::stages::refinement::Refinement;
-use dermis_record::sink::{ImageStack, Sink, TouchTable};
+use dermis_record::sink::{ImageStack, Sink, TouchColumns, TouchTable};
 use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
 
 /// What to reconstruct and where to put it.
@@ -56,6 +56,8 @@ pub struct Report {
     pub hyperparameter: f64,
     /// Frames in which channels were missing.
     pub frames_with_missing: usize,
+    /// Channels left out of all frames, from 0: they do not rest while nothing touches the skin.
+    pub left_out: Vec<u32>,
     /// Where the channel noise comes from.
     pub noise_source: NoiseSource,
     /// Does the baseline look like the skin's model?
@@ -148,7 +150,14 @@ fn reconstruct_to(
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(&prepared, calibration, reference, &data)?;
     // A calibration may have scaled the channels anew.
-    let differences = differences_to(&reference);
+    let mut differences = differences_to(&reference);
+    let left_out = match calibration.filter(|_| paired) {
+        Some(calibration) => calibration.unsound_channels(&baselines),
+        None => Vec::new(),
+    };
+    for &channel in &left_out {
+        differences.iter_mut().for_each(|difference| difference[channel as usize] = f64::NAN);
+    }
     let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
     let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
     let refined = match &refinement {
@@ -171,7 +180,8 @@ fn reconstruct_to(
     let load = calibration.and_then(Calibration::load_quantity);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
-        sinks.push(Box::new(TouchTable::create_with_load(path, forces.is_some(), load)?));
+        let other_places = reconstructor.placement.is_some();
+        sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces: forces.is_some(), load, other_places })?));
     }
     if let Some(path) = &request.images {
         sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));
@@ -188,10 +198,10 @@ fn reconstruct_to(
         if let Some(refined) = refined.get(index) {
             image.copy_from_slice(refined);
         }
-        let placement = reconstructor.place(difference)?;
         if paired {
             reconstructor.forget(time_ns);
         }
+        let placement = reconstructor.place(time_ns, difference)?;
         reconstructor.follow_touches(time_ns, &image, placement)?;
         if let Some(refinement) = &refinement {
             refinement.threshold(&mut image);
@@ -235,6 +245,7 @@ fn reconstruct_to(
         touch_rows,
         hyperparameter,
         frames_with_missing: differences.iter().filter(|d| d.iter().any(|v| !v.is_finite())).count(),
+        left_out,
         noise_source: reference.noise_source,
         order: reference.order,
         circuit,

@@ -311,7 +311,7 @@ impl Pipeline {
         }
         let imaged = Instant::now();
         self.timing.latencies.image.record(imaged - conditioned);
-        let placement = reconstructor.place(difference)?;
+        let placement = reconstructor.place(time_ns, difference)?;
         if self.damage.is_some() {
             reconstructor.touches.set_floor(lobe_floor(image));
         }
@@ -610,6 +610,12 @@ impl Pipeline {
     /// What touches' loads are read as, where a calibration by pokes reads them.
     pub fn load_quantity(&self) -> Option<LoadQuantity> {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
+    }
+
+    /// Whether a calibration, by pokes or without labels, may place touches, and tell another place where it does not
+    /// know.
+    pub fn may_tell_other_places(&self) -> bool {
+        self.choices.calibration.is_some() || self.prepared.skin.backend.circuit.is_some()
     }
 
     /// lambda in use, once the baseline stands.

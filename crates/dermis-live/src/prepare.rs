@@ -17,6 +17,8 @@ const LEAST_RIM_COVERAGE: f64 = 5e-3;
 
 /// Preparations that take longer than this, seconds, are announced.
 const LONG_S: f64 = 60.0;
+/// Places so far apart may be two explanations of a frame, in halves of the shorter side.
+const PLACES_APART: f64 = 0.3;
 
 /// A skin's forward model at rest, on the grid that its images live on. Its parts belong together: where one of them is
 /// changed, imagers made before and after may not fit it.
@@ -135,6 +137,11 @@ impl Prepared {
     pub fn half_width_m(&self) -> f64 {
         let (low, high) = self.body.outline.bounds_m();
         0.5 * (high[0] - low[0]).min(high[1] - low[1])
+    }
+
+    /// Places at least so far apart may be two explanations of a frame, metres.
+    pub(crate) fn places_apart_m(&self) -> f64 {
+        PLACES_APART * self.half_width_m()
     }
 
     /// Frames that a touch of the skin file's size would give at each of the given positions: rows of difference data

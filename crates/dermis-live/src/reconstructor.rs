@@ -51,8 +51,8 @@ impl Reconstructor {
     ///
     /// # Errors
     /// As [`PlacementFinder::place`].
-    pub fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
-        self.placement.as_mut().map_or(Ok(None), |finder| finder.place(difference))
+    pub fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
+        self.placement.as_mut().map_or(Ok(None), |finder| finder.place(time_ns, difference))
     }
 
     /// Follows the touches of an image of the frame imaged last. Where a calibration leaves places to the model,
@@ -93,13 +93,21 @@ impl Reconstructor {
 
     /// The stream was interrupted before the next frame: see [`TouchStage::interrupt`].
     pub fn interrupt(&mut self, time_ns: u64) {
+        self.forget_places();
         self.refinement.forget();
         self.touches.interrupt(time_ns);
     }
 
     /// Ends all touches: the next frame has nothing to do with this one.
     pub fn forget(&mut self, time_ns: u64) {
+        self.forget_places();
         self.refinement.forget();
         self.touches.forget(time_ns);
+    }
+
+    fn forget_places(&mut self) {
+        if let Some(finder) = &mut self.placement {
+            finder.forget();
+        }
     }
 }

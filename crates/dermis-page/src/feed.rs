@@ -13,7 +13,9 @@ use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
 use crate::recent::Recent;
-use crate::update::{Counter, FaultView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update};
+use crate::update::{
+    Counter, FaultView, OtherPlaceView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+};
 
 const MM: f64 = 1e3;
 /// Without frames for so long, a source is waited for, nanoseconds.
@@ -261,5 +263,10 @@ fn view(touch: &Touch) -> TouchView {
         sigma_y_mm: touch.covariance_m2[1][1].max(0.0).sqrt() * MM,
         force_n: touch.force.and_then(|force| force.nearest_n()),
         force_range: touch.force.map(|force| force.range()),
+        other: touch.other_place.map(|other| OtherPlaceView {
+            x_mm: other.position_m[0] * MM,
+            y_mm: other.position_m[1] * MM,
+            probability: other.probability,
+        }),
     }
 }

@@ -194,6 +194,19 @@ pub struct TouchView {
     /// Where `force_n` lies in its calibration: `within`; `below`, `above` or `saturated`, where it is the end of the
     /// range.
     pub force_range: Option<&'static str>,
+    /// Where else it may be, where a calibration does not know.
+    pub other: Option<OtherPlaceView>,
+}
+
+/// Another place where a touch may be.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct OtherPlaceView {
+    /// Position to the right of the centroid, millimetres.
+    pub x_mm: f64,
+    /// Position above the centroid, millimetres.
+    pub y_mm: f64,
+    /// Probability that the touch is here instead.
+    pub probability: f64,
 }
 
 /// Latency of one stage, microseconds.

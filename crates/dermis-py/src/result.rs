@@ -10,8 +10,10 @@ use pyo3::types::{PyDict, PyList};
 
 use crate::arrays::{array1, array2};
 
-/// A touch in numbers: id, phase, then x_mm, y_mm, force_n, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, radius_mm.
-pub type TouchRow = (u64, &'static str, [f64; 8]);
+/// A touch in numbers: id, phase, then x_mm, y_mm, force_n, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, radius_mm,
+/// other_x_mm, other_y_mm, other_probability.
+pub type TouchRow = (u64, &'static str, [f64; NUMBERS]);
+const NUMBERS: usize = 11;
 
 fn phase_name(phase: TouchPhase) -> &'static str {
     match phase {
@@ -26,11 +28,27 @@ fn row_of(touch: &Touch) -> TouchRow {
     let force_n = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
     let sigma = |axis: usize| 1e3 * touch.covariance_m2[axis][axis].sqrt();
     let radius = touch.radius_m.map_or(f64::NAN, |radius| 1e3 * radius);
-    let values = [1e3 * x, 1e3 * y, force_n, touch.amplitude, 1e6 * touch.area_m2, sigma(0), sigma(1), radius];
+    let (other_mm, other_probability) = match touch.other_place {
+        Some(other) => (other.position_m.map(|v| 1e3 * v), other.probability),
+        None => ([f64::NAN; 2], 0.0),
+    };
+    let values = [
+        1e3 * x,
+        1e3 * y,
+        force_n,
+        touch.amplitude,
+        1e6 * touch.area_m2,
+        sigma(0),
+        sigma(1),
+        radius,
+        other_mm[0],
+        other_mm[1],
+        other_probability,
+    ];
     (touch.id, phase_name(touch.phase), values)
 }
 
-/// The row of a recorded touch.
+/// The row of a recorded touch; recordings keep no other places.
 pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
     let ([x, y], [sx, sy]) = (touch.position_m, touch.sigma_m);
     let values = [
@@ -42,6 +60,9 @@ pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
         1e3 * sx,
         1e3 * sy,
         1e3 * touch.radius_m,
+        f64::NAN,
+        f64::NAN,
+        f64::NAN,
     ];
     (touch.id, phase_name(touch.phase), values)
 }
@@ -50,7 +71,7 @@ pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
 pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, PyAny>> {
     let ids = array1(py, rows.iter().map(|row| row.0).collect());
     let phases = PyList::new(py, rows.iter().map(|row| row.1))?;
-    let values = array2(py, rows.iter().flat_map(|row| row.2).collect(), rows.len(), 8)?;
+    let values = array2(py, rows.iter().flat_map(|row| row.2).collect(), rows.len(), NUMBERS)?;
     py.import("dermis._tables")?.getattr("touches")?.call1((ids, phases, values))
 }
 

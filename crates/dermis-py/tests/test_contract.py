@@ -77,7 +77,10 @@ def test_touches_have_their_fields(skin, pressed):
     assert pipe.ready and len(result.touches) == 0
     for frame in press:
         result = pipe.process(frame)
-    names = ("id", "phase", "x_mm", "y_mm", "force_n", "amplitude", "area_mm2", "sigma_x_mm", "sigma_y_mm", "radius_mm")
+    names = (
+        *("id", "phase", "x_mm", "y_mm", "force_n", "amplitude", "area_mm2", "sigma_x_mm", "sigma_y_mm", "radius_mm"),
+        *("other_x_mm", "other_y_mm", "other_probability"),
+    )
     assert result.touches.dtype.names == names and result.touches.dtype == dermis.touch_dtype
     (touch,) = result.touches
     assert touch.phase == "move" and touch.id == 1

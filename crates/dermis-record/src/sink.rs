@@ -11,7 +11,7 @@ pub use image_stack::ImageStack;
 pub use interface::{Sink, Summary};
 pub use json_lines::{JsonLines, LinesFor};
 pub(crate) use staged::sync_directory;
-pub use touch_table::TouchTable;
+pub use touch_table::{TouchColumns, TouchTable};
 
 #[cfg(test)]
 pub(crate) mod testing {
@@ -37,6 +37,7 @@ pub(crate) mod testing {
             force: None,
             radius_m: None,
             load: None,
+            other_place: None,
             age_frames: 1,
             begin_time_ns: 0,
             time_ns: 0,

@@ -14,7 +14,7 @@ mod jacobian;
 mod protocol;
 mod system;
 
-pub use channel_order::{ChannelMap, OrderFit, OrderReport, diagnose_order};
+pub use channel_order::{ChannelMap, OrderFit, OrderReport, correlation, diagnose_order};
 pub use circuit::{CircuitResponse, CurrentReturn, Lines, ReadoutCircuit};
 pub use error::{CircuitError, EitError};
 pub use forward::{ForwardModel, Solution};

@@ -8,6 +8,7 @@
 
 use crate::error::{TouchError, require, require_length};
 use crate::force::ForceReading;
+use crate::hypotheses::PlaceHypothesis;
 use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
@@ -227,6 +228,8 @@ pub struct Contact {
     pub model_variance_m2: f64,
     /// How deep or hard it is pressed, where a calibration by pokes has read that; the finder has none.
     pub load: Option<TouchLoad>,
+    /// Where else it may be, where a calibration cannot tell; the finder has none.
+    pub other_place: Option<PlaceHypothesis>,
 }
 
 impl Contact {

@@ -268,6 +268,7 @@ impl<L: Lattice> FinderOn<L> {
             radius_m: None,
             model_variance_m2: 0.0,
             load: None,
+            other_place: None,
         }
     }
 

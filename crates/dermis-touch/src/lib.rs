@@ -33,6 +33,7 @@
 //! |---|---|
 //! | [`ContactFinder`], [`Tracker`] | images to contacts, contacts to touches with identities |
 //! | [`Baseline`] | what differences are taken against: start, tare, drift |
+//! | [`PlaceHypotheses`] | two places that explain a frame about equally well, followed over a press |
 //! | [`health`], [`damage`] | channels and electrodes that fail; what is damage and no touch |
 //! | [`locator`], [`force`] | places and forces from calibrations, with their uncertainty |
 //! | [`measure`], [`rhythm`], [`RunningStats`] | what laboratories report; spectra; noise |
@@ -52,6 +53,7 @@ mod error;
 mod finder;
 pub mod force;
 pub mod health;
+mod hypotheses;
 mod kalman;
 pub mod locator;
 pub mod measure;
@@ -72,6 +74,7 @@ pub use cells::{GridGeometry, ImageCells, SurfaceCells};
 pub use contact::{CentroidWeight, Contact, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise};
 pub use error::TouchError;
 pub use finder::ContactFinder;
+pub use hypotheses::{PlaceHypotheses, PlaceHypothesis, PlaceModes, PlacesTold};
 pub use locator::{Located, Locator, LocatorError, LocatorOptions, LocatorScratch};
 pub use noise::{Covariance, RunningStats, ShrinkageTarget, SnrDefinition, SnrSummary, average_snr_db, snr_db};
 pub use touch::{Observation, Touch, TouchEvent, TouchPhase};

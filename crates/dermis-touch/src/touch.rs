@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::contact::ContactSign;
 use crate::force::ForceReading;
+use crate::hypotheses::PlaceHypothesis;
 use crate::touch_load::TouchLoad;
 
 /// Where a touch is in its life.
@@ -64,6 +65,10 @@ pub struct Touch {
     /// The contact's depth or force, where a calibration by pokes has read one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub load: Option<TouchLoad>,
+    /// Where else the touch may be, with the probability that it is there instead: where presses at two places far
+    /// apart would read about the same. `position_m` is the more probable place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub other_place: Option<PlaceHypothesis>,
     /// Frames since its first contact, that frame included; so the touch begins at `min_age_frames` or later.
     pub age_frames: u32,
     /// Time of its first contact, nanoseconds.

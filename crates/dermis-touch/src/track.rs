@@ -433,6 +433,7 @@ fn first_touch(id: u64, blob: &Blob) -> Touch {
         force: blob.contact.force,
         radius_m: blob.contact.radius_m,
         load: blob.contact.load,
+        other_place: blob.contact.other_place,
         age_frames: blob.age.saturating_sub(1),
         begin_time_ns: blob.first_time_ns,
         time_ns: blob.first_time_ns,
@@ -468,6 +469,7 @@ fn refresh(rider: &mut Rider, blob: Option<&Blob>, time_ns: u64, params: &Tracke
     touch.force = blob.contact.force;
     touch.radius_m = blob.contact.radius_m;
     touch.load = blob.contact.load;
+    touch.other_place = blob.contact.other_place;
     let keep = match (params.amplitude_time_constant_s, rider.filtered_time_ns) {
         (Some(tau), Some(before_ns)) => (-seconds_between(before_ns, time_ns) / tau).exp(),
         _ => 0.0,

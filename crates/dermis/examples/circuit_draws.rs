@@ -57,7 +57,8 @@ fn main() -> Result<(), Failure> {
             let mut finder = placement.ok_or("no circuit was found")?;
             let mut errors = Vec::new();
             for &i in others {
-                if let Some(placement) = finder.place(&difference(&reference, i))? {
+                finder.forget();
+                if let Some(placement) = finder.place(0, &difference(&reference, i))? {
                     let [x, y] = placement.position_m;
                     errors.push(1e3 * (x - places[i][0]).hypot(y - places[i][1]));
                 }

@@ -25,7 +25,7 @@ use super::circuit::print_circuit;
 use super::extent::Extent;
 use super::recorded::baseline_or_differences;
 use super::skin_word::SkinWord;
-use super::{busy, spinner, with_progress};
+use super::{busy, listed, spinner, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -379,6 +379,13 @@ fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std::io::Resul
             listed(review.dead_channels.iter().map(|c| *c as usize))
         )?;
     }
+    if !review.unsound_channels.is_empty() {
+        writeln!(
+            out,
+            "channels that jump while nothing touches the skin, left out: {}",
+            listed(review.unsound_channels.iter().map(|c| *c as usize))
+        )?;
+    }
     writeln!(
         out,
         "leave-one-out error: median {:.2} mm, 90th percentile {:.2} mm",
@@ -457,17 +464,6 @@ fn print_experts(
         )?;
     }
     Ok(())
-}
-
-/// The first of some numbers, counted from 0, in words.
-fn listed(numbers: impl ExactSizeIterator<Item = usize>) -> String {
-    const MOST: usize = 12;
-    let count = numbers.len();
-    let mut text = numbers.take(MOST).map(|n| n.to_string()).collect::<Vec<_>>().join(", ");
-    if count > MOST {
-        text.push_str(&format!(" and {} more", count - MOST));
-    }
-    text
 }
 
 fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {

@@ -45,7 +45,7 @@ use std::io::Write;
 
 use crate::exit::Outcome;
 pub use live_page::LivePage;
-pub(crate) use printing::{hint, print_json};
+pub(crate) use printing::{escaped, hint, listed, print_json};
 pub(crate) use progress::{busy, progress_bar, spinner, with_progress};
 pub use skins::skin_svg;
 

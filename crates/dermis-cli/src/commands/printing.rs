@@ -13,3 +13,19 @@ pub(crate) fn print_json(report: &impl serde::Serialize, out: &mut dyn Write) ->
     writeln!(out)?;
     Ok(())
 }
+
+/// Text as it stands in HTML, between tags and in attributes.
+pub(crate) fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// The first of some numbers, counted from 0, in words.
+pub(crate) fn listed(numbers: impl ExactSizeIterator<Item = usize>) -> String {
+    const MOST: usize = 12;
+    let count = numbers.len();
+    let mut text = numbers.take(MOST).map(|n| n.to_string()).collect::<Vec<_>>().join(", ");
+    if count > MOST {
+        text.push_str(&format!(" and {} more", count - MOST));
+    }
+    text
+}

@@ -13,7 +13,7 @@ use dermis_device::FileSpec;
 use super::circuit::print_circuit;
 use super::order::print_order;
 use super::recorded::{RecordedFrames, baseline_or_differences};
-use super::{print_json, with_progress};
+use super::{listed, print_json, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -22,8 +22,10 @@ Examples:
   dermis reconstruct healing-square --baseline 'press.csv#0' --frames 'press.csv#1..3' --touches t.csv
 
 The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
-frames have nothing to do with each other. Frames that are differences already (--differences) have none. t.csv has the columns frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm,
-sigma_y_mm, and depth_mm or poke_force_n with a sigma where the calibration's pokes had one; a frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
+frames have nothing to do with each other. Frames that are differences already (--differences) have none. t.csv has the columns
+frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, depth_mm or poke_force_n with a sigma where the
+calibration's pokes had one, and, on a calibrated skin, where else the touch may be: other_x_mm, other_y_mm and
+other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
 Missing channels are empty cells or NaN. Exit code 1: the files are written, but the baseline fits the skin better in another
 order of channels; which, and the lines of the skin file that say so, are printed.";
 
@@ -114,6 +116,7 @@ fn as_json(report: &Report, differences: bool, found: Option<&FoundOrder>) -> se
         "touch_rows": report.touch_rows,
         "hyperparameter": report.hyperparameter,
         "frames_with_missing": report.frames_with_missing,
+        "left_out": report.left_out,
         "noise": noise,
         "differences": differences,
         "circuit": circuit,
@@ -127,6 +130,10 @@ fn print(report: &Report, differences: bool, out: &mut dyn Write) -> std::io::Re
     writeln!(out, "rows of touches: {}", report.touch_rows)?;
     writeln!(out, "hyperparameter: {:.6e}", report.hyperparameter)?;
     writeln!(out, "frames with missing channels: {}", report.frames_with_missing)?;
+    if !report.left_out.is_empty() {
+        let channels = listed(report.left_out.iter().map(|channel| *channel as usize));
+        writeln!(out, "channels that do not rest while nothing touches the skin, left out: {channels}")?;
+    }
     writeln!(out, "channel noise: {}", report.noise_source.describe())?;
     if differences {
         return Ok(());

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use dermis::live::output::Output;
 use dermis::live::stages::health::HealthWatch;
-use dermis::record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchTable};
+use dermis::record::sink::{ImageStack, JsonLines, LinesFor, Sink, TouchColumns, TouchTable};
 use dermis::record::{LostFrames, Recording, RerunOptions, RerunReport, rerun};
 use dermis::skin::{HyperparameterChoice, PriorChoice, Skin};
 
@@ -75,7 +75,12 @@ impl Arguments {
         let mut pipeline = head.pipeline(skin, &self.file)?;
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
         if let Some(path) = &self.touches {
-            sinks.push(Box::new(TouchTable::create_with_load(path, head.forces.is_some(), pipeline.load_quantity())?));
+            let columns = TouchColumns {
+                forces: head.forces.is_some(),
+                load: pipeline.load_quantity(),
+                other_places: pipeline.may_tell_other_places(),
+            };
+            sinks.push(Box::new(TouchTable::create(path, columns)?));
         }
         if let Some(path) = &self.images {
             let grid = pipeline.prepared().map.grid();

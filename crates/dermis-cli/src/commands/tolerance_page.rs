@@ -9,6 +9,7 @@ use anyhow::Context;
 use dermis::lab::tolerances::{ToleranceReport, ToleranceRow, Tolerances};
 use dermis_device::write_atomic;
 
+use crate::commands::escaped;
 use crate::draw::{self, Heatmap, Panel, Picture};
 
 const STYLE: &str = "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#282c34}\
@@ -154,8 +155,4 @@ fn applied(tolerances: &Tolerances, report: &ToleranceReport) -> String {
         _ => !has("coil places"),
     };
     tolerances.to_toml().lines().filter(is_applied).map(|line| format!("{line}\n")).collect()
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

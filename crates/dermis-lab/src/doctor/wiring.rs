@@ -1,7 +1,7 @@
 //! Are two electrodes exchanged? The model's voltages with every pair of electrodes exchanged, by the transfer
 //! impedances of one solution, `v = m' Z s`, compared with the measured baseline.
 
-use dermis_tomo::eit::{ForwardModel, Pattern};
+use dermis_tomo::eit::{ForwardModel, Pattern, correlation};
 
 use super::Seen;
 use dermis_skin::{Modality, Reads};
@@ -63,16 +63,4 @@ impl Seen {
 
 fn sized(value: f64, magnitudes: bool) -> f64 {
     if magnitudes { value.abs() } else { value }
-}
-
-/// Pearson correlation of what is finite in both.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let pairs: Vec<(f64, f64)> =
-        a.iter().zip(b).map(|(x, y)| (*x, *y)).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
-    let count = pairs.len().max(1) as f64;
-    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / count;
-    let (mean_a, mean_b) = (mean(|p| p.0), mean(|p| p.1));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| pairs.iter().map(|p| of(p.0 - mean_a, p.1 - mean_b)).sum::<f64>();
-    let scale = (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt();
-    if scale > 0.0 { sum(&|x, y| x * y) / scale } else { 0.0 }
 }

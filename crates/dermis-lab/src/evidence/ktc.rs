@@ -7,6 +7,7 @@ use dermis_live::network::built_in;
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::Skin;
+use dermis_tomo::eit;
 
 use super::bench::{Bench, Row, Stop};
 use super::finding::{Comparison, Figure};
@@ -53,12 +54,7 @@ pub fn correlation(images: &Images, frame: usize, truth: &[u8]) -> f64 {
             expected.push([0.0, -1.0, 1.0][usize::from(*label).min(2)]);
         }
     }
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let (one, other) = (mean(&found), mean(&expected));
-    let product =
-        |a: &[f64], ma: f64, b: &[f64], mb: f64| a.iter().zip(b).map(|(x, y)| (x - ma) * (y - mb)).sum::<f64>();
-    product(&found, one, &expected, other)
-        / (product(&found, one, &found, one) * product(&expected, other, &expected, other)).sqrt()
+    eit::correlation(&found, &expected)
 }
 
 /// Correlations of the images of all phantoms with their truth, by the skin file's iterated images or by linear ones.

@@ -284,7 +284,7 @@ impl Bench {
         let time_ns = (number as u64 + 1) * APART_NS;
         reconstructor.forget(time_ns);
         reconstructor.image(&difference, &mut image)?;
-        let placement = reconstructor.place(&difference)?;
+        let placement = reconstructor.place(time_ns, &difference)?;
         reconstructor.follow_touches(time_ns, &image, placement)?;
         Ok(())
     }

@@ -7,6 +7,7 @@ pub const TRUSTED_SCORE: f64 = 0.75;
 /// A circuit that reads other lines must be less likely by this, nats a reading. On a measured skin, draws of 20 presses
 /// tell them apart by 0.07 to 0.11, and choose well.
 pub const CLEAR_BY: f64 = 0.03;
+
 /// What was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CircuitFit {

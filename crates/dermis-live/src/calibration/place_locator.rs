@@ -42,6 +42,14 @@ impl PlaceLocator {
         }
     }
 
+    /// The places that [`PlaceScratch::posterior`] is about, metres.
+    pub fn places_m(&self) -> &[[f64; 2]] {
+        match self {
+            Self::Single(locator) => locator.positions_m(),
+            Self::Fused(locator) => locator.positions_m(),
+        }
+    }
+
     /// Memory for [`PlaceLocator::locate`].
     pub fn scratch(&self) -> PlaceScratch {
         match self {
@@ -59,6 +67,16 @@ impl PlaceLocator {
                 *scratch = self.scratch();
                 self.locate(frame, scratch)
             }
+        }
+    }
+}
+
+impl PlaceScratch {
+    /// Probability of each place after the last frame located.
+    pub fn posterior(&self) -> &[f64] {
+        match self {
+            Self::Single(scratch) => scratch.posterior(),
+            Self::Fused(scratch) => scratch.posterior(),
         }
     }
 }

@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
+use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
     Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, Locator, LocatorError, MIN_EXAMPLES,
     PlaceCorrection, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
@@ -65,6 +66,16 @@ pub enum PokeFrames<'a> {
     Differences(&'a [Vec<f64>]),
 }
 
+impl PokeFrames<'_> {
+    /// How the channels rest, where each poke has a baseline of its own and there are enough.
+    fn rest_scatter(&self) -> Option<RestScatter> {
+        match self {
+            PokeFrames::Readings { baselines, frames } if baselines.len() == frames.len() => RestScatter::of(baselines),
+            _ => None,
+        }
+    }
+}
+
 /// What is used beside the pokes.
 #[derive(Clone, Copy, Debug)]
 pub struct CalibrationOptions<'a> {
@@ -90,6 +101,13 @@ pub struct PokeReview {
     pub dead_channels: Vec<u32>,
     /// Drift over the session, where the pokes are in the order they were made and enough.
     pub drift: Option<SessionDrift>,
+    /// Channels that jump while nothing touches the skin, where each poke had a baseline of its own; they were left out.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unsound_channels: Vec<u32>,
+    /// Scatter of each channel over those baselines, jumps left aside, in the unit of the readings; 0
+    /// for a channel that never read.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rest_scatter: Vec<f64>,
 }
 
 /// A calibration.
@@ -152,7 +170,12 @@ impl Calibration {
         pokes: &Pokes,
         options: &CalibrationOptions<'_>,
     ) -> Result<Self, Error> {
-        let (reference, differences) = differences_of(prepared, measured)?;
+        let (reference, mut differences) = differences_of(prepared, measured)?;
+        let scatter = measured.rest_scatter();
+        let unsound_channels = scatter.as_ref().map_or_else(Vec::new, |scatter| scatter.unsound(None));
+        for &channel in &unsound_channels {
+            differences.iter_mut().for_each(|difference| difference[channel as usize] = f64::NAN);
+        }
         let Sound { rows, repeated, dead_channels } = check_pokes(prepared, &differences, pokes)?;
         let picked = |count: usize| rows.iter().step_by(rows.len().div_ceil(count).max(1)).copied();
         let places = |rows: &[usize]| rows.iter().map(|&i| pokes.positions_m[i]).collect::<Vec<_>>();
@@ -186,6 +209,9 @@ impl Calibration {
                 .collect::<Result<Vec<f64>, Error>>()?,
             _ => Vec::new(),
         };
+        let dead = dead_channels.iter().copied().filter(|channel| !unsound_channels.contains(channel)).collect();
+        let rest_scatter =
+            scatter.map_or_else(Vec::new, |scatter| scatter.robust().iter().map(|v| v.max(0.0)).collect());
         Ok(Self {
             skin: prepared.skin.name.clone(),
             channels: prepared.channels(),
@@ -201,7 +227,7 @@ impl Calibration {
                 rest: quantile(resting, REST_SHARE),
                 in_noise: matches!(measured, PokeFrames::Readings { .. }),
             },
-            review: PokeReview { repeated, dead_channels, drift },
+            review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter },
         })
     }
 
@@ -244,6 +270,18 @@ impl Calibration {
             PlaceLocator::Fused(fused) => Some(fused.report()),
             PlaceLocator::Single(_) => None,
         }
+    }
+
+    /// Channels to leave out of frames that were taken with these baselines, each with its own: those that the
+    /// calibration left out, that jump, or that scatter well above what they did then. None where there are too few
+    /// baselines to say, or nearly all channels would go.
+    pub fn unsound_channels(&self, baselines: &[Vec<f64>]) -> Vec<u32> {
+        let Some(scatter) = RestScatter::of(baselines) else { return Vec::new() };
+        let mut unsound = scatter.unsound(Some(&self.review.rest_scatter));
+        unsound.extend(&self.review.unsound_channels);
+        unsound.sort_unstable();
+        unsound.dedup();
+        unsound
     }
 
     /// What was found out about the pokes beside where they are located.

@@ -75,7 +75,7 @@ impl SelfCalibrated {
         };
         let lambda = problem.choose(&rule, &[])?;
         let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
-        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, variance_m2);
+        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, variance_m2, prepared.places_apart_m());
         let reference = finder.adapt(reference);
         let imager =
             Imager::from_problem(prepared, problem, lambda, &reference.noise, prepared.skin.imaging.polarity.sign())?;

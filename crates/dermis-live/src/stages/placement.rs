@@ -1,6 +1,6 @@
 //! The place that a calibration gives the single touch of a frame.
 
-use dermis_touch::TouchLoad;
+use dermis_touch::{PlaceHypothesis, TouchLoad};
 
 /// Where a touch lies according to a calibration, in place of the image's own position.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,4 +15,6 @@ pub struct Placement {
     pub load: Option<TouchLoad>,
     /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
     pub doubtful: bool,
+    /// Where else the touch may be, where the frame does not tell.
+    pub other_place: Option<PlaceHypothesis>,
 }

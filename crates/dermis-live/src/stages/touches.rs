@@ -153,6 +153,7 @@ impl TouchStage {
                 only.covariance_m2 = placement.covariance_m2;
                 only.model_variance_m2 = 0.0;
                 only.load = placement.load;
+                only.other_place = placement.other_place;
                 if let Some(amplitude) = placement.amplitude {
                     only.volume *= amplitude / only.amplitude;
                     only.amplitude = amplitude;
@@ -240,6 +241,7 @@ impl TouchStage {
             radius_m: None,
             model_variance_m2: 0.0,
             load: None,
+            other_place: None,
         })
     }
 

@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-_FIELDS = ("x_mm", "y_mm", "force_n", "amplitude", "area_mm2", "sigma_x_mm", "sigma_y_mm", "radius_mm")
+_FIELDS = (
+    *("x_mm", "y_mm", "force_n", "amplitude", "area_mm2", "sigma_x_mm", "sigma_y_mm", "radius_mm"),
+    *("other_x_mm", "other_y_mm", "other_probability"),
+)
 
 touch_dtype = np.dtype([("id", "u8"), ("phase", "U5"), *((name, "f8") for name in _FIELDS)])
 """Fields of a touch: identity, `begin`, `move` or `end`, and numbers whose names end in their units (NaN where unknown)."""

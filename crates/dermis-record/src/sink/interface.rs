@@ -2,7 +2,7 @@
 //! show.
 
 use dermis_live::output::Output;
-use dermis_touch::{LoadQuantity, Touch, TouchLoad};
+use dermis_touch::{LoadQuantity, PlaceHypothesis, Touch, TouchLoad};
 
 use crate::Error;
 
@@ -72,4 +72,13 @@ pub(super) fn load_numbers(load: &TouchLoad) -> [f64; 2] {
         LoadQuantity::ForceN => 1.0,
     };
     [unit * load.value, unit * load.sigma]
+}
+
+/// Names of another place and its probability in tables and lines.
+pub(super) const OTHER_NAMES: [&str; 3] = ["other_x_mm", "other_y_mm", "other_probability"];
+
+/// Another place and its probability in the units of [`OTHER_NAMES`].
+pub(super) fn other_numbers(other: PlaceHypothesis) -> [f64; 3] {
+    let [x_m, y_m] = other.position_m;
+    [MM_PER_M * x_m, MM_PER_M * y_m, other.probability]
 }

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
-use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers};
+use super::interface::{OTHER_NAMES, Sink, Summary, TouchRow, load_names, load_numbers, other_numbers};
 use crate::Error;
 use dermis_live::clock::FrameAnomalies;
 use dermis_live::output::Output;
@@ -180,6 +180,11 @@ fn push_touch(text: &mut String, touch: &Touch) {
     }
     if let Some(load) = &touch.load {
         for (name, value) in load_names(load.quantity).into_iter().zip(load_numbers(load)) {
+            let _ = write!(text, ",\"{name}\":{}", Number(value));
+        }
+    }
+    if let Some(other) = touch.other_place {
+        for (name, value) in OTHER_NAMES.into_iter().zip(other_numbers(other)) {
             let _ = write!(text, ",\"{name}\":{}", Number(value));
         }
     }

@@ -1,22 +1,64 @@
 //! Touches as a table: CSV with one row for every touch in every frame.
 
+use std::fmt::Write as _;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers};
+use super::interface::{Sink, Summary, TouchRow, load_names, load_numbers, other_numbers};
 use super::staged::StagedFile;
 use crate::Error;
 use dermis_live::output::Output;
-use dermis_touch::LoadQuantity;
+use dermis_touch::{LoadQuantity, Touch};
 
 /// The table's head.
 const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm";
 /// What a force calibration adds.
 const FORCES: &str = ",force_n,force_range";
+/// What a calibration adds that may not know where a touch is.
+const OTHER_PLACES: &str = ",other_x_mm,other_y_mm,other_probability";
 
-/// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and, where forces are read,
-/// `force_n,force_range` as [`super::JsonLines`] has them; where a calibration by pokes reads depths or forces,
-/// `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN for a touch without.
+/// What a table of touches has beside places and amplitudes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TouchColumns {
+    /// `force_n,force_range`, as [`super::JsonLines`] has them.
+    pub forces: bool,
+    /// What a calibration by pokes reads: `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN for a
+    /// touch without.
+    pub load: Option<LoadQuantity>,
+    /// `other_x_mm,other_y_mm,other_probability`: where else a touch may be, and the probability that it is there
+    /// instead; NaN, NaN and 0 for a touch without.
+    pub other_places: bool,
+}
+
+impl TouchColumns {
+    fn head(self) -> String {
+        let load = self.load.map_or(String::new(), |quantity| {
+            let [value, sigma] = load_names(quantity);
+            format!(",{value},{sigma}")
+        });
+        let [forces, others] =
+            [(self.forces, FORCES), (self.other_places, OTHER_PLACES)].map(|(has, names)| if has { names } else { "" });
+        format!("{HEAD}{forces}{load}{others}")
+    }
+
+    fn push(self, touch: &Touch, row: &mut String) {
+        if self.forces {
+            let range = touch.force.map_or("none", |force| force.range());
+            let nearest = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
+            let _ = write!(row, ",{nearest},{range}");
+        }
+        if self.load.is_some() {
+            let [value, sigma] = touch.load.map_or([f64::NAN; 2], |load| load_numbers(&load));
+            let _ = write!(row, ",{value},{sigma}");
+        }
+        if self.other_places {
+            let [x_mm, y_mm, probability] = touch.other_place.map_or([f64::NAN, f64::NAN, 0.0], other_numbers);
+            let _ = write!(row, ",{x_mm},{y_mm},{probability}");
+        }
+    }
+}
+
+/// Writes `frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm` and [`TouchColumns`].
 ///
 /// `frame` counts accepted frames from 0, so that it is the index into an [`super::ImageStack`] of the same run
 /// whatever the device's numbers are. A frame without touch has no row. Positions are those measured in the frame (not
@@ -26,32 +68,19 @@ const FORCES: &str = ",force_n,force_range";
 pub struct TouchTable {
     path: PathBuf,
     file: Option<StagedFile>,
-    forces: bool,
-    load: Option<LoadQuantity>,
+    columns: TouchColumns,
     summary: Summary,
 }
 
 impl TouchTable {
-    /// Starts a table that will stand at `path` once finished, with columns for forces or without.
+    /// Starts a table that will stand at `path` once finished.
     ///
     /// # Errors
     /// [`Error::Io`] when no file can be made beside `path`.
-    pub fn create(path: &Path, forces: bool) -> Result<Self, Error> {
-        Self::create_with_load(path, forces, None)
-    }
-
-    /// As [`TouchTable::create`], with columns for what a calibration by pokes reads beside the place.
-    ///
-    /// # Errors
-    /// As [`TouchTable::create`].
-    pub fn create_with_load(path: &Path, forces: bool, load: Option<LoadQuantity>) -> Result<Self, Error> {
+    pub fn create(path: &Path, columns: TouchColumns) -> Result<Self, Error> {
         let mut file = StagedFile::create(path)?;
-        let load_head = load.map_or(String::new(), |quantity| {
-            let [value, sigma] = load_names(quantity);
-            format!(",{value},{sigma}")
-        });
-        writeln!(file, "{HEAD}{}{load_head}", if forces { FORCES } else { "" }).map_err(Error::io(path))?;
-        Ok(Self { path: path.to_owned(), file: Some(file), forces, load, summary: Summary::default() })
+        writeln!(file, "{}", columns.head()).map_err(Error::io(path))?;
+        Ok(Self { path: path.to_owned(), file: Some(file), columns, summary: Summary::default() })
     }
 }
 
@@ -61,23 +90,9 @@ impl Sink for TouchTable {
         for touch in output.touches {
             let TouchRow { x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm } = TouchRow::new(touch);
             let (frame, id) = (self.summary.frames, touch.id);
-            write!(file, "{frame},{id},{x_mm},{y_mm},{amplitude},{area_mm2},{sigma_x_mm},{sigma_y_mm}")
-                .and_then(|()| match touch.force.filter(|_| self.forces) {
-                    Some(force) => {
-                        let nearest = force.nearest_n().unwrap_or(f64::NAN);
-                        write!(file, ",{nearest},{}", force.range())
-                    }
-                    None => write!(file, "{}", if self.forces { ",NaN,none" } else { "" }),
-                })
-                .and_then(|()| match (self.load, touch.load) {
-                    (Some(_), Some(load)) => {
-                        let [value, sigma] = load_numbers(&load);
-                        writeln!(file, ",{value},{sigma}")
-                    }
-                    (Some(_), None) => writeln!(file, ",NaN,NaN"),
-                    (None, _) => writeln!(file),
-                })
-                .map_err(Error::io(&self.path))?;
+            let mut row = format!("{frame},{id},{x_mm},{y_mm},{amplitude},{area_mm2},{sigma_x_mm},{sigma_y_mm}");
+            self.columns.push(touch, &mut row);
+            writeln!(file, "{row}").map_err(Error::io(&self.path))?;
             self.summary.written += 1;
         }
         self.summary.frames += 1;
@@ -100,13 +115,13 @@ pub(super) fn finished(path: &Path) -> Error {
 mod tests {
     use super::super::testing::{output, touch};
     use super::*;
-    use dermis_touch::TouchPhase;
+    use dermis_touch::{PlaceHypothesis, TouchPhase};
 
     #[test]
     fn rows_carry_millimetres_and_frames_without_touch_have_none() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("t.csv");
-        let mut table = TouchTable::create(&path, false).unwrap();
+        let mut table = TouchTable::create(&path, TouchColumns::default()).unwrap();
         let touches = [touch(1, TouchPhase::Begin, 12.5, -3.0), touch(2, TouchPhase::Move, 0.0, 0.25)];
         for (sequence, touches) in [(70, &touches[..1]), (71, &[]), (75, &touches)] {
             table.accept(&output(sequence, &[0.0; 6], touches, &[])).unwrap();
@@ -135,7 +150,7 @@ mod tests {
     fn forces_have_columns_of_their_own() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("t.csv");
-        let mut table = TouchTable::create(&path, true).unwrap();
+        let mut table = TouchTable::create(&path, TouchColumns { forces: true, ..TouchColumns::default() }).unwrap();
         let mut touch = touch(1, TouchPhase::Move, 0.0, 0.0);
         touch.force = Some(dermis_touch::force::ForceReading::AboveRange { most_n: 0.5 });
         table.accept(&output(1, &[0.0; 6], &[touch], &[])).unwrap();
@@ -149,7 +164,8 @@ mod tests {
     fn loads_of_pokes_have_columns_of_their_own() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("t.csv");
-        let mut table = TouchTable::create_with_load(&path, false, Some(LoadQuantity::DepthM)).unwrap();
+        let columns = TouchColumns { load: Some(LoadQuantity::DepthM), ..TouchColumns::default() };
+        let mut table = TouchTable::create(&path, columns).unwrap();
         let mut deep = touch(1, TouchPhase::Move, 0.0, 0.0);
         deep.load = Some(dermis_touch::TouchLoad { quantity: LoadQuantity::DepthM, value: 0.002, sigma: 0.0005 });
         table.accept(&output(1, &[0.0; 6], &[deep, touch(2, TouchPhase::Move, 0.0, 0.0)], &[])).unwrap();
@@ -161,14 +177,31 @@ mod tests {
     }
 
     #[test]
+    fn other_places_have_columns_of_their_own() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("t.csv");
+        let columns = TouchColumns { other_places: true, ..TouchColumns::default() };
+        let mut table = TouchTable::create(&path, columns).unwrap();
+        let mut doubted = touch(1, TouchPhase::Move, 0.0, 0.0);
+        let (position_m, covariance_m2) = ([0.25, -0.5], [[1e-6, 0.0], [0.0, 1e-6]]);
+        doubted.other_place = Some(PlaceHypothesis { position_m, covariance_m2, probability: 0.25 });
+        table.accept(&output(1, &[0.0; 6], &[doubted, touch(2, TouchPhase::Move, 0.0, 0.0)], &[])).unwrap();
+        table.finish().unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[0].ends_with("sigma_y_mm,other_x_mm,other_y_mm,other_probability"), "{text}");
+        assert!(lines[1].ends_with(",250,-500,0.25") && lines[2].ends_with(",NaN,NaN,0"), "{text}");
+    }
+
+    #[test]
     fn an_abandoned_table_leaves_nothing() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("t.csv");
         std::fs::write(&path, "before").unwrap();
-        drop(TouchTable::create(&path, false).unwrap());
+        drop(TouchTable::create(&path, TouchColumns::default()).unwrap());
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "before");
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
-        assert!(TouchTable::create(directory.path(), false).is_err());
-        assert!(TouchTable::create(&directory.path().join("none/t.csv"), false).is_err());
+        assert!(TouchTable::create(directory.path(), TouchColumns::default()).is_err());
+        assert!(TouchTable::create(&directory.path().join("none/t.csv"), TouchColumns::default()).is_err());
     }
 }

@@ -78,7 +78,7 @@ pub fn diagnose_order(protocol: &Protocol, model: &[f64], measured: &[f64], magn
 }
 
 /// Pearson correlation over the positions where both values are finite; 0 where either does not vary.
-pub(crate) fn correlation(a: &[f64], b: &[f64]) -> f64 {
+pub fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let pairs: Vec<(f64, f64)> =
         a.iter().zip(b).map(|(x, y)| (*x, *y)).filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
     let count = pairs.len() as f64;

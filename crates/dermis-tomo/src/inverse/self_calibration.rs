@@ -23,6 +23,8 @@ use super::{InverseError, Weighting, check_finite};
 pub const LEAST_CALIBRATION_FRAMES: usize = 20;
 
 const SIGN_ITERATIONS: usize = 30;
+/// No score counts as better than this.
+const BEST_SCORE: f64 = 0.999_999;
 
 /// What a touch does to the skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,6 +101,7 @@ pub struct SelfCalibration {
     /// Sum of the squares over all channels, one a place.
     filter_norms: Mat<f64>,
     score: f64,
+    independent: f64,
 }
 
 impl SelfCalibration {
@@ -148,6 +151,7 @@ impl SelfCalibration {
             filter_squares: Mat::new(),
             filter_norms: Mat::new(),
             score: 0.0,
+            independent: 1.0,
         };
         let matched = calibration.matched_rows(templates);
         calibration.reweight(&matched, &batch);
@@ -185,9 +189,37 @@ impl SelfCalibration {
             }
         }
         self.set_filter(matched);
-        let mut scores: Vec<f64> = self.peaks(batch).iter().map(|peak| peak.score).collect();
+        let peaks = self.peaks(batch);
+        self.independent = self.independent_residuals(matched, batch, &peaks);
+        let mut scores: Vec<f64> = peaks.iter().map(|peak| peak.score).collect();
         scores.sort_by(f64::total_cmp);
         self.score = scores[scores.len() / 2];
+    }
+
+    /// How many independent numbers a frame's residuals are worth: with S the mean of `r r'` over the frames, r the
+    /// weighted residual of a frame relative to the frame's length, `(tr S)^2 / tr S^2`, the participation ratio of the
+    /// eigenvalues of S.
+    fn independent_residuals(&self, matched: &Mat<f64>, batch: &Batch, peaks: &[Peak]) -> f64 {
+        let norm = |frame: usize| {
+            let square = |c: usize| (self.weights[c] * batch.values[(c, frame)]).powi(2);
+            (0..self.weights.len()).map(square).sum::<f64>().sqrt()
+        };
+        let norms: Vec<f64> = (0..peaks.len()).map(norm).collect();
+        let residual = |c: usize, frame: usize| {
+            let Peak { place, amplitude, .. } = peaks[frame];
+            let left = batch.values[(c, frame)] - amplitude * matched[(place, c)] * batch.present[(c, frame)];
+            if norms[frame] > 0.0 { self.weights[c] * left / norms[frame] } else { 0.0 }
+        };
+        let residuals = Mat::from_fn(self.weights.len(), peaks.len(), residual);
+        // The products of frames have the same eigenvalues as those of channels; the smaller of both is made.
+        let products = if residuals.nrows() <= residuals.ncols() {
+            &residuals * residuals.transpose()
+        } else {
+            residuals.transpose() * &residuals
+        };
+        let trace: f64 = (0..products.nrows()).map(|k| products[(k, k)]).sum();
+        let squares = products.squared_norm_l2();
+        if squares > 0.0 { (trace * trace / squares).max(1.0) } else { 1.0 }
     }
 
     fn set_filter(&mut self, matched: &Mat<f64>) {
@@ -243,14 +275,42 @@ impl SelfCalibration {
     /// # Errors
     /// As [`SelfCalibration::scores`].
     pub fn locate(&self, frame: &[f64]) -> Result<Option<MatchedTouch>, InverseError> {
+        self.locate_with_scores(frame, &mut Vec::new())
+    }
+
+    /// As [`SelfCalibration::locate`]; `scores` receives what [`SelfCalibration::scores`] gives.
+    ///
+    /// # Errors
+    /// As [`SelfCalibration::scores`].
+    pub fn locate_with_scores(
+        &self,
+        frame: &[f64],
+        scores: &mut Vec<f64>,
+    ) -> Result<Option<MatchedTouch>, InverseError> {
         let batch = self.single(frame)?;
-        let (scores, norms) = self.score_batch(&batch);
+        let (all, norms) = self.score_batch(&batch);
+        scores.clear();
+        scores.extend(all.col(0).iter());
         if norms.frame[0] == 0.0 {
             return Ok(None);
         }
-        let Peak { place, score, amplitude } = Peak::of(&scores, &norms, 0);
-        let column: Vec<f64> = scores.col(0).iter().copied().collect();
-        Ok(Some(MatchedTouch { position_m: self.centroid(&column, place), peak: place, score, amplitude }))
+        let Peak { place, score, amplitude } = Peak::of(&all, &norms, 0);
+        Ok(Some(MatchedTouch { position_m: self.centroid(scores, place), peak: place, score, amplitude }))
+    }
+
+    /// Turns the scores of a frame into probabilities of the places, one touch being somewhere and every place as
+    /// likely before: `p ~ (1 - c^2)^(-n / 2)`, c the score where it is positive, n the number of independent numbers
+    /// that the calibration frames' residuals are worth (the participation ratio of their covariance). This is the
+    /// likelihood of Gaussian residuals whose size and whose touch's strength are unknown.
+    pub fn probabilities(&self, scores: &[f64], probabilities: &mut Vec<f64>) {
+        let log = |score: f64| -0.5 * self.independent * (1.0 - score.clamp(0.0, BEST_SCORE).powi(2)).ln();
+        let top = scores.iter().map(|score| log(*score)).fold(f64::NEG_INFINITY, f64::max);
+        probabilities.clear();
+        probabilities.extend(scores.iter().map(|score| if *score > 0.0 { (log(*score) - top).exp() } else { 0.0 }));
+        let total: f64 = probabilities.iter().sum();
+        if total > 0.0 {
+            probabilities.iter_mut().for_each(|p| *p /= total);
+        }
     }
 
     fn centroid(&self, scores: &[f64], peak: usize) -> [f64; 2] {

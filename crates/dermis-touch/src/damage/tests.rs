@@ -39,6 +39,7 @@ fn touch(position_m: [f64; 2]) -> Touch {
         force: None,
         radius_m: Some(0.01),
         load: None,
+        other_place: None,
         age_frames: 1,
         begin_time_ns: 0,
         time_ns: 0,

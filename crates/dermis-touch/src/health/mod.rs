@@ -6,12 +6,16 @@
 //! it is, pressed or not (Geselowitz, IEEE Trans. Biomed. Eng. 18 (1971) 38), so that what two reciprocal channels
 //! differ by beyond their noise is a fault of the instrument. Channels without such a partner are compared with what
 //! the others let expect under the linear model, far more generously, since touches are not small.
+//!
+//! Frames that were recorded one by one, each press with a resting frame before it, are judged by these resting frames:
+//! [`RestScatter`].
 
 mod channel_state;
 mod electrode_faults;
 mod fault;
 mod monitor;
 mod params;
+mod rest;
 mod start;
 mod wiring;
 
@@ -21,5 +25,6 @@ mod tests;
 pub use fault::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
 pub use monitor::HealthMonitor;
 pub use params::{HEALTH_WINDOW, HealthParams};
+pub use rest::{FEWEST_AT_REST, RestScatter};
 pub use start::HealthReference;
 pub use wiring::Wiring;

@@ -105,7 +105,8 @@ fn the_circuit_is_found_from_unknown_presses() {
             .iter()
             .filter_map(|&i| {
                 let difference = made.reference.difference(&data.pressed[i], Some(&data.before[i]));
-                let [x, y] = finder.place(&difference).unwrap()?.position_m;
+                finder.forget();
+                let [x, y] = finder.place(0, &difference).unwrap()?.position_m;
                 Some(1e3 * (x - data.pokes.positions_m[i][0]).hypot(y - data.pokes.positions_m[i][1]))
             })
             .collect();

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use dermis::lab::evidence::{Extent, Set, SetReport};
 
+use crate::commands::escaped;
 use crate::exit::Outcome;
 
 /// All sets that were asked for, with what came of them.
@@ -201,10 +202,6 @@ fn cells(report: &SetReport) -> impl Iterator<Item = [String; 6]> {
 /// Text within a cell of a Markdown table.
 fn cell(text: &str) -> String {
     text.replace('|', "\\|").replace(['\n', '\r'], " ")
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -13,6 +13,7 @@ use dermis_twin::from_skin::seed_of;
 use super::cells::cells;
 use super::figures::{caption, comparison, drawing, skins};
 use super::report::put;
+use crate::commands::escaped;
 use crate::draw::{self, Picture};
 
 const STYLE: &str = include_str!("report.css");
@@ -224,10 +225,6 @@ impl Page {
             self.figures
         );
     }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

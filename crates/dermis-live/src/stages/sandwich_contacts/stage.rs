@@ -321,6 +321,7 @@ impl PatchStage {
                 radius_m: Some(patch.radius_m),
                 model_variance_m2: 0.0,
                 load: None,
+                other_place: None,
             }
         }));
         contacts.retain(|contact| contact.amplitude >= self.rule.smallest_amplitude);

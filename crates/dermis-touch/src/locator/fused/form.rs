@@ -155,20 +155,15 @@ pub(super) fn choose_form<'a>(
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
                 let features = features.clone();
                 let mut worked_out = WorkedOut::default();
-                let mut form = Begun {
-                    features,
-                    mean,
-                    design,
-                    prior,
-                    projection,
-                    channel_prior,
-                    score: 0.0,
-                    worked_out: WorkedOut::default(),
+                let fitting = Fitting {
+                    positions: &coarse.positions_m,
+                    basis: projection.as_ref(),
+                    spacing_m,
+                    channel_prior: channel_prior.as_ref(),
+                    grid: GRID,
                 };
-                let fitting = form.fitting(&coarse, spacing_m);
-                form.score = fitting.judge(&form.design, &form.prior, &start, &mut worked_out)?.calibration.score;
-                form.worked_out = worked_out;
-                begun.push(form);
+                let score = fitting.judge(&design, &prior, &start, &mut worked_out)?.calibration.score;
+                begun.push(Begun { features, mean, design, prior, projection, channel_prior, score, worked_out });
             }
         }
     }

@@ -1,0 +1,112 @@
+//! Channels that do not rest while nothing touches the skin: loose contacts of a torn sheet jump, and a channel whose
+//! noise has grown since it was calibrated no longer says what it said then.
+
+/// Fewer resting frames than this say nothing.
+pub const FEWEST_AT_REST: usize = 8;
+/// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian noise
+/// 1.
+const JUMPS: f64 = 2.5;
+/// Noise has grown where it is so many times what it was.
+const GROWN: f64 = 2.5;
+/// Where more channels than this share would be left out, that is how this skin rests.
+const MOST_LEFT_OUT: f64 = 0.8;
+/// A median absolute deviation of Gaussian noise is this part of the standard deviation.
+const GAUSSIAN: f64 = 1.4826;
+
+/// How much each channel scatters over resting frames, in their unit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RestScatter {
+    deviation: Vec<f64>,
+    robust: Vec<f64>,
+}
+
+impl RestScatter {
+    /// Of frames of the untouched skin, all of one length; NaN where missing. Nothing for fewer than
+    /// [`FEWEST_AT_REST`].
+    pub fn of(frames: &[Vec<f64>]) -> Option<Self> {
+        let channels = frames.first().filter(|_| frames.len() >= FEWEST_AT_REST)?.len();
+        let of_channel = |channel: usize| {
+            let values: Vec<f64> =
+                frames.iter().filter_map(|f| f.get(channel).copied()).filter(|v| v.is_finite()).collect();
+            let count = values.len() as f64;
+            let mean = values.iter().sum::<f64>() / count;
+            let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
+            let middle = median(values.clone());
+            (deviation, GAUSSIAN * median(values.iter().map(|v| (v - middle).abs()).collect()))
+        };
+        let (deviation, robust) = (0..channels).map(of_channel).unzip();
+        Some(Self { deviation, robust })
+    }
+
+    /// Standard deviation of each channel, jumps left aside; NaN where it has no readings.
+    pub fn robust(&self) -> &[f64] {
+        &self.robust
+    }
+
+    /// Channels that jump, or whose scatter is well above the `usual` (as [`RestScatter::robust`] was when the skin was
+    /// calibrated). None where they would be nearly all: then that is no fault of theirs.
+    pub fn unsound(&self, usual: Option<&[f64]>) -> Vec<u32> {
+        let usual = usual.filter(|usual| usual.len() == self.robust.len());
+        let has_grown = |c: usize| usual.is_some_and(|usual| usual[c] > 0.0 && self.robust[c] > GROWN * usual[c]);
+        let found: Vec<u32> = (0..self.robust.len())
+            .filter(|&c| self.deviation[c] > JUMPS * self.robust[c] || has_grown(c))
+            .map(|c| c as u32)
+            .collect();
+        if found.len() as f64 > MOST_LEFT_OUT * self.robust.len() as f64 { Vec::new() } else { found }
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sum of twelve uniform numbers: nearly Gaussian, standard deviation 1.
+    fn noise(seed: u64) -> f64 {
+        let uniform = |k: u64| {
+            let hash = (seed * 31 + k).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            ((hash ^ hash >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / f64::from(1 << 24)
+        };
+        (0..12).map(uniform).sum::<f64>() - 6.0
+    }
+
+    /// Twenty frames: noise, noise with jumps, drift, three times the noise, constant, never read, and noise like the first.
+    fn frames() -> Vec<Vec<f64>> {
+        (0..20)
+            .map(|k: u64| {
+                let jump = if k == 7 || k == 13 { 40.0 } else { 0.0 };
+                let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|channel| noise(100 * channel + k));
+                vec![a, b + jump, 0.1 * c + k as f64, 3.0 * d, 5.0, f64::NAN, e]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn channels_that_jump_or_grew_noisy_are_unsound_and_drifting_ones_are_not() {
+        let scatter = RestScatter::of(&frames()).unwrap();
+        assert_eq!(scatter.unsound(None), [1]);
+        let usual = [1.0, 1.0, 7.0, 1.0, 0.0, 1.0, 1.0];
+        assert_eq!(scatter.unsound(Some(&usual)), [1, 3]);
+        // A uniform drift over 20 has a median absolute deviation of 5; Gaussian noise of 20 samples one of 1 +- 0.25.
+        assert!((scatter.robust()[2] / (GAUSSIAN * 5.0) - 1.0).abs() < 0.05, "{:?}", scatter.robust());
+        assert!((0.6..1.6).contains(&scatter.robust()[0]) && scatter.robust()[5].is_nan(), "{:?}", scatter.robust());
+    }
+
+    #[test]
+    fn few_frames_say_nothing_and_nearly_all_channels_are_not_left_out() {
+        assert!(RestScatter::of(&frames()[..7]).is_none() && RestScatter::of(&[]).is_none());
+        let scatter = RestScatter::of(&frames()).unwrap();
+        assert!(scatter.unsound(Some(&[1e-6; 7])).len() <= 5);
+        let all = RestScatter::of(&frames().into_iter().map(|f| vec![f[1], f[1]]).collect::<Vec<_>>()).unwrap();
+        assert!(all.unsound(None).is_empty());
+        assert!(scatter.unsound(Some(&[1e-6; 3])) == [1], "a list of another length is none");
+    }
+}
