@@ -6,6 +6,10 @@ pub const FEWEST_AT_REST: usize = 8;
 /// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian noise
 /// 1.
 const JUMPS: f64 = 2.5;
+/// A channel that jumps in this share of a session is unsound.
+const OFTEN: f64 = 1.0 / 3.0;
+/// Frames of a piece of a session.
+const PIECE: usize = 15;
 /// Noise has grown where it is so many times what it was.
 const GROWN: f64 = 2.5;
 /// Where more channels than this share would be left out, that is how this skin rests.
@@ -16,26 +20,30 @@ const GAUSSIAN: f64 = 1.4826;
 /// How much each channel scatters over resting frames, in their unit.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RestScatter {
-    deviation: Vec<f64>,
+    /// Share of the session in which each channel jumps.
+    jumping: Vec<f64>,
     robust: Vec<f64>,
 }
 
 impl RestScatter {
     /// Of frames of the untouched skin, all of one length; NaN where missing. Nothing for fewer than
-    /// [`FEWEST_AT_REST`].
+    /// [`FEWEST_AT_REST`]. A session is looked at in pieces of about [`PIECE`] frames, so that what the skin does from
+    /// one hour to the next is not its noise.
     pub fn of(frames: &[Vec<f64>]) -> Option<Self> {
         let channels = frames.first().filter(|_| frames.len() >= FEWEST_AT_REST)?.len();
+        let pieces = (frames.len() / PIECE).max(1);
+        let piece = |k: usize| &frames[k * frames.len() / pieces..(k + 1) * frames.len() / pieces];
         let of_channel = |channel: usize| {
-            let values: Vec<f64> =
-                frames.iter().filter_map(|f| f.get(channel).copied()).filter(|v| v.is_finite()).collect();
-            let count = values.len() as f64;
-            let mean = values.iter().sum::<f64>() / count;
-            let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
-            let middle = median(values.clone());
-            (deviation, GAUSSIAN * median(values.iter().map(|v| (v - middle).abs()).collect()))
+            let (mut jumping, mut squares) = (0, 0.0);
+            for k in 0..pieces {
+                let [deviation, robust] = scatter(piece(k).iter().filter_map(|frame| frame.get(channel).copied()));
+                jumping += usize::from(deviation > JUMPS * robust);
+                squares += robust * robust;
+            }
+            (jumping as f64 / pieces as f64, (squares / pieces as f64).sqrt())
         };
-        let (deviation, robust) = (0..channels).map(of_channel).unzip();
-        Some(Self { deviation, robust })
+        let (jumping, robust) = (0..channels).map(of_channel).unzip();
+        Some(Self { jumping, robust })
     }
 
     /// Standard deviation of each channel, jumps left aside; NaN where it has no readings.
@@ -48,12 +56,20 @@ impl RestScatter {
     pub fn unsound(&self, usual: Option<&[f64]>) -> Vec<u32> {
         let usual = usual.filter(|usual| usual.len() == self.robust.len());
         let has_grown = |c: usize| usual.is_some_and(|usual| usual[c] > 0.0 && self.robust[c] > GROWN * usual[c]);
-        let found: Vec<u32> = (0..self.robust.len())
-            .filter(|&c| self.deviation[c] > JUMPS * self.robust[c] || has_grown(c))
-            .map(|c| c as u32)
-            .collect();
+        let found: Vec<u32> =
+            (0..self.robust.len()).filter(|&c| self.jumping[c] >= OFTEN || has_grown(c)).map(|c| c as u32).collect();
         if found.len() as f64 > MOST_LEFT_OUT * self.robust.len() as f64 { Vec::new() } else { found }
     }
+}
+
+/// Standard deviation and robust standard deviation of what is finite; NaN of fewer than two values.
+fn scatter(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
+    let middle = median(values.clone());
+    [deviation, GAUSSIAN * median(values.iter().map(|v| (v - middle).abs()).collect())]
 }
 
 fn median(mut values: Vec<f64>) -> f64 {
@@ -98,6 +114,13 @@ mod tests {
         // A uniform drift over 20 has a median absolute deviation of 5; Gaussian noise of 20 samples one of 1 +- 0.25.
         assert!((scatter.robust()[2] / (GAUSSIAN * 5.0) - 1.0).abs() < 0.05, "{:?}", scatter.robust());
         assert!((0.6..1.6).contains(&scatter.robust()[0]) && scatter.robust()[5].is_nan(), "{:?}", scatter.robust());
+    }
+
+    #[test]
+    fn a_step_between_two_sessions_is_no_noise() {
+        let step = |k: u64| if k < 15 { 0.0 } else { 50.0 };
+        let scatter = RestScatter::of(&(0..30).map(|k| vec![noise(k) + step(k)]).collect::<Vec<_>>()).unwrap();
+        assert!(scatter.unsound(None).is_empty() && scatter.robust()[0] < 2.0, "{scatter:?}");
     }
 
     #[test]
