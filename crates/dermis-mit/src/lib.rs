@@ -37,6 +37,7 @@ pub mod edge;
 mod element;
 mod error;
 mod harmonics;
+mod in_box;
 mod lift_off;
 mod model_choice;
 mod multipole_array;

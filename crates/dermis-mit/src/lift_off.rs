@@ -1,8 +1,7 @@
 //! Lift-off of known bodies from readings of coils, their heights over these: what moves under a touch are bodies at
 //! known places, so their travel toward the coils is solved for directly instead of an image. Minimises
 //! `sum ((d - f(t))/s)^2 + sum (t/p)^2 + 2 sum t/e` over travels `0 <= t <= limit` by Gauss-Newton steps
-//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box solved by coordinate descent (Franc,
-//! Hlavac and Navara 2005); f are changes of magnitudes of mutual inductances, s their standard deviations, p and e
+//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box (`in_box`); f are changes of magnitudes of mutual inductances, s their standard deviations, p and e
 //! those of a Gaussian and an exponential prior; the latter makes few bodies move.
 
 use dermis_tomo::least_squares::{
@@ -10,6 +9,7 @@ use dermis_tomo::least_squares::{
 };
 
 use crate::error::{MitError, positive};
+use crate::in_box::{deviations, in_box};
 use crate::multipole_array::MultipoleArray;
 use crate::vector::Complex;
 
@@ -60,6 +60,8 @@ pub struct LiftOff {
     rest_m: Vec<f64>,
     limit_m: f64,
     rest_h: Vec<f64>,
+    /// Heights that `changes_h` are those of.
+    heights_m: Vec<f64>,
     changes_h: Vec<Complex>,
     slopes_h_per_m: Vec<Complex>,
 }
@@ -87,7 +89,8 @@ impl LiftOff {
         bodies.changes(&rest_m, &mut changes_h)?;
         let rest_h = magnitudes(&mutuals_h, &changes_h).collect();
         let slopes_h_per_m = vec![zero; pairs * count];
-        Ok(Self { bodies, mutuals_h, rest_m, limit_m, rest_h, changes_h, slopes_h_per_m })
+        let heights_m = rest_m.clone();
+        Ok(Self { bodies, mutuals_h, rest_m, limit_m, rest_h, heights_m, changes_h, slopes_h_per_m })
     }
 
     /// Number of bodies.
@@ -105,16 +108,27 @@ impl LiftOff {
     /// # Errors
     /// As [`MultipoleArray::changes`].
     pub fn differences_h(&mut self, travel_m: &[f64]) -> Result<Vec<f64>, MitError> {
-        let heights: Vec<f64> = self.rest_m.iter().zip(travel_m).map(|(rest, t)| rest - t).collect();
-        self.bodies.changes(&heights, &mut self.changes_h)?;
+        self.stand_at(travel_m)?;
         Ok(magnitudes(&self.mutuals_h, &self.changes_h).zip(&self.rest_h).map(|(now, rest)| now - rest).collect())
+    }
+
+    /// Works out the changes there, unless they are at hand.
+    fn stand_at(&mut self, travel_m: &[f64]) -> Result<(), MitError> {
+        let heights = self.rest_m.iter().zip(travel_m).map(|(rest, t)| rest - t);
+        if self.heights_m.len() == travel_m.len() && heights.clone().eq(self.heights_m.iter().copied()) {
+            return Ok(());
+        }
+        let heights: Vec<f64> = heights.collect();
+        self.heights_m.clear();
+        self.bodies.changes(&heights, &mut self.changes_h)?;
+        self.heights_m = heights;
+        Ok(())
     }
 
     /// Derivatives of the magnitudes by the travels, pair by pair and body by body, henries per metre.
     fn jacobian(&mut self, travel_m: &[f64]) -> Result<Vec<f64>, MitError> {
-        let heights: Vec<f64> = self.rest_m.iter().zip(travel_m).map(|(rest, t)| rest - t).collect();
-        self.bodies.changes(&heights, &mut self.changes_h)?;
-        self.bodies.slopes(&heights, &mut self.slopes_h_per_m)?;
+        self.stand_at(travel_m)?;
+        self.bodies.slopes(&self.heights_m, &mut self.slopes_h_per_m)?;
         let mut jacobian = Vec::with_capacity(self.slopes_h_per_m.len());
         let rows = self.slopes_h_per_m.chunks_exact(self.rest_m.len());
         for ((row, change), mutual) in rows.zip(&self.changes_h).zip(&self.mutuals_h) {
@@ -310,44 +324,4 @@ fn gradient(
         b.iter_mut().zip(row).for_each(|(b, j)| *b += w * r * j);
     }
     b
-}
-
-/// Minimum of `t'Ht/2 - b't` with every t between 0 and the limit.
-fn in_box(normal: &[f64], b: &[f64], start: &[f64], limit: f64) -> Vec<f64> {
-    let count = b.len();
-    let mut t = start.to_vec();
-    for _ in 0..2000 {
-        let mut moved: f64 = 0.0;
-        for (i, row) in normal.chunks_exact(count).enumerate() {
-            let slope = row.iter().zip(&t).map(|(h, t)| h * t).sum::<f64>() - b[i];
-            let next = (t[i] - slope / row[i]).clamp(0.0, limit);
-            moved = moved.max((next - t[i]).abs());
-            t[i] = next;
-        }
-        if moved <= 1e-9 * limit {
-            break;
-        }
-    }
-    t
-}
-
-/// Roots of the diagonal of the inverse over the bodies that moved; for each other, over those and itself.
-fn deviations(normal: &[f64], travel: &[f64]) -> Vec<f64> {
-    let count = travel.len();
-    let variance = |free: &[usize], of: usize| -> f64 {
-        // A Cholesky factor of the free part with `of` last: the inverse's last entry is 1/l^2.
-        let order: Vec<usize> = free.iter().copied().filter(|k| *k != of).chain([of]).collect();
-        let n = order.len();
-        let mut l = vec![0.0; n * n];
-        for i in 0..n {
-            for j in 0..=i {
-                let known: f64 = (0..j).map(|k| l[i * n + k] * l[j * n + k]).sum();
-                let value = normal[order[i] * count + order[j]] - known;
-                l[i * n + j] = if i == j { value.max(f64::MIN_POSITIVE).sqrt() } else { value / l[j * n + j] };
-            }
-        }
-        l[n * n - 1].powi(-2)
-    };
-    let free: Vec<usize> = (0..count).filter(|k| travel[*k] > 0.0).collect();
-    (0..count).map(|k| variance(&free, k).sqrt()).collect()
 }

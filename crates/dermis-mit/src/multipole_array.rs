@@ -10,6 +10,8 @@
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatRef, Par};
 use rayon::prelude::*;
 
 use crate::array::CoilArray;
@@ -92,26 +94,18 @@ impl CoilTables {
         Ok(Self { coils, places_m: places_m.to_vec(), low_m, high_m, nodes: NODES, coefficients })
     }
 
-    /// Expansion of a coil at a body of a height, and its derivative by the height where asked for.
-    fn evaluate(&self, coil: usize, body: usize, height_m: f64, c: &mut [f64], mut slope: Option<&mut [f64]>) {
-        let t = (2.0 * height_m - self.low_m - self.high_m) / (self.high_m - self.low_m);
-        let per_m = 2.0 / (self.high_m - self.low_m);
-        let from = (coil * self.places_m.len() + body) * self.nodes * HARMONICS;
-        c.fill(0.0);
-        if let Some(slope) = slope.as_deref_mut() {
-            slope.fill(0.0);
-        }
-        // T_n and n U_(n-1), the derivative of T_n.
-        let (mut t0, mut t1, mut u0, mut u1) = (1.0, t, 0.0, 1.0);
-        for (n, row) in self.coefficients[from..from + self.nodes * HARMONICS].chunks_exact(HARMONICS).enumerate() {
-            c.iter_mut().zip(row).for_each(|(c, a)| *c += t0 * a);
-            if let Some(slope) = slope.as_deref_mut() {
-                let factor = per_m * n as f64 * u0;
-                slope.iter_mut().zip(row).for_each(|(c, a)| *c += factor * a);
+    /// The first so many harmonics of the coefficients, body by body, then polynomial by polynomial, harmonic by harmonic
+    /// and coil by coil: as frames read them.
+    fn by_body(&self, harmonics: usize) -> Vec<f64> {
+        let bodies = self.places_m.len();
+        let mut coefficients = Vec::with_capacity(bodies * self.nodes * harmonics * self.coils);
+        for body in 0..bodies {
+            for (node, harmonic) in (0..self.nodes).flat_map(|n| (0..harmonics).map(move |h| (n, h))) {
+                let at = |coil: usize| ((coil * bodies + body) * self.nodes + node) * HARMONICS + harmonic;
+                coefficients.extend((0..self.coils).map(|coil| self.coefficients[at(coil)]));
             }
-            (t0, t1) = (t1, 2.0 * t * t1 - t0);
-            (u0, u1) = (u1, 2.0 * t * u1 - u0);
         }
+        coefficients
     }
 }
 
@@ -242,14 +236,36 @@ pub struct MultipoleArray {
     /// Ordered pairs that excite each other.
     neighbours: Vec<[usize; 2]>,
     pairs: Vec<[usize; 2]>,
-    /// Expansions, coil by coil within body.
+    /// Harmonics that any body answers, counted from the first: the others are not worked out.
+    harmonics: usize,
+    /// Those of the tables, as [`CoilTables::by_body`].
+    coefficients: Vec<f64>,
+    /// Expansions, body by body, harmonic by harmonic, coil by coil; and all below.
     c: Vec<f64>,
     slopes: Vec<f64>,
-    /// Answers d, coil by coil within body.
-    d: Vec<Complex>,
+    /// Answers d.
+    d: Answers,
     /// The same without neighbours.
-    alone: Vec<Complex>,
-    next: Vec<Complex>,
+    alone: Answers,
+    next: Answers,
+}
+
+/// Real and imaginary parts of answers.
+#[derive(Clone, Debug)]
+struct Answers {
+    re: Vec<f64>,
+    im: Vec<f64>,
+}
+
+impl Answers {
+    fn new(size: usize) -> Self {
+        Self { re: vec![0.0; size], im: vec![0.0; size] }
+    }
+
+    fn copy_from(&mut self, other: &Self) {
+        self.re.copy_from_slice(&other.re);
+        self.im.copy_from_slice(&other.im);
+    }
 }
 
 impl MultipoleArray {
@@ -283,13 +299,19 @@ impl MultipoleArray {
         }
         let coils = tables.coils;
         let pairs = (0..coils).flat_map(|a| (a + 1..coils).map(move |b| [a, b])).collect();
-        let (size, zero) = (count * coils * HARMONICS, Complex::new(0.0, 0.0));
+        let entries = bodies.iter().flat_map(|body| &body.entries);
+        let harmonics = entries.map(|(row, column, _)| row.max(column) + 1).max().unwrap_or(1);
+        let coefficients = tables.by_body(harmonics);
+        let tables = CoilTables { coefficients: Vec::new(), ..tables };
+        let size = count * coils * harmonics;
         Ok(Self {
             c: vec![0.0; size],
             slopes: vec![0.0; size],
-            d: vec![zero; size],
-            alone: vec![zero; size],
-            next: vec![zero; size],
+            d: Answers::new(size),
+            alone: Answers::new(size),
+            next: Answers::new(size),
+            harmonics,
+            coefficients,
             bodies,
             tables,
             coupling,
@@ -323,20 +345,19 @@ impl MultipoleArray {
         self.expand(heights_m, false);
         self.answer_alone();
         self.excite_each_other(heights_m);
-        let stride = self.tables.coils * HARMONICS;
+        let coils = self.tables.coils;
+        // dM = -4 pi mu0 sum c d' over bodies and harmonics.
+        let stacked = self.c.len() / coils;
+        let c = MatRef::from_row_major_slice(&self.c, stacked, coils).transpose();
+        let product = |d: &[f64]| {
+            let d = MatRef::from_row_major_slice(d, stacked, coils);
+            let mut product = Mat::zeros(coils, coils);
+            matmul(&mut product, Accum::Replace, c, d, -FOUR_PI_MU0, Par::Seq);
+            product
+        };
+        let (re, im) = (product(&self.d.re), product(&self.d.im));
         for (change, &[m, n]) in changes_h.iter_mut().zip(&self.pairs) {
-            let mut sum = Complex::new(0.0, 0.0);
-            for body in 0..self.bodies.len() {
-                let c = &self.c[body * stride + m * HARMONICS..][..HARMONICS];
-                let d = &self.d[body * stride + n * HARMONICS..][..HARMONICS];
-                let (mut re, mut im) = (0.0, 0.0);
-                for (c, d) in c.iter().zip(d) {
-                    re += c * d.re;
-                    im += c * d.im;
-                }
-                sum += Complex::new(re, im);
-            }
-            *change = sum * -FOUR_PI_MU0;
+            *change = Complex::new(re[(m, n)], im[(m, n)]);
         }
         Ok(())
     }
@@ -350,18 +371,27 @@ impl MultipoleArray {
         self.check(heights_m, slopes_h_per_m.len() / self.bodies.len())?;
         self.expand(heights_m, true);
         self.answer_alone();
-        let stride = self.tables.coils * HARMONICS;
-        for (k, &[m, n]) in self.pairs.iter().enumerate() {
-            for body in 0..self.bodies.len() {
-                let part = |of: usize| body * stride + of * HARMONICS..body * stride + (of + 1) * HARMONICS;
-                // tau is symmetric: c_m' tau dc_n = dc_n' tau c_m.
-                let product = |slope: usize, answer: usize| -> Complex {
-                    self.slopes[part(slope)].iter().zip(&self.d[part(answer)]).map(|(s, d)| *d * *s).sum()
-                };
-                slopes_h_per_m[k * self.bodies.len() + body] = (product(m, n) + product(n, m)) * -FOUR_PI_MU0;
+        let (coils, stride) = (self.tables.coils, self.stride());
+        let (mut re, mut im) = (Mat::zeros(coils, coils), Mat::zeros(coils, coils));
+        for body in 0..self.bodies.len() {
+            let part = body * stride..(body + 1) * stride;
+            let matrix = |of| MatRef::from_row_major_slice(of, stride / coils, coils);
+            let slopes = matrix(&self.slopes[part.clone()]).transpose();
+            for (product, d) in [(&mut re, &self.d.re), (&mut im, &self.d.im)] {
+                matmul(product, Accum::Replace, slopes, matrix(&d[part.clone()]), -FOUR_PI_MU0, Par::Seq);
+            }
+            // tau is symmetric: c_m' tau dc_n = dc_n' tau c_m.
+            let slopes_h_per_m = slopes_h_per_m.iter_mut().skip(body).step_by(self.bodies.len());
+            for (slope, &[m, n]) in slopes_h_per_m.zip(&self.pairs) {
+                *slope = Complex::new(re[(m, n)] + re[(n, m)], im[(m, n)] + im[(n, m)]);
             }
         }
         Ok(())
+    }
+
+    /// Values of a body.
+    fn stride(&self) -> usize {
+        self.harmonics * self.tables.coils
     }
 
     fn check(&self, heights_m: &[f64], pairs: usize) -> Result<(), MitError> {
@@ -381,23 +411,40 @@ impl MultipoleArray {
         }
     }
 
+    /// Expansions of all coils at all bodies, and their derivatives by the heights where asked for.
     fn expand(&mut self, heights_m: &[f64], with_slopes: bool) {
-        for (body, height) in heights_m.iter().enumerate() {
-            for coil in 0..self.tables.coils {
-                let at = (body * self.tables.coils + coil) * HARMONICS;
-                let slope = if with_slopes { Some(&mut self.slopes[at..at + HARMONICS]) } else { None };
-                self.tables.evaluate(coil, body, *height, &mut self.c[at..at + HARMONICS], slope);
+        let (stride, low_m, high_m) = (self.stride(), self.tables.low_m, self.tables.high_m);
+        let per_m = 2.0 / (high_m - low_m);
+        let tables = self.coefficients.chunks_exact(self.tables.nodes * stride);
+        let out = self.c.chunks_exact_mut(stride).zip(self.slopes.chunks_exact_mut(stride));
+        for ((height_m, table), (c, slopes)) in heights_m.iter().zip(tables).zip(out) {
+            let t = (2.0 * height_m - low_m - high_m) / (high_m - low_m);
+            c.fill(0.0);
+            slopes.fill(0.0);
+            // T_n and n U_(n-1), the derivative of T_n.
+            let (mut t0, mut t1, mut u0, mut u1) = (1.0, t, 0.0, 1.0);
+            for (n, row) in table.chunks_exact(stride).enumerate() {
+                add_multiple(c, t0, row);
+                if with_slopes {
+                    add_multiple(slopes, per_m * n as f64 * u0, row);
+                }
+                (t0, t1) = (t1, 2.0 * t * t1 - t0);
+                (u0, u1) = (u1, 2.0 * t * u1 - u0);
             }
         }
     }
 
     /// `d = -tau c / (4 pi mu0)`.
     fn answer_alone(&mut self) {
-        let stride = self.tables.coils * HARMONICS;
-        for (body, (c, d)) in self.bodies.iter().zip(self.c.chunks_exact(stride).zip(self.d.chunks_exact_mut(stride))) {
-            for (c, d) in c.chunks_exact(HARMONICS).zip(d.chunks_exact_mut(HARMONICS)) {
-                body.answer(c, d);
-                d.iter_mut().for_each(|d| *d *= -1.0 / FOUR_PI_MU0);
+        let (stride, coils) = (self.stride(), self.tables.coils);
+        self.d.re.fill(0.0);
+        self.d.im.fill(0.0);
+        for (k, body) in self.bodies.iter().enumerate() {
+            for (row, column, value) in &body.entries {
+                let c = &self.c[k * stride + column * coils..][..coils];
+                let to = k * stride + row * coils..k * stride + (row + 1) * coils;
+                add_multiple(&mut self.d.re[to.clone()], value.re * (-1.0 / FOUR_PI_MU0), c);
+                add_multiple(&mut self.d.im[to], value.im * (-1.0 / FOUR_PI_MU0), c);
             }
         }
     }
@@ -407,7 +454,8 @@ impl MultipoleArray {
         let Some(coupling) = self.coupling else { return };
         let degree = coupling.degree.clamp(1, MOST_DEGREE);
         let count = (degree + 1) * (degree + 1) - 1;
-        let stride = self.tables.coils * HARMONICS;
+        let (stride, coils) = (self.stride(), self.tables.coils);
+        let passed_on = count.min(self.harmonics);
         let at = |body: usize| [self.tables.places_m[body][0], self.tables.places_m[body][1], heights_m[body]];
         // From the centre of the source to that of the excited.
         let matrices: Vec<_> = self
@@ -415,38 +463,41 @@ impl MultipoleArray {
             .iter()
             .map(|&[target, source]| translation(subtract(at(target), at(source)), degree))
             .collect();
-        self.alone.copy_from_slice(&self.d);
-        let mut field = vec![Complex::new(0.0, 0.0); self.tables.coils * count];
+        self.alone.copy_from(&self.d);
+        let mut field = Answers::new(count * coils);
         for _ in 0..coupling.sweeps {
-            self.next.copy_from_slice(&self.alone);
+            self.next.copy_from(&self.alone);
             // Neighbours stand in the order of the body that they excite: one answer to all their fields.
             let mut from = 0;
             while from < self.neighbours.len() {
                 let target = self.neighbours[from][0];
                 let to = from + self.neighbours[from..].iter().take_while(|pair| pair[0] == target).count();
-                field.fill(Complex::new(0.0, 0.0));
+                field.re.fill(0.0);
+                field.im.fill(0.0);
                 for (&[_, source], s) in self.neighbours[from..to].iter().zip(&matrices[from..to]) {
-                    let answers = self.d[source * stride..(source + 1) * stride].chunks_exact(HARMONICS);
-                    for (field, d) in field.chunks_exact_mut(count).zip(answers) {
-                        for (field, row) in field.iter_mut().zip(s.chunks_exact(count)) {
-                            let (mut re, mut im) = (0.0, 0.0);
-                            for (d, s) in d.iter().zip(row) {
-                                re += d.re * s;
-                                im += d.im * s;
-                            }
-                            *field += Complex::new(re, im);
-                        }
+                    for (i, j) in (0..count).flat_map(|i| (0..passed_on).map(move |j| (i, j))) {
+                        let (to, of) = (i * coils..(i + 1) * coils, source * stride + j * coils);
+                        add_multiple(&mut field.re[to.clone()], s[i * count + j], &self.d.re[of..of + coils]);
+                        add_multiple(&mut field.im[to], s[i * count + j], &self.d.im[of..of + coils]);
                     }
                 }
-                let answers = self.next[target * stride..(target + 1) * stride].chunks_exact_mut(HARMONICS);
-                for (field, out) in field.chunks_exact(count).zip(answers) {
-                    for (row, column, value) in self.bodies[target].entries.iter().filter(|entry| entry.1 < count) {
-                        out[*row] -= *value * field[*column] * (1.0 / FOUR_PI_MU0);
-                    }
+                for (row, column, value) in self.bodies[target].entries.iter().filter(|entry| entry.1 < count) {
+                    let to = target * stride + row * coils..target * stride + (row + 1) * coils;
+                    let of = column * coils..(column + 1) * coils;
+                    let (out_re, out_im) = (&mut self.next.re[to.clone()], &mut self.next.im[to]);
+                    let [re, im] = [value.re, value.im].map(|part| part * (-1.0 / FOUR_PI_MU0));
+                    add_multiple(out_re, re, &field.re[of.clone()]);
+                    add_multiple(out_re, -im, &field.im[of.clone()]);
+                    add_multiple(out_im, im, &field.re[of.clone()]);
+                    add_multiple(out_im, re, &field.im[of]);
                 }
                 from = to;
             }
             std::mem::swap(&mut self.d, &mut self.next);
         }
     }
+}
+
+fn add_multiple(to: &mut [f64], factor: f64, of: &[f64]) {
+    to.iter_mut().zip(of).for_each(|(to, of)| *to += factor * of);
 }
