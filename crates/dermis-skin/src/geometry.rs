@@ -70,33 +70,35 @@ impl Skin {
         electrodes: Vec<ElectrodeShape>,
         contact_factors: &[f64],
     ) -> Result<SkinBody, Error> {
-        let spec = self.sheet_spec(elements, electrodes)?;
-        let impedances: Vec<f64> = self
-            .sheet_contact_impedances(&spec.electrodes)
-            .zip(contact_factors)
-            .map(|(z, factor)| factor * z)
-            .collect();
-        let (mesh, _) = spec.build(&impedances).map_err(|source| self.not_meshed(source))?;
+        let impedances: Vec<f64> =
+            self.sheet_contact_impedances(&electrodes).zip(contact_factors).map(|(z, factor)| factor * z).collect();
+        let spec = self.unsized_spec(elements, electrodes);
+        let (spec, mesh, _) = spec.build_to(elements, &impedances).map_err(|source| self.not_meshed(source))?;
         Ok(SkinBody { outline: spec.outline, electrodes: spec.electrodes, mesh })
     }
 
     /// A mesh of about so many elements, with electrodes and with slits along lines (both ends, metres), which bring
     /// some more; and which of them could be slit, see [`SheetSpec::build_slit`].
     pub fn slit_mesh(&self, elements: usize, lines: &[[[f64; 2]; 2]]) -> Result<(SlitMesh, Vec<bool>), Error> {
-        let spec = self.sheet_spec(elements, self.electrode_shapes())?;
+        let spec = self.unsized_spec(elements, self.electrode_shapes());
         let impedances: Vec<f64> = self.sheet_contact_impedances(&spec.electrodes).collect();
-        spec.build_slit(&impedances, lines).map_err(|source| self.not_meshed(source))
+        let named = |source| self.not_meshed(source);
+        if lines.is_empty() {
+            let (_, mesh, _) = spec.build_to(elements, &impedances).map_err(named)?;
+            return Ok((mesh.opened_along(&[]).map_err(named)?, Vec::new()));
+        }
+        spec.with_target_elements(elements).and_then(|spec| spec.build_slit(&impedances, lines)).map_err(named)
     }
 
     fn not_meshed(&self, source: MeshError) -> Error {
         Error::Mesh { skin: self.name.clone(), source }
     }
 
-    fn sheet_spec(&self, elements: usize, electrodes: Vec<ElectrodeShape>) -> Result<SheetSpec, Error> {
+    /// The sheet before its elements are sized to so many.
+    fn unsized_spec(&self, elements: usize, electrodes: Vec<ElectrodeShape>) -> SheetSpec {
         let outline = self.outline();
         let size = (outline.area_m2() / elements as f64 * 2.3).sqrt();
-        let spec = SheetSpec::new(outline, electrodes, size);
-        spec.with_target_elements(elements).map_err(|source| self.not_meshed(source))
+        SheetSpec::new(outline, electrodes, size)
     }
 
     /// Contact impedance of every electrode in the unit that sheet models take: ohm.m^2 for pads under the sheet; ohm.m

@@ -12,6 +12,8 @@ use super::triangulate::{self, Planar};
 const LARGEST_MIN_ANGLE_DEG: f64 = 33.0;
 /// Fewest sides of the polygon that stands for a round pad.
 const LEAST_PAD_SIDES: f64 = 12.0;
+/// Sizes that are tried for a number of elements.
+const MOST_PLANS: usize = 6;
 
 /// A flat sheet to be meshed.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +86,27 @@ impl SheetSpec {
     ///
     /// # Errors
     /// As [`SheetSpec::build`]; and a count of 0 or above 1,000,000.
-    pub fn with_target_elements(mut self, count: usize) -> Result<Self, MeshError> {
+    pub fn with_target_elements(self, count: usize) -> Result<Self, MeshError> {
+        Ok(self.planned_to(count)?.0)
+    }
+
+    /// As [`SheetSpec::with_target_elements`] and [`SheetSpec::build`] in one, which meshes the sheet once less.
+    ///
+    /// # Errors
+    /// As these.
+    pub fn build_to(
+        self,
+        count: usize,
+        contact_impedance: &[f64],
+    ) -> Result<(Self, ElectrodedMesh, MeshQuality), MeshError> {
+        let impedances = spread(contact_impedance, self.electrodes.len())?;
+        let (spec, planar) = self.planned_to(count)?;
+        let (mesh, quality) = spec.build_of(planar, impedances)?;
+        Ok((spec, mesh, quality))
+    }
+
+    /// The sheet with about so many elements, and its mesh without electrodes.
+    fn planned_to(mut self, count: usize) -> Result<(Self, Planar), MeshError> {
         if !(1..=1_000_000).contains(&count) {
             let expected = "between 1 and 1,000,000".to_string();
             return Err(MeshError::Shape { field: "target elements", value: count.to_string(), expected });
@@ -93,22 +115,28 @@ impl SheetSpec {
         check_length("element_size_m", self.element_size_m)?;
         check_length("electrode_element_size_m", self.electrode_element_size_m)?;
         super::layout::check_outline(&self.outline)?;
-        let mut best = (f64::INFINITY, self.element_size_m);
         // An equilateral triangle of edge h covers sqrt(3)/4 h^2; electrodes and rims ask for more.
         let mut size = (self.outline.area_m2() / count as f64 / 0.433).sqrt();
-        for _ in 0..6 {
+        let mut best: Option<(f64, f64, Planar)> = None;
+        for _ in 0..MOST_PLANS {
             (self.element_size_m, self.electrode_element_size_m) = (size, ratio * size);
-            let got = self.plan()?.triangles.len() as f64 / count as f64;
-            if got.ln().abs() < best.0 {
-                best = (got.ln().abs(), size);
+            let planar = self.plan()?;
+            let got = planar.triangles.len() as f64 / count as f64;
+            let off = got.ln().abs();
+            if best.as_ref().is_none_or(|best| off < best.0) {
+                best = Some((off, size, planar));
             }
-            if best.0 < 0.03 {
+            if off < 0.03 {
                 break;
             }
             size *= got.sqrt();
         }
-        (self.element_size_m, self.electrode_element_size_m) = (best.1, ratio * best.1);
-        Ok(self)
+        let Some((_, size, planar)) = best else {
+            let planar = self.plan()?;
+            return Ok((self, planar));
+        };
+        (self.element_size_m, self.electrode_element_size_m) = (size, ratio * size);
+        Ok((self, planar))
     }
 
     /// Meshes the sheet. `contact_impedance` holds one value for all electrodes or one each; its unit is that of
@@ -119,7 +147,10 @@ impl SheetSpec {
     /// electrodes off the sheet or overlapping, a minimum angle above 33 degrees, or a wrong number of impedances.
     pub fn build(&self, contact_impedance: &[f64]) -> Result<(ElectrodedMesh, MeshQuality), MeshError> {
         let impedances = spread(contact_impedance, self.electrodes.len())?;
-        let planar = self.plan()?;
+        self.build_of(self.plan()?, impedances)
+    }
+
+    fn build_of(&self, planar: Planar, impedances: Vec<f64>) -> Result<(ElectrodedMesh, MeshQuality), MeshError> {
         let contacts = self.contacts(&planar);
         let refinement_complete = planar.refinement_complete;
         let nodes = planar.nodes.iter().map(|p| [p[0], p[1], 0.0]).collect();

@@ -247,6 +247,17 @@ fn target_counts_are_met() {
 }
 
 #[test]
+fn built_to_a_count_is_built_with_that_target() {
+    for count in [300, 2000] {
+        let sized = disc16().with_target_elements(count).unwrap();
+        let (mesh, quality) = sized.build(&[0.01]).unwrap();
+        assert!(disc16().build_to(count, &[0.01]).unwrap() == (sized, mesh, quality), "{count}");
+    }
+    assert!(disc16().build_to(0, &[0.01]).is_err());
+    assert!(disc16().build_to(300, &[0.01, 0.02]).is_err());
+}
+
+#[test]
 fn mistakes_are_named() {
     let refused = |outline: &Outline, electrodes: Vec<ElectrodeShape>| {
         SheetSpec::new(outline.clone(), electrodes, 0.01).build(&[0.01]).unwrap_err().to_string()
