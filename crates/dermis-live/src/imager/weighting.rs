@@ -62,19 +62,28 @@ pub(crate) fn weighting(prepared: &Prepared, reference: &Reference) -> Result<We
 /// and those beside it, per area. A single pixel may be cut by the rim or lie under an electrode, where no channel
 /// sees anything; it must not be allowed larger values for that.
 pub(crate) fn prior_matrix(prepared: &Prepared, weighting: &Weighting) -> Result<PriorMatrix, Error> {
-    let (jacobian, areas) = (prepared.jacobian.as_mat(), prepared.map.pixel_measures());
-    let (mut spots, mut spot_areas) = (jacobian.to_owned(), areas.to_vec());
+    let (jacobian, areas) = (&prepared.jacobian, prepared.map.pixel_measures());
+    let mut spot_areas = areas.to_vec();
     for &[a, b] in &prepared.basis.neighbours {
-        for (pixel, beside) in [(a as usize, b as usize), (b as usize, a as usize)] {
-            spot_areas[pixel] += areas[beside];
-            spots.col_mut(pixel).iter_mut().zip(jacobian.col(beside).iter()).for_each(|(sum, j)| *sum += j);
-        }
+        let (a, b) = (a as usize, b as usize);
+        spot_areas[a] += areas[b];
+        spot_areas[b] += areas[a];
     }
     let pixel_area = prepared.map.grid().pixel_m.powi(2);
-    for (spot, area) in spots.col_iter_mut().zip(&spot_areas) {
-        spot.iter_mut().for_each(|value| *value *= pixel_area / area);
+    let scale: Vec<f64> = spot_areas.iter().map(|area| pixel_area / area).collect();
+    // A channel at a time, as the Jacobian is stored.
+    let mut spots = vec![0.0; jacobian.values.len()];
+    for channel in 0..jacobian.rows {
+        let (row, spots) = (jacobian.row(channel), &mut spots[channel * jacobian.columns..][..jacobian.columns]);
+        spots.copy_from_slice(row);
+        for &[a, b] in &prepared.basis.neighbours {
+            spots[a as usize] += row[b as usize];
+            spots[b as usize] += row[a as usize];
+        }
+        spots.iter_mut().zip(&scale).for_each(|(value, scale)| *value *= scale);
     }
-    Ok(prepared.prior().matrix(spots.as_ref(), weighting, &prepared.basis)?)
+    let spots = MatRef::from_row_major_slice(&spots, jacobian.rows, jacobian.columns);
+    Ok(prepared.prior().matrix(spots, weighting, &prepared.basis)?)
 }
 
 /// Difference data of a small touch in the middle of the skin, for the noise figure.

@@ -107,10 +107,17 @@ impl Prior {
                 Ok(PriorMatrix::Covariance(SmoothCovariance::new(&basis.positions, *correlation_length_m, None)?))
             }
             Prior::GaussianNoser { correlation_length_m, exponent } => {
-                let mut whitened = jacobian.to_owned();
                 weighting.check(jacobian.nrows())?;
-                weighting.whiten(whitened.as_mut());
-                let diagonal = balance(whitened.as_ref(), *exponent)?;
+                let diagonal = match weighting {
+                    Weighting::Full(_) => {
+                        let mut whitened = jacobian.to_owned();
+                        weighting.whiten(whitened.as_mut());
+                        balance(whitened.as_ref(), None, *exponent)?
+                    }
+                    // A copy of the Jacobian would be among the largest things in memory.
+                    Weighting::Diagonal(weights) => balance(jacobian, Some(weights), *exponent)?,
+                    Weighting::Identity => balance(jacobian, None, *exponent)?,
+                };
                 let mean = diagonal.iter().sum::<f64>() / size as f64;
                 let scale = diagonal.iter().map(|d| (mean / d).sqrt()).collect();
                 let covariance = SmoothCovariance::new(&basis.positions, *correlation_length_m, Some(scale))?;
@@ -125,10 +132,10 @@ impl Prior {
 /// outside them are hardly seen, and allowed values to match they would be filled by noise and model error.
 const VISIBILITY_FLOOR: f64 = 1e-3;
 
-/// `diag(J'J)^exponent`, with the sensitivity held above that floor.
-fn balance(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
+/// `diag(J'WJ)^exponent` with a diagonal W or none, and with the sensitivity held above that floor.
+fn balance(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>, exponent: f64) -> Result<Vec<f64>, InverseError> {
     check_exponent(exponent)?;
-    let sensitivity = noser(jacobian, 1.0)?;
+    let sensitivity = visible(sensitivity(jacobian, weights));
     let least = VISIBILITY_FLOOR * sensitivity.iter().sum::<f64>() / sensitivity.len().max(1) as f64;
     Ok(sensitivity.into_iter().map(|d| d.max(least).powf(exponent)).collect())
 }
@@ -142,14 +149,23 @@ fn check_exponent(exponent: f64) -> Result<(), InverseError> {
 
 fn noser(jacobian: MatRef<'_, f64>, exponent: f64) -> Result<Vec<f64>, InverseError> {
     check_exponent(exponent)?;
+    Ok(visible(sensitivity(jacobian, None).into_iter().map(|value| value.powf(exponent)).collect()))
+}
+
+/// `diag(J'WJ)`, W the identity or a diagonal.
+fn sensitivity(jacobian: MatRef<'_, f64>, weights: Option<&[f64]>) -> Vec<f64> {
     let mut diagonal = vec![0.0; jacobian.ncols()];
-    for row in jacobian.row_iter() {
-        diagonal.iter_mut().zip(row.iter()).for_each(|(sum, value)| *sum += value * value);
+    for (channel, row) in jacobian.row_iter().enumerate() {
+        let root = weights.map_or(1.0, |weights| weights[channel].sqrt());
+        diagonal.iter_mut().zip(row.iter()).for_each(|(sum, value)| *sum += (root * value) * (root * value));
     }
-    diagonal.iter_mut().for_each(|value| *value = value.powf(exponent));
+    diagonal
+}
+
+/// An unknown that no channel sees would have no prior at all; it is held as firmly as the least visible others.
+fn visible(diagonal: Vec<f64>) -> Vec<f64> {
     let largest = diagonal.iter().copied().fold(0.0, f64::max);
-    // An unknown that no channel sees would have no prior at all; hold it as firmly as the least visible others.
-    Ok(diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect())
+    diagonal.into_iter().map(|d| if d > 1e-12 * largest { d } else { 1e-12 * largest.max(1e-300) }).collect()
 }
 
 fn laplace(basis: &ImageBasis) -> PriorMatrix {
