@@ -253,21 +253,21 @@ fn balanced(pattern: &Pattern, count: usize) -> Vec<(usize, f64)> {
 /// In-element gradient of a linear field given at the nodes: E G^-1 du.
 fn gradient(mesh: &crate::mesh::Mesh, element: usize, potentials: &[f64]) -> [f64; 3] {
     let cell = mesh.element(element);
-    let edges: Vec<[f64; 3]> = cell[1..]
-        .iter()
-        .map(|&node| crate::mesh::subtract(mesh.nodes()[node as usize], mesh.nodes()[cell[0] as usize]))
-        .collect();
-    let rise = Mat::from_fn(edges.len(), 1, |row, _| potentials[cell[row + 1] as usize] - potentials[cell[0] as usize]);
-    let gram = Mat::from_fn(edges.len(), edges.len(), |a, b| crate::mesh::dot(edges[a], edges[b]));
-    // Gram matrices of simplices with positive measure are positive definite.
-    let coefficients = match gram.llt(faer::Side::Lower) {
-        Ok(factor) => faer::linalg::solvers::Solve::solve(&factor, &rise),
-        Err(_) => rise,
-    };
-    let mut sum = [0.0; 3];
-    for (row, edge) in edges.iter().enumerate() {
-        for axis in 0..3 {
-            sum[axis] += coefficients[(row, 0)] * edge[axis];
+    let (mut axes, mut sum) = ([[0.0; 3]; 3], [0.0; 3]);
+    // Edges made orthogonal one after the other: along what is left of each, the potential rises by what the others
+    // leave of its rise.
+    for (k, &node) in cell[1..].iter().enumerate() {
+        let mut edge = crate::mesh::subtract(mesh.nodes()[node as usize], mesh.nodes()[cell[0] as usize]);
+        let rise = potentials[node as usize] - potentials[cell[0] as usize] - crate::mesh::dot(sum, edge);
+        for axis in &axes[..k] {
+            let along = crate::mesh::dot(*axis, edge);
+            (0..3).for_each(|i| edge[i] -= along * axis[i]);
+        }
+        let square = crate::mesh::dot(edge, edge);
+        // Simplices with positive measure leave something.
+        if square > 0.0 {
+            (0..3).for_each(|i| sum[i] += rise / square * edge[i]);
+            axes[k] = edge.map(|component| component / square.sqrt());
         }
     }
     sum
@@ -303,5 +303,32 @@ impl ElectrodedMesh {
             }
         }
         centre
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::gradient;
+    use crate::mesh::{CellKind, Mesh, dot};
+
+    #[test]
+    fn gradients_of_linear_fields_are_theirs_along_the_cell() {
+        let slope = [0.3, -1.2, 0.7];
+        let corners = [[0.1, 0.0, 0.2], [1.3, 0.2, 0.1], [0.4, 0.9, -0.3], [0.2, 0.3, 1.1]];
+        let potentials = corners.map(|p| dot(slope, p) + 5.0);
+        let solid = Mesh::new(CellKind::Tetrahedron, corners.to_vec(), vec![0, 1, 2, 3]).unwrap();
+        let found = gradient(&solid, 0, &potentials);
+        // Rounding of numbers of order one.
+        (0..3).for_each(|axis| assert!((found[axis] - slope[axis]).abs() < 1e-13, "{found:?}"));
+        let tilted = Mesh::new(CellKind::Triangle, corners[..3].to_vec(), vec![0, 1, 2]).unwrap();
+        let found = gradient(&tilted, 0, &potentials);
+        // In the triangle's plane, and with the slope's part along both edges.
+        for corner in [corners[1], corners[2]] {
+            let edge = crate::mesh::subtract(corner, corners[0]);
+            assert!((dot(found, edge) - dot(slope, edge)).abs() < 1e-13, "{found:?}");
+        }
+        let [a, b] = [1, 2].map(|k: usize| crate::mesh::subtract(corners[k], corners[0]));
+        let normal = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+        assert!(dot(found, normal).abs() < 1e-13, "{found:?}");
     }
 }
