@@ -253,6 +253,43 @@ impl SpdStructure {
         result
     }
 
+    /// What is given of the inverse between these unknowns: its lower triangle in single precision, column by column (n,
+    /// n - 1, ... values), in an order of its own, which is returned first: numbers of the unknowns given. In the order
+    /// of elimination neither substitution looks at what comes before, and no part is made twice.
+    pub fn inverse_triangle(&self, factor: &SpdFactor, unknowns: &[usize]) -> (Vec<usize>, Vec<f32>) {
+        let count = unknowns.len();
+        let mut order: Vec<usize> = (0..count).collect();
+        let mut triangle = Vec::with_capacity(count * (count + 1) / 2);
+        let (SymbolicCholeskyRaw::Supernodal(symbolic), Some(elimination)) =
+            (self.symbolic.raw(), self.symbolic.perm())
+        else {
+            for (chunk, sources) in unknowns.chunks(WIDTH).enumerate() {
+                let mut columns = Mat::zeros(self.size(), sources.len());
+                sources.iter().enumerate().for_each(|(column, &unknown)| columns[(unknown, column)] = 1.0);
+                self.solve_in_place(factor, columns.as_mut());
+                for column in 0..sources.len() {
+                    let rows = unknowns[chunk * WIDTH + column..].iter();
+                    triangle.extend(rows.map(|&row| columns[(row, column)] as f32));
+                }
+            }
+            return (order, triangle);
+        };
+        let (_, new_of_old) = elimination.arrays();
+        order.sort_by_key(|&k| new_of_old[unknowns[k]]);
+        let places: Vec<usize> = order.iter().map(|&k| new_of_old[unknowns[k]] as usize).collect();
+        let mut x = vec![[0.0; WIDTH]; self.size()];
+        for (chunk, sources) in places.chunks(WIDTH).enumerate() {
+            x.fill([0.0; WIDTH]);
+            sources.iter().enumerate().for_each(|(column, &place)| x[place][column] = 1.0);
+            let factor = SupernodalLltRef::new(symbolic, &factor.values);
+            Supernodal { factor, first: sources[0] }.solve(&mut x, Rows::Same);
+            for column in 0..sources.len() {
+                triangle.extend(places[chunk * WIDTH + column..].iter().map(|&place| x[place][column] as f32));
+            }
+        }
+        (order, triangle)
+    }
+
     /// Solves in place for every column of `rhs` (size x n).
     pub fn solve_in_place(&self, factor: &SpdFactor, rhs: MatMut<'_, f64>) {
         let mut buffer = MemBuffer::new(self.symbolic.solve_in_place_scratch::<f64>(rhs.ncols(), Par::Seq));
@@ -286,6 +323,35 @@ mod tests {
             }
         }
         (coordinates, positions)
+    }
+
+    #[test]
+    fn triangles_of_the_inverse_are_parts_of_its_columns() {
+        let n = 9;
+        let (coordinates, edges) = grid(n);
+        let mut positions = edges.clone();
+        positions.extend(edges.iter().flat_map(|&(a, b)| [(a, a), (b, b)]));
+        positions.push((0, 0));
+        let (structure, slots) = SpdStructure::new(n * n, &positions, Ordering::Dissection(&coordinates)).unwrap();
+        let mut values = vec![0.0; structure.value_count()];
+        let weights = edges.iter().map(|_| -1.0).chain(edges.iter().flat_map(|_| [1.0, 1.0])).chain([1.0]);
+        slots.iter().zip(weights).for_each(|(&slot, weight)| values[slot as usize] += weight);
+        let factor = structure.factor(&values).unwrap();
+        let unknowns: Vec<usize> = (0..n * n).rev().filter(|k| k % 5 != 2).collect();
+        let columns = structure.inverse_columns(&factor, &unknowns);
+        let (order, triangle) = structure.inverse_triangle(&factor, &unknowns);
+        let mut left = triangle.iter();
+        for (at, &column) in order.iter().enumerate() {
+            for &row in &order[at..] {
+                let (expected, got) = (columns[(unknowns[row], column)], f64::from(*left.next().unwrap()));
+                // Rounding of single precision.
+                assert!((got / expected - 1.0).abs() < 1e-6, "{row} {column}: {got} {expected}");
+            }
+        }
+        assert!(left.next().is_none());
+        let mut numbers = order;
+        numbers.sort_unstable();
+        assert!(numbers.into_iter().eq(0..unknowns.len()));
     }
 
     #[test]

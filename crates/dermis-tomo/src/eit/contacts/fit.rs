@@ -193,7 +193,7 @@ impl ContactSheet {
     /// conductance.
     pub(super) fn derivatives(&self, patches: &[ContactPatch], touched: &Touched) -> Vec<f64> {
         let (size, stimulations) = (OF_PATCH * patches.len(), self.stimulations);
-        let measuring = self.patterns() - stimulations;
+        let measuring = self.measuring();
         let mut jacobian = vec![0.0; self.channels() * size];
         for (k, patch) in patches.iter().enumerate() {
             // The rows of the touched nodes that this patch covers, and what its parameters do to their conductance.
@@ -217,9 +217,9 @@ impl ContactSheet {
                     ]);
                 }
             }
-            let mut measured = Mat::<f64>::zeros(rows.len(), measuring);
-            for (pattern, column) in measured.col_iter_mut().enumerate() {
-                let currents = touched.currents.col(stimulations + pattern);
+            let mut measured = Mat::<f64>::zeros(rows.len(), measuring.len());
+            for (field, column) in measured.col_iter_mut().enumerate() {
+                let currents = touched.currents.col(measuring.start + field);
                 column.iter_mut().zip(&rows).for_each(|(v, &row)| *v = currents[row] / touched.conductance_s[row]);
             }
             let mut driven = Mat::<f64>::zeros(rows.len(), OF_PATCH * stimulations);
@@ -232,9 +232,10 @@ impl ContactSheet {
             }
             let exchange = measured.transpose() * &driven;
             for (row, channel) in jacobian.chunks_exact_mut(size).zip(&self.measurements) {
+                let (field, multiple) = self.patterns[channel.pattern as usize];
                 for (j, value) in row[OF_PATCH * k..][..OF_PATCH].iter_mut().enumerate() {
                     let column = j * stimulations + channel.stimulation as usize;
-                    *value = -exchange[(channel.pattern as usize, column)];
+                    *value = -multiple * exchange[(field - measuring.start, column)];
                 }
             }
         }

@@ -15,6 +15,9 @@ const MOST: usize = 4;
 /// Channels that are worked on side by side.
 const LANES: usize = 16;
 
+/// Shares of a port's current at its nodes.
+type Shape = Vec<(usize, f64)>;
+
 /// The ports of a sheet.
 #[derive(Debug)]
 pub struct PatchSearch {
@@ -101,10 +104,10 @@ impl PatchSearch {
         for patch in &patches {
             let touched = sheet.touch(&[*patch])?;
             let total: f64 = touched.common.iter().sum();
-            let shape: Vec<(usize, f64)> =
+            let shape: Shape =
                 touched.nodes.iter().zip(&touched.common).map(|(n, share)| (*n as usize, share / total)).collect();
             fields.push(
-                (0..sheet.patterns())
+                (0..sheet.field_count())
                     .map(|t| shape.iter().map(|(n, share)| share * sheet.fields[(t, *n)]).sum())
                     .collect(),
             );
@@ -112,24 +115,15 @@ impl PatchSearch {
             own.push(1.0 / total);
             shapes.push(shape);
         }
-        let count = patches.len();
-        let mut resistance = vec![vec![0.0; count]; count];
-        for a in 0..count {
-            resistance[a][a] = own[a];
-            for b in 0..a {
-                let green = |p: &(usize, f64)| -> f64 {
-                    shapes[b].iter().map(|q| q.1 * f64::from(sheet.green[(p.0, q.0)])).sum::<f64>() * p.1
-                };
-                let mutual = shapes[a].iter().map(green).sum();
-                (resistance[a][b], resistance[b][a]) = (mutual, mutual);
-            }
-        }
-        let of_channels = |pattern: &dyn Fn(&Measurement) -> usize| -> Vec<Vec<[f32; LANES]>> {
-            let of_port = |fields: &Vec<f64>| in_lanes(sheet.measurements.iter().map(|m| fields[pattern(m)]));
+        let resistance = resistances(sheet, &shapes, &own);
+        let of_channels = |field: &dyn Fn(&Measurement) -> (usize, f64)| -> Vec<Vec<[f32; LANES]>> {
+            let of_port = |fields: &Vec<f64>| {
+                in_lanes(sheet.measurements.iter().map(field).map(|(field, multiple)| multiple * fields[field]))
+            };
             fields.iter().map(of_port).collect()
         };
-        let driven = of_channels(&|m| m.stimulation as usize);
-        let measured = of_channels(&|m| sheet.stimulations + m.pattern as usize);
+        let driven = of_channels(&|m| (m.stimulation as usize, 1.0));
+        let measured = of_channels(&|m| sheet.patterns[m.pattern as usize]);
         Ok(Self { patches, resistance, alone_v, driven, measured, apart_m: 1.5 * typical.radius_m })
     }
 
@@ -283,6 +277,26 @@ impl Sums {
         let (along, square) = (sum(&self.along), sum(&self.square));
         if square > 0.0 && along > 0.0 { energy - along * along / square } else { energy }
     }
+}
+
+/// Ports x ports, with what each has by itself on the diagonal.
+fn resistances(sheet: &ContactSheet, shapes: &[Shape], own: &[f64]) -> Vec<Vec<f64>> {
+    let green = sheet.green.whole();
+    let mut resistance = vec![vec![0.0; shapes.len()]; shapes.len()];
+    let mut potential = vec![0.0; sheet.positions_m.len()];
+    for (a, shape) in shapes.iter().enumerate() {
+        resistance[a][a] = own[a];
+        potential.fill(0.0);
+        for &(node, share) in shape {
+            let column = green.col_as_slice(node);
+            potential.iter_mut().zip(column).for_each(|(sum, value)| *sum += share * f64::from(*value));
+        }
+        for (b, other) in shapes[..a].iter().enumerate() {
+            let mutual = other.iter().map(|&(node, share)| share * potential[node]).sum();
+            (resistance[a][b], resistance[b][a]) = (mutual, mutual);
+        }
+    }
+    resistance
 }
 
 /// Values of the channels in lanes, the last one filled up with zeros.

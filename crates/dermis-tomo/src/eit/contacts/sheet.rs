@@ -1,9 +1,11 @@
 //! The bare sheet, and what patches of contact change of its channels.
 
+use std::ops::Range;
+
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 
-use crate::eit::{EitError, ForwardModel, Measurement};
+use crate::eit::{EitError, ForwardModel, Measurement, Pattern};
 use crate::sparse::SparseError;
 
 /// A round patch of contact.
@@ -19,8 +21,39 @@ pub struct ContactPatch {
 
 /// Nodes of which less than this share is covered by a patch are not touched.
 const LEAST_COVERAGE: f64 = 1e-3;
+/// Fields that differ by no more than this share of the largest potential are the same.
+const SAME: f64 = 1e-12;
 
-/// The bare sheet, ready for any contacts.
+/// The Green's function between all nodes, which is symmetric: its lower triangle, column by column. It is the largest
+/// thing in memory of a live skin.
+#[derive(Debug)]
+pub(super) struct Green {
+    nodes: usize,
+    triangle: Vec<f32>,
+}
+
+impl Green {
+    /// Values of the nodes from this one on.
+    pub(super) fn column(&self, node: usize) -> &[f32] {
+        // Those before it have nodes, nodes - 1, ... values.
+        let start = node * self.nodes - node * node.saturating_sub(1) / 2;
+        &self.triangle[start..start + self.nodes - node]
+    }
+
+    /// Both triangles, column by column.
+    pub(super) fn whole(&self) -> Mat<f32> {
+        let mut whole = Mat::zeros(self.nodes, self.nodes);
+        for node in 0..self.nodes {
+            whole.col_as_slice_mut(node)[node..].copy_from_slice(self.column(node));
+            for (row, value) in self.column(node).iter().enumerate() {
+                whole[(node, node + row)] = *value;
+            }
+        }
+        whole
+    }
+}
+
+/// The bare sheet, ready for any contacts. Its nodes stand in the order of elimination.
 #[derive(Debug)]
 pub struct ContactSheet {
     pub(super) positions_m: Vec<[f64; 2]>,
@@ -29,10 +62,13 @@ pub struct ContactSheet {
     /// Width over which the edge of a patch is blurred, metres.
     edge_m: f64,
     /// Nodes x nodes, ohm.
-    pub(super) green: Mat<f32>,
-    /// Patterns x nodes: potentials for the stimulations, volts, then for the measuring patterns, ohm.
+    pub(super) green: Green,
+    /// Fields x nodes: potentials for the stimulations, volts, then for those measuring patterns that are no multiple of
+    /// one, ohm. A pair that both drives and measures is worked on once.
     pub(super) fields: Mat<f64>,
     pub(super) stimulations: usize,
+    /// Of each measuring pattern its field, and by how much that has to be multiplied.
+    pub(super) patterns: Vec<(usize, f64)>,
     pub(super) measurements: Vec<Measurement>,
     /// Channels on the bare sheet, volts.
     pub(super) bare_v: Vec<f64>,
@@ -43,7 +79,7 @@ pub struct ContactSheet {
 pub(super) struct Touched {
     pub(super) nodes: Vec<u32>,
     pub(super) conductance_s: Vec<f64>,
-    /// Touched x patterns: `P f`, the current out of the sheet.
+    /// Touched x fields: `P f`, the current out of the sheet.
     pub(super) currents: Mat<f64>,
     /// `M^-1 1`, and its sum: the shape of the current of one common potential.
     pub(super) common: Vec<f64>,
@@ -64,28 +100,37 @@ impl ContactSheet {
         let mut values = Vec::new();
         model.system.assemble(sheet_s, &mut values);
         let factor = model.system.factor(&values)?;
-        let inverse = model.system.structure.inverse_columns(&factor, &unknowns);
         let nodes = unknowns.len();
-        let green = Mat::from_fn(nodes, nodes, |row, column| inverse[(unknowns[row], column)] as f32);
+        let (order, triangle) = model.system.structure.inverse_triangle(&factor, &unknowns);
         let protocol = &model.protocol;
-        let columns: Vec<Vec<f64>> = protocol
-            .stimulations()
-            .iter()
-            .chain(protocol.patterns())
-            .map(|pattern| solution.pattern_potentials(pattern))
-            .collect();
+        let potentials = |patterns: &[Pattern]| -> Vec<Vec<f64>> {
+            patterns.iter().map(|pattern| solution.pattern_potentials(pattern)).collect()
+        };
+        let mut columns = potentials(protocol.stimulations());
+        let stimulations = columns.len();
+        let mut patterns = Vec::with_capacity(protocol.patterns().len());
+        for measured in potentials(protocol.patterns()) {
+            let mut driven = columns[..stimulations].iter().enumerate();
+            let found = driven.find_map(|(field, driven)| Some((field, multiple_of(driven, &measured)?)));
+            patterns.push(found.unwrap_or((columns.len(), 1.0)));
+            if found.is_none() {
+                columns.push(measured);
+            }
+        }
         let mut areas_m2 = vec![0.0; nodes];
         for (cell, measure) in mesh.elements().zip(mesh.measures()) {
             cell.iter().for_each(|&node| areas_m2[node as usize] += measure / cell.len() as f64);
         }
         let area: f64 = areas_m2.iter().sum();
+        let position = |&node: &usize| [mesh.nodes()[node][0], mesh.nodes()[node][1]];
         Ok(Self {
-            positions_m: mesh.nodes().iter().map(|p| [p[0], p[1]]).collect(),
+            positions_m: order.iter().map(position).collect(),
             edge_m: edge_m.max((area / nodes as f64).sqrt()),
-            areas_m2,
-            green,
-            fields: Mat::from_fn(columns.len(), nodes, |pattern, node| columns[pattern][node]),
-            stimulations: protocol.stimulations().len(),
+            areas_m2: order.iter().map(|&node| areas_m2[node]).collect(),
+            green: Green { nodes, triangle },
+            fields: Mat::from_fn(columns.len(), nodes, |pattern, node| columns[pattern][order[node]]),
+            stimulations,
+            patterns,
             measurements: protocol.measurements().to_vec(),
             bare_v: solution.voltages(),
         })
@@ -110,8 +155,15 @@ impl ContactSheet {
         Ok(self.change_of(&touched))
     }
 
-    pub(super) fn patterns(&self) -> usize {
+    /// Number of fields.
+    pub(super) fn field_count(&self) -> usize {
         self.fields.nrows()
+    }
+
+    /// The fields that measuring patterns have, some or all of which may be those of stimulations.
+    pub(super) fn measuring(&self) -> Range<usize> {
+        let fields = || self.patterns.iter().map(|(field, _)| *field);
+        fields().min().unwrap_or(0)..fields().max().map_or(0, |last| last + 1)
     }
 
     /// Share of a node that a patch covers, and its derivative with the distance from the middle (1/m).
@@ -159,28 +211,29 @@ impl ContactSheet {
     }
 
     fn solve(&self, nodes: Vec<u32>, conductance_s: Vec<f64>) -> Result<Touched, EitError> {
-        let (count, patterns) = (nodes.len(), self.patterns());
+        let (count, fields) = (nodes.len(), self.field_count());
         if count == 0 {
-            return Ok(Touched { nodes, conductance_s, currents: Mat::zeros(0, patterns), common: Vec::new() });
+            return Ok(Touched { nodes, conductance_s, currents: Mat::zeros(0, fields), common: Vec::new() });
         }
         // Only the lower triangle is read.
         let mut matrix = Mat::zeros(count, count);
         for (b, &node) in nodes.iter().enumerate() {
-            let green = self.green.col(node as usize);
+            // Nodes ascend.
+            let green = self.green.column(node as usize);
             for (a, &other) in nodes.iter().enumerate().skip(b) {
-                matrix[(a, b)] = f64::from(green[other as usize]);
+                matrix[(a, b)] = f64::from(green[(other - node) as usize]);
             }
             matrix[(b, b)] += 1.0 / conductance_s[b];
         }
         let singular = |_| EitError::System(SparseError::NotPositiveDefinite { pivot: 0, size: count });
         let factor = Llt::new(matrix.as_ref(), Side::Lower).map_err(singular)?;
-        let mut right = Mat::from_fn(count, patterns + 1, |row, pattern| {
-            if pattern < patterns { self.fields[(pattern, nodes[row] as usize)] } else { 1.0 }
+        let mut right = Mat::from_fn(count, fields + 1, |row, field| {
+            if field < fields { self.fields[(field, nodes[row] as usize)] } else { 1.0 }
         });
         factor.solve_in_place(&mut right);
-        let common: Vec<f64> = right.col(patterns).iter().copied().collect();
+        let common: Vec<f64> = right.col(fields).iter().copied().collect();
         let total: f64 = common.iter().sum();
-        let mut currents = right.subcols(0, patterns).to_owned();
+        let mut currents = right.subcols(0, fields).to_owned();
         for column in currents.col_iter_mut() {
             let potential = column.as_ref().iter().sum::<f64>() / total;
             column.iter_mut().zip(&common).for_each(|(current, share)| *current -= potential * share);
@@ -189,11 +242,25 @@ impl ContactSheet {
     }
 
     pub(super) fn change_of(&self, touched: &Touched) -> Vec<f64> {
-        let measuring = self.patterns() - self.stimulations;
-        let fields = Mat::from_fn(measuring, touched.nodes.len(), |pattern, row| {
-            self.fields[(self.stimulations + pattern, touched.nodes[row] as usize)]
+        let measuring = self.measuring();
+        let fields = Mat::from_fn(measuring.len(), touched.nodes.len(), |field, row| {
+            self.fields[(measuring.start + field, touched.nodes[row] as usize)]
         });
         let exchange = &fields * touched.currents.subcols(0, self.stimulations);
-        self.measurements.iter().map(|c| -exchange[(c.pattern as usize, c.stimulation as usize)]).collect()
+        let change = |c: &Measurement| {
+            let (field, multiple) = self.patterns[c.pattern as usize];
+            -multiple * exchange[(field - measuring.start, c.stimulation as usize)]
+        };
+        self.measurements.iter().map(change).collect()
     }
+}
+
+/// The number that these potentials are another's multiples by; `None` where they are not.
+fn multiple_of(driven: &[f64], measured: &[f64]) -> Option<f64> {
+    let largest = |values: &[f64]| (0..values.len()).max_by(|&a, &b| values[a].abs().total_cmp(&values[b].abs()));
+    let at = largest(driven)?;
+    let multiple = measured[at] / driven[at];
+    let close = SAME * measured[largest(measured)?].abs();
+    let is_same = || measured.iter().zip(driven).all(|(m, d)| (m - multiple * d).abs() <= close);
+    (multiple.is_finite() && multiple != 0.0 && is_same()).then_some(multiple)
 }
