@@ -142,16 +142,21 @@ impl Pipeline {
                 CircuitStage::new(&prepared)?
             }
         };
-        // An operator that does not depend on the baseline is built before any frame has to wait for it.
-        let starting = Starting::new(&prepared, calibration.as_ref())?;
         // Neither unknown wiring nor differences can be compared with the model's resting values.
         let backend = &prepared.skin.backend;
         let is_watched = prepared.skin.health.watch && backend.wiring.is_known() && !backend.differences;
-        let health = if is_watched { Some(HealthStage::new(&prepared)?) } else { None };
         let by_levels = LevelStage::is_wanted(&prepared);
-        let levels = if by_levels { Some(LevelStage::new(&prepared)?) } else { None };
         let by_image = prepared.skin.damage.watch && !by_levels;
-        let damage = if by_image { Some(DamageStage::new(&prepared)?) } else { None };
+        // An operator that does not depend on the baseline is built before any frame has to wait for it.
+        let starting = || Starting::new(&prepared, calibration.as_ref());
+        let watches = || -> Result<_, Error> {
+            let health = is_watched.then(|| HealthStage::new(&prepared)).transpose()?;
+            let levels = by_levels.then(|| LevelStage::new(&prepared)).transpose()?;
+            let damage = by_image.then(|| DamageStage::new(&prepared)).transpose()?;
+            Ok((health, levels, damage))
+        };
+        let (starting, watches) = rayon::join(starting, watches);
+        let (starting, (health, levels, damage)) = (starting?, watches?);
         let image = vec![f32::NAN; prepared.map.grid().len()];
         Ok(Self {
             choices: Choices { calibration, ..Choices::default() },

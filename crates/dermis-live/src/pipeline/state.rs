@@ -45,16 +45,23 @@ pub(super) struct Choices {
 impl Starting {
     pub fn new(prepared: &Prepared, calibration: Option<&Calibration>) -> Result<Self, Error> {
         let by_model = calibration.is_none_or(|calibration| calibration.correction().is_some());
-        let imager = if by_model && operator_needs_no_baseline(prepared) {
-            Some(Imager::new(prepared, &Reference::from_baseline(prepared, &prepared.voltages, None)?, &[])?)
-        } else {
-            None
+        // Neither needs the other.
+        let imager = || -> Result<_, Error> {
+            if !by_model || !operator_needs_no_baseline(prepared) {
+                return Ok(None);
+            }
+            let reference = Reference::from_baseline(prepared, &prepared.voltages, None)?;
+            Ok(Some(Imager::new(prepared, &reference, &[])?))
         };
-        let refinement = if Refinement::is_wanted(prepared, calibration) {
-            Refinement::without_noise(prepared)?
-        } else {
-            Refinement::none()
+        let refinement = || {
+            if Refinement::is_wanted(prepared, calibration) {
+                Refinement::without_noise(prepared)
+            } else {
+                Ok(Refinement::none())
+            }
         };
+        let (imager, refinement) = rayon::join(imager, refinement);
+        let (imager, refinement) = (imager?, refinement?);
         Ok(Self { imager, refinement })
     }
 

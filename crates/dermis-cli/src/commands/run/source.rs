@@ -56,7 +56,7 @@ impl InputArguments {
         let baseline = self.baseline.as_ref().map(|spec| read_frames(spec, self.format)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
         let options = SourceOptions { speed: self.speed, as_set: self.as_set, format: self.format };
-        let opened = open(&self.source, &skin, &options)?;
+        let mut opened = open(&self.source, &skin, &options)?;
         let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         match &baseline {
             Some(table) => pipeline.set_baseline(table)?,
@@ -83,12 +83,14 @@ pub struct Opened {
     pub wait: bool,
     /// It is a table of frames, or a recording, and ends.
     pub is_file: bool,
+    /// The skin, where it was prepared beside its twin, until the pipeline takes it.
+    prepared: Option<Prepared>,
 }
 
 impl Opened {
     /// The pipeline for these frames, and what a recording of it says at its beginning; both calibrations are files.
     pub fn pipeline(
-        &self,
+        &mut self,
         calibration: Option<&Path>,
         forces: Option<&Path>,
     ) -> anyhow::Result<(Pipeline, RecordingHead)> {
@@ -99,7 +101,10 @@ impl Opened {
             (Some(path), Some(text)) => Some(Calibration::parse(text, path)?),
             _ => None,
         };
-        let prepared = Prepared::new(self.skin.clone())?;
+        let prepared = match self.prepared.take() {
+            Some(prepared) => prepared,
+            None => Prepared::new(self.skin.clone())?,
+        };
         let layout = self.source.layout().clone();
         let mut head = RecordingHead::of(&prepared, layout.clone(), self.source.name());
         let mut pipeline = Pipeline::new(prepared, &layout, parsed)?;
@@ -148,8 +153,14 @@ pub fn open_of(
     // The twin that was named is the skin's own.
     let is_twin = matches!(selector, SourceSelector::Twin { .. });
     let selector = if is_twin { SourceSelector::Twin { name: None } } else { selector };
-    let OpenedSource { source, twin, waits: wait, is_file } = open_source(&selector, &skin, options)?;
-    Ok(Opened { skin, source, twin, wait, is_file })
+    let source = || open_source(&selector, &skin, options);
+    // A twin takes as long to make as its skin; what is wrong with an instrument is said before either is begun.
+    let (opened, prepared) = match is_twin {
+        true => rayon::join(source, || Prepared::new(skin.clone()).map(Some)),
+        false => (source(), Ok(None)),
+    };
+    let OpenedSource { source, twin, waits: wait, is_file } = opened?;
+    Ok(Opened { source, twin, wait, is_file, prepared: prepared?, skin })
 }
 
 /// Asks the desktop to show the page; without a desktop nothing happens.

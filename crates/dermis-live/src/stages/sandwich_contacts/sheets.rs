@@ -129,11 +129,18 @@ impl CutSheets {
             .filter(|place| prepared.map.grid().pixel_at(*place).is_some_and(|pixel| inside[pixel]))
             .collect();
         let (skin, protocol) = (prepared.skin.clone(), prepared.protocol.clone());
-        let (fine, coarse) = (skin.slit_mesh(ELEMENTS, &[])?, skin.slit_mesh(COARSE_ELEMENTS, &[])?);
+        let mesh = |elements: usize| skin.slit_mesh(elements, &[]);
+        let (fine, coarse) = rayon::join(|| mesh(ELEMENTS), || mesh(COARSE_ELEMENTS));
+        let (fine, coarse) = (fine?, coarse?);
         let edge_m = EDGE * fine.0.mesh.mesh.element_size_m();
         let bare = Arc::new(Bare { skin, protocol, edge_m, typical, places });
-        let (fine, coarse) = (bare.sheet(fine, &[])?, bare.sheet(coarse, &[])?);
-        let now = Sheets { search: PatchSearch::new(&coarse, typical, &bare.places)?, fine, coarse };
+        let searched = || -> Result<_, Error> {
+            let coarse = bare.sheet(coarse, &[])?;
+            Ok((PatchSearch::new(&coarse, typical, &bare.places)?, coarse))
+        };
+        let (fine, searched) = rayon::join(|| bare.sheet(fine, &[]), searched);
+        let (search, coarse) = searched?;
+        let now = Sheets { fine: fine?, coarse, search };
         Ok(Self { bare, cuts: Vec::new(), now, coming: Beside::new() })
     }
 
