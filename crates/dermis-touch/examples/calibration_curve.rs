@@ -1,10 +1,11 @@
 //! How a calibration improves with pokes, on measured pokes:
 //!
-//! `cargo run -p dermis-touch --release --example calibration_curve -- DIR [SISTER_DIR]`
+//! `cargo run -p dermis-touch --release --example calibration_curve -- DIR [SISTER_DIR] [POKES]...`
 //!
 //! DIR holds `positions.csv` (x_m, y_m, depth_m) and `differences.csv`, or files that end in `positions.csv`,
 //! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of three random orders is held out. With a second
-//! folder of the same form, a calibration of it on all its pokes is the prior of the first lines.
+//! folder of the same form, a calibration of it on all its pokes is the prior of the first lines. Numbers choose how
+//! many pokes are fitted to; more than 2,000 are tried on one order.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -192,14 +193,20 @@ fn note(report: &FusedReport) -> String {
 }
 
 fn main() -> Result<(), Failure> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let Some(folder) = arguments.first() else { return Err("usage: calibration_curve DIR [SISTER_DIR]".into()) };
+    let (numbers, folders): (Vec<String>, Vec<String>) =
+        std::env::args().skip(1).partition(|word| word.parse::<usize>().is_ok());
+    let usage = "usage: calibration_curve DIR [SISTER_DIR] [POKES]...";
+    let Some(folder) = folders.first() else { return Err(usage.into()) };
+    let mut counts = vec![10, 20, 50, 100, 200, 400, 1000, 2000];
+    if !numbers.is_empty() {
+        counts = numbers.iter().map(|word| word.parse()).collect::<Result<_, _>>()?;
+    }
     let pokes = load(Path::new(folder))?;
     let (count, map, options) = (pokes.frames.len(), pokes.map()?, FusedOptions::default());
     let test = 500.min(count / 5);
     println!("{folder}: {count} pokes, the last {test} of three random orders held out; mm: median / 90th percentile");
     println!("           pokes |  error, mm    | % in s. | dep | fit, s | us    | last fit");
-    if let Some(other) = arguments.get(1) {
+    if let Some(other) = folders.get(1) {
         let sister = load(Path::new(other))?;
         let all = shuffled(sister.frames.len(), 0);
         let known = FusedLocator::fit(&sister.examples(&all[..all.len().min(2000)])?, &map, &options)?;
@@ -215,12 +222,14 @@ fn main() -> Result<(), Failure> {
             line.print(&format!("{n} and a sister"));
         }
     }
-    for n in [10, 20, 50, 100, 200, 400, 1000, 2000] {
-        if n > count - test {
-            break;
-        }
+    for n in counts.into_iter().filter(|n| *n <= count - test) {
         let mut line = Line::default();
-        for seed in 0..if n <= 20 { 8 } else { 3 } {
+        let orders = match n {
+            ..=20 => 8,
+            21..=2000 => 3,
+            _ => 1,
+        };
+        for seed in 0..orders {
             let order = shuffled(count, seed);
             let examples = pokes.examples(&order[..n])?;
             let start = Instant::now();

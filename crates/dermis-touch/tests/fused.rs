@@ -162,6 +162,25 @@ fn many_pokes_are_fitted_by_landmarks() {
     }
 }
 
+/// One poke more than are solved exactly must not make places worse, nor sigma dishonest. The median of 300 errors
+/// scatters by some 6 %, hence the tolerance.
+#[test]
+fn a_few_pokes_more_than_are_solved_exactly_do_no_harm() {
+    let held_out = pokes(300, 95, plain);
+    let exact = FusedOptions { exact_examples: 400, landmarks: 400, ..FusedOptions::default() };
+    let fit = |count: usize, options: &FusedOptions| {
+        FusedLocator::fit(&pokes(count, 8, plain).examples(), &no_physics(), options).expect("a locator")
+    };
+    let (before, _) = held_out.test(&fit(400, &exact));
+    for count in [401, 480, 800] {
+        let (error, within) = held_out.test(&fit(count, &exact));
+        assert!(error < 1.1 * before, "{count} pokes: {error} m after {before} m");
+        for share in within {
+            assert!((0.58..=0.8).contains(&share), "{count} pokes: {share} within one sigma");
+        }
+    }
+}
+
 #[test]
 fn what_is_stored_reads_back_the_same() {
     let locator = fit(&pokes(40, 8, plain).examples());

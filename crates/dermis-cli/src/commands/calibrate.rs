@@ -99,7 +99,7 @@ pub struct Arguments {
     #[arg(long, conflicts_with_all = ["baseline", "frames", "positions", "start"])]
     twin: bool,
     /// Presses of the twin that --out is fitted to, at random places.
-    #[arg(long, value_name = "N", default_value_t = 40, requires = "twin", value_parser = clap::value_parser!(u32).range(4..=2000))]
+    #[arg(long, value_name = "N", default_value_t = 40, requires = "twin", value_parser = clap::value_parser!(u32).range(4..=20_000))]
     pokes: u32,
     /// Force as a function of the signal.
     #[arg(long, value_enum, default_value_t = Shape::Linear)]

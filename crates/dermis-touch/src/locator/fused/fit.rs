@@ -45,7 +45,8 @@ pub struct FusedOptions {
     /// Up to so many examples every one is used by both experts. Time grows with its cube, memory with its square.
     pub exact_examples: usize,
     /// With more examples than that, so many evenly drawn ones make the forward expert's map and are the inverse
-    /// expert's landmarks; all still teach the inverse expert.
+    /// expert's landmarks; all still teach the inverse expert. Time grows with the number of examples times its square,
+    /// memory with its square, and the time for a frame with it.
     pub landmarks: usize,
     /// Examples that the others contradict are left out and reported.
     pub leave_out_doubtful: bool,
@@ -53,7 +54,7 @@ pub struct FusedOptions {
 
 impl Default for FusedOptions {
     fn default() -> Self {
-        Self { exact_examples: 3000, landmarks: 2000, leave_out_doubtful: true }
+        Self { exact_examples: 3000, landmarks: 3000, leave_out_doubtful: true }
     }
 }
 

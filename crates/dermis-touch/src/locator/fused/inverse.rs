@@ -2,14 +2,15 @@
 //! (K + r I) a = Y - m and k Matern 5/2 over the features' principal components. Leaving example i out changes its
 //! prediction by a_i / (K + r I)^-1_ii (Rasmussen & Williams 2006, section 5.4.2). Length and ridge are those whose
 //! left-out errors are smallest. With more examples than are solved exactly, the kernel is taken at evenly drawn
-//! landmarks only: (K_mn K_nm + r K_mm) a = K_mn (Y - m) (Smola & Schoelkopf 2000; R & W section 8.3.1).
+//! landmarks only ([`landmarks`]).
 //!
 //! Its variance at f is local: the mean of left-out squared errors weighted by a sharpened kernel, times the square of
 //! the ratio by which the nearest example is further than is usual, so that a frame unlike all examples says little.
 
-use faer::linalg::solvers::{DenseSolveCore, Solve};
+use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
 
+use super::landmarks;
 use crate::locator::error::{LocatorError, check_first, check_length};
 use crate::locator::fit::evenly;
 use crate::locator::posterior::quantile;
@@ -28,8 +29,6 @@ const LOCAL_WIDTH: f64 = 0.07;
 const LOCAL_PRIOR: f64 = 3.0;
 /// The squared median of a Rayleigh distribution of unit variance.
 const RAYLEIGH_MEDIAN2: f64 = 1.386_294;
-/// Rows of the kernel made at a time with landmarks.
-const BLOCK: usize = 1000;
 
 /// A fitted regression.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -197,28 +196,13 @@ impl Regression {
             self.weights = (0..m).map(|i| [a[(i, 0)], a[(i, 1)]]).collect();
             return Ok(LeftOutPlaces { places_m: places });
         }
-        // A little on the diagonal keeps the landmarks' kernel positive definite.
-        let landmarks = symmetric(m, |i, j| kernel(judged[i], judged[j]) + if i == j { 1e-6 } else { 0.0 });
-        let mut normal = &landmarks * faer::Scale(self.ridge);
-        let mut right = Mat::<f64>::zeros(m, 2);
-        for block in (0..rows.len()).collect::<Vec<_>>().chunks(BLOCK) {
-            let across = Mat::from_fn(block.len(), m, |i, j| kernel(block[i], judged[j]));
-            normal += across.transpose() * &across;
-            right += across.transpose() * Mat::from_fn(block.len(), 2, |i, axis| target(block[i], axis));
-        }
-        let factor = normal.llt(Side::Lower).map_err(singular)?;
-        let a = factor.solve(&right);
-        // The hat matrix's diagonal at the landmarks: h = k_i N^-1 k_i'.
-        let solved = factor.solve(&landmarks);
-        for i in 0..m {
-            let hat: f64 = (0..m).map(|j| landmarks[(i, j)] * solved[(j, i)]).sum();
-            let fitted = |axis: usize| (0..m).map(|j| landmarks[(i, j)] * a[(j, axis)]).sum::<f64>();
-            let truth = places_m[judged[i]];
-            places[i] =
-                [0, 1].map(|axis| truth[axis] - (target(judged[i], axis) - fitted(axis)) / (1.0 - hat).max(1e-3));
-        }
-        self.weights = (0..m).map(|i| [a[(i, 0)], a[(i, 1)]]).collect();
-        Ok(LeftOutPlaces { places_m: places })
+        let targets: Vec<[f64; 2]> = (0..rows.len()).map(|i| [0, 1].map(|axis| target(i, axis))).collect();
+        let unsaid = m as f64 / rows.len() as f64;
+        let kernel = landmarks::Kernel { length: self.length, ridge: self.ridge, unsaid };
+        let learnt = landmarks::learn(rows, &targets, judged, kernel)?;
+        let place = |(i, left_out): (&usize, &[f64; 2])| [0, 1].map(|axis| places_m[*i][axis] - left_out[axis]);
+        self.weights = learnt.weights;
+        Ok(LeftOutPlaces { places_m: judged.iter().zip(&learnt.left_out).map(place).collect() })
     }
 
     /// Place of a frame of these features; without point `left_out` in the variance, if any.
@@ -233,19 +217,14 @@ impl Regression {
         products(&self.points, self.rank, here, &mut memory.kernel);
         let distance = |(k, square): (&mut f32, &f32)| *k = (own + square - 2.0 * *k).max(0.0);
         memory.kernel.iter_mut().zip(&self.squares).for_each(distance);
-        let mut nearest = f32::INFINITY;
-        for (i, d2) in memory.kernel.iter().enumerate() {
-            if *d2 < nearest && left_out != Some(i) {
-                nearest = *d2;
-            }
-        }
+        let nearest = match left_out {
+            None => least(&memory.kernel),
+            Some(i) => least(&memory.kernel[..i]).min(least(&memory.kernel[i + 1..])),
+        };
         let inverse_length = 1.0 / self.length as f32;
         matern52(&mut memory.kernel, inverse_length);
-        let mut mean_m = self.mean_m;
-        for (k, a) in memory.kernel.iter().zip(&self.weights) {
-            mean_m[0] += f64::from(*k) * a[0];
-            mean_m[1] += f64::from(*k) * a[1];
-        }
+        let moved = sums(&memory.kernel, &self.weights, |k, a| [k * a[0], k * a[1]]);
+        let mean_m = [0, 1].map(|axis| self.mean_m[axis] + moved[axis]);
         let variance_m2 = self.local_variance(&mut memory.kernel, f64::from(nearest), left_out);
         Guess { mean_m, variance_m2 }
     }
@@ -258,11 +237,7 @@ impl Regression {
         if let Some(i) = left_out {
             kernel[i] = 0.0;
         }
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for (k, square) in kernel.iter().zip(&self.residuals_m2) {
-            sum += f64::from(*k) * square;
-            weight += f64::from(*k);
-        }
+        let [sum, weight] = sums(kernel, &self.residuals_m2, |k, square| [k * square, k]);
         let local = (0.5 * sum + LOCAL_PRIOR * self.typical_m2) / (weight + LOCAL_PRIOR);
         local * (nearest / self.usual_nearest).max(1.0).powi(2)
     }
@@ -326,6 +301,33 @@ pub(super) struct Memory {
     centred: Vec<f32>,
     components: Vec<f32>,
     kernel: Vec<f32>,
+}
+
+/// The least of some squared distances; infinite of none.
+fn least(squared: &[f32]) -> f32 {
+    squared.iter().fold(f32::INFINITY, |least, d2| if *d2 < least { *d2 } else { least })
+}
+
+/// Sums of two terms over all values, in eight running sums each: one alone waits for the addition before.
+fn sums<T>(kernel: &[f32], values: &[T], terms: impl Fn(f64, &T) -> [f64; 2]) -> [f64; 2] {
+    const LANES: usize = 8;
+    let mut lanes = [[0.0; 2]; LANES];
+    let (whole, rest) = kernel.as_chunks::<LANES>();
+    let (whole_values, rest_values) = values.as_chunks::<LANES>();
+    let mut add = |lane: usize, k: f32, value: &T| {
+        let [first, second] = terms(f64::from(k), value);
+        lanes[lane][0] += first;
+        lanes[lane][1] += second;
+    };
+    for (k, value) in whole.iter().zip(whole_values) {
+        for lane in 0..LANES {
+            add(lane, k[lane], &value[lane]);
+        }
+    }
+    for (lane, (k, value)) in rest.iter().zip(rest_values).enumerate() {
+        add(lane, *k, value);
+    }
+    lanes.iter().fold([0.0; 2], |sum, lane| [sum[0] + lane[0], sum[1] + lane[1]])
 }
 
 fn distance2(a: &[f32], b: &[f32]) -> f64 {

@@ -20,6 +20,7 @@ mod fit;
 mod form;
 mod fusion;
 mod inverse;
+mod landmarks;
 mod live;
 mod model;
 mod prior;
