@@ -113,14 +113,15 @@ impl LocatorState {
         load: Option<LoadLaw>,
     ) -> Self {
         let map = &judged.map;
-        let (rank, channels) = (map.transform.nrows(), map.transform.ncols());
+        let (whitening, whitened) = (map.transform(), map.signatures());
+        let (rank, channels) = (whitening.nrows(), whitening.ncols());
         let mut transform = Vec::with_capacity(rank * channels);
         for r in 0..rank {
-            transform.extend((0..channels).map(|k| map.transform[(r, k)] as f32));
+            transform.extend((0..channels).map(|k| whitening[(r, k)] as f32));
         }
         let mut signatures = Vec::with_capacity(rank * fitting.positions.len());
         for p in 0..fitting.positions.len() {
-            signatures.extend(map.signatures.col_as_slice(p).iter().map(|v| *v as f32));
+            signatures.extend(whitened.col_as_slice(p).iter().map(|v| *v as f32));
         }
         Self {
             version: LOCATOR_VERSION,

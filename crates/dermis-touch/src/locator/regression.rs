@@ -3,7 +3,8 @@
 //! S, the covariance between channels, is the regression's own residual covariance shrunk to its diagonal. Rasmussen &
 //! Williams (2006), sections 2.2 and 5.4.2, for the regression and for leaving one example out without refitting.
 
-use std::sync::Arc;
+use std::cell::OnceCell;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
@@ -76,15 +77,16 @@ pub(super) fn median(values: &[f64]) -> f64 {
 /// leaving one example out needs.
 #[derive(Debug, Clone)]
 pub(super) struct FittedMap {
-    /// T: rank by channels.
-    pub transform: Mat<f64>,
-    /// Whitened signature of each map position: rank by positions.
-    pub signatures: Mat<f64>,
+    /// Made when asked for: candidates of a search are judged without.
+    transform: OnceCell<Mat<f64>>,
+    signatures: OnceCell<Mat<f64>>,
     /// Whitened examples: rank by examples.
     pub frames: Mat<f64>,
-    /// Squared lengths of the columns of `signatures`.
+    /// Squared lengths of the whitened signatures.
     pub squares: Vec<f64>,
     unwhitened: Arc<UnwhitenedMap>,
+    /// L, with T = L^-1 in the coordinates of the basis.
+    factor: Mat<f64>,
     alpha: Mat<f64>,
     sample_share: f64,
     signatures_frames: Mat<f64>,
@@ -108,6 +110,8 @@ pub(super) struct UnwhitenedMap {
     variance: Vec<f64>,
     /// Positions by rank.
     map: Mat<f64>,
+    /// Where the prior is zero everywhere: the map is `to_map` of these times `alpha`.
+    without_prior: Option<Arc<Correlations>>,
 }
 
 /// Correlations of places at one length.
@@ -118,16 +122,38 @@ struct Correlations {
     to_map: Mat<f64>,
 }
 
+/// What searches through hyperparameters have worked out for examples and a map at the same places, by length.
+#[derive(Debug, Clone, Default)]
+struct Known(Arc<Mutex<Vec<(f64, Arc<Correlations>)>>>);
+
+impl Known {
+    fn at(&self, positions: &[[f64; 2]], poked: &[[f64; 2]], length_m: f64) -> Arc<Correlations> {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, known)) = known.iter().find(|(of, _)| *of == length_m) {
+            return known.clone();
+        }
+        let to_map = correlations(positions, poked, length_m);
+        let new = Arc::new(Correlations { among_examples: correlations(poked, poked, length_m), to_map });
+        known.push((length_m, new.clone()));
+        new
+    }
+}
+
 /// What a search through hyperparameters has worked out last for one design, prior, map and basis: most of it serves
 /// the next candidate too.
 #[derive(Debug, Default)]
 pub(super) struct WorkedOut {
-    correlations: Option<(f64, Arc<Correlations>)>,
+    correlations: Known,
     /// By length and noise.
     unwhitened: Option<([f64; 2], Arc<UnwhitenedMap>)>,
 }
 
 impl WorkedOut {
+    /// For another design and prior with examples and a map at the same places.
+    pub(super) fn elsewhere(&self) -> Self {
+        Self { correlations: self.correlations.clone(), unwhitened: None }
+    }
+
     fn unwhitened(
         &mut self,
         design: &Design,
@@ -140,16 +166,7 @@ impl WorkedOut {
         if let Some((_, known)) = self.unwhitened.as_ref().filter(|(of, _)| *of == key) {
             return Ok(known.clone());
         }
-        let known = self.correlations.as_ref().filter(|(of, _)| *of == hyper.length_m);
-        let correlations = known.map_or_else(
-            || {
-                let poked = &design.positions_m;
-                let to_map = correlations(positions, poked, hyper.length_m);
-                Arc::new(Correlations { among_examples: correlations(poked, poked, hyper.length_m), to_map })
-            },
-            |(_, known)| known.clone(),
-        );
-        self.correlations = Some((hyper.length_m, correlations.clone()));
+        let correlations = self.correlations.at(positions, &design.positions_m, hyper.length_m);
         let unwhitened = Arc::new(UnwhitenedMap::new(design, prior, &correlations, basis, hyper)?);
         self.unwhitened = Some((key, unwhitened.clone()));
         Ok(unwhitened)
@@ -160,7 +177,7 @@ impl UnwhitenedMap {
     fn new(
         design: &Design,
         prior: &Prior,
-        correlations: &Correlations,
+        correlations: &Arc<Correlations>,
         basis: Option<&Mat<f64>>,
         hyper: &Hyperparameters,
     ) -> Result<Self, LocatorError> {
@@ -172,7 +189,9 @@ impl UnwhitenedMap {
         let alpha = &inverse * &residual;
         let influence = &correlations.to_map * &inverse;
         let map = project(&prior.over_map) + &correlations.to_map * &alpha;
+        let is_zero = prior.over_map.norm_max() == 0.0;
         Ok(Self {
+            without_prior: is_zero.then(|| correlations.clone()),
             variance: remaining_variance(&correlations.to_map, &influence),
             inverse_diagonal: (0..noise.len()).map(|i| inverse[(i, i)]).collect(),
             noise,
@@ -201,29 +220,53 @@ impl FittedMap {
         let UnwhitenedMap { z, residual, alpha, map, .. } = &*unwhitened;
         let n = z.nrows();
         let factor = channel_factor(residual, alpha, hyper.shrinkage, channel_prior)?;
-        let whiten = |rows: &Mat<f64>| {
-            let mut columns = rows.transpose().to_owned();
-            solve_lower_triangular_in_place(factor.as_ref(), columns.as_mut(), Par::Seq);
-            columns
+        let (frames, alpha) = (whitened(&factor, z), whitened(&factor, alpha));
+        let (transform, signatures) = (OnceCell::new(), OnceCell::new());
+        if let Some(q) = basis {
+            let _ = transform.set(whitened(&factor, q));
+        }
+        // Few examples: signatures are sums over them, and so are their products.
+        let short = unwhitened.without_prior.as_deref().filter(|_| 4 * n < 5 * z.ncols());
+        let (squares, signatures_frames, signatures_alpha) = match short {
+            Some(Correlations { to_map, .. }) => {
+                let signatures_alpha = to_map * (alpha.transpose() * &alpha);
+                let mut squares = vec![0.0; to_map.nrows()];
+                for i in 0..n {
+                    let pairs = to_map.col_as_slice(i).iter().zip(signatures_alpha.col_as_slice(i));
+                    squares.iter_mut().zip(pairs).for_each(|(sum, (k, along))| *sum += k * along);
+                }
+                squares.iter_mut().for_each(|square| *square = square.max(0.0));
+                (squares, to_map * (alpha.transpose() * &frames), signatures_alpha)
+            }
+            None => {
+                let all = signatures.get_or_init(|| whitened(&factor, map));
+                let squares = (0..all.ncols()).map(|p| all.col(p).squared_norm_l2()).collect();
+                (squares, all.transpose() * &frames, all.transpose() * &alpha)
+            }
         };
-        let (signatures, frames, alpha) = (whiten(map), whiten(z), whiten(alpha));
-        let transform = match basis {
-            Some(q) => whiten(q),
-            None => whiten(&Mat::identity(z.ncols(), z.ncols())),
-        };
-        let squares = (0..signatures.ncols()).map(|p| signatures.col(p).squared_norm_l2()).collect();
-        let (signatures_frames, signatures_alpha) = (signatures.transpose() * &frames, signatures.transpose() * &alpha);
         Ok(Self {
             transform,
             signatures,
             frames,
             squares,
             unwhitened,
+            factor,
             alpha,
             sample_share: (1.0 - hyper.shrinkage) / (n as f64 + channel_prior.map_or(0.0, |p| p.examples)),
             signatures_frames,
             signatures_alpha,
         })
+    }
+
+    /// T: rank by channels.
+    pub(super) fn transform(&self) -> &Mat<f64> {
+        let channels = self.factor.nrows();
+        self.transform.get_or_init(|| whitened(&self.factor, &Mat::identity(channels, channels)))
+    }
+
+    /// Whitened signature of each map position: rank by positions.
+    pub(super) fn signatures(&self) -> &Mat<f64> {
+        self.signatures.get_or_init(|| whitened(&self.factor, &self.unwhitened.map))
     }
 
     /// Remaining variance of the map at each position, relative to the prior's.
@@ -244,8 +287,8 @@ impl FittedMap {
 
     /// Log-likelihood over the map of a frame of a design that this fit has not seen.
     pub(super) fn log_likelihood(&self, z: RowRef<'_, f64>, noise: f64, out: &mut [f64]) {
-        let frame = &self.transform * z.transpose();
-        let along = self.signatures.transpose() * &frame;
+        let frame = self.transform() * z.transpose();
+        let along = self.signatures().transpose() * &frame;
         let (frame_frame, rank) = (frame.squared_norm_l2(), self.frames.nrows() as f64);
         for (p, value) in out.iter_mut().enumerate() {
             let products = Products { frame_frame, frame_map: along[p], map_map: self.squares[p] };
@@ -288,6 +331,13 @@ impl FittedMap {
         }
         best.1 / rank
     }
+}
+
+/// Rows as columns in whitened coordinates: L^-1 of each.
+fn whitened(factor: &Mat<f64>, rows: &Mat<f64>) -> Mat<f64> {
+    let mut columns = rows.transpose().to_owned();
+    solve_lower_triangular_in_place(factor.as_ref(), columns.as_mut(), Par::Seq);
+    columns
 }
 
 /// Inner products of a whitened frame and a whitened signature.
@@ -383,9 +433,9 @@ mod tests {
         let (some, about) = (design.subset(&rows), prior.subset(&rows));
         let new = &mut WorkedOut::default();
         let rest = FittedMap::new(&some, &about, &map, None, &hyper, None, new).expect("fits");
-        let frame = &rest.transform * design.z.row(out).transpose();
+        let frame = rest.transform() * design.z.row(out).transpose();
         for p in 0..map.len() {
-            let signature = rest.signatures.col(p);
+            let signature = rest.signatures().col(p);
             let frame_map = signature.transpose() * &frame;
             let products = Products { frame_frame: frame.squared_norm_l2(), frame_map, map_map: rest.squares[p] };
             let variance = rest.variance()[p] + full.unwhitened.noise[out];
@@ -417,6 +467,26 @@ mod tests {
                 |value: f64| -2.0 * value / channels as f64 - (rest.variance()[top] + full.unwhitened.noise[out]).ln();
             let ratio = misfit(closed[top]) / misfit(refitted[top]);
             assert!((0.7..1.4).contains(&ratio), "example {out}: misfit {ratio} times that of the refit");
+        }
+    }
+
+    /// With few examples and no prior, products of signatures are summed over the examples; they are those of the
+    /// signatures themselves, to rounding.
+    #[test]
+    fn products_without_signatures_are_those_of_signatures() {
+        let (design, prior, map) = made_up(10, 60);
+        let hyper = Hyperparameters { length_m: 0.03, noise: 0.1, shrinkage: 0.3 };
+        let fitted =
+            FittedMap::new(&design, &prior, &map, None, &hyper, None, &mut WorkedOut::default()).expect("fits");
+        assert!(fitted.signatures.get().is_none(), "the short way is taken");
+        let signatures = fitted.signatures();
+        let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} and {b}");
+        for p in 0..map.len() {
+            close(fitted.squares[p], signatures.col(p).squared_norm_l2());
+            for i in 0..10 {
+                close(fitted.signatures_frames[(p, i)], signatures.col(p).transpose() * fitted.frames.col(i));
+                close(fitted.signatures_alpha[(p, i)], signatures.col(p).transpose() * fitted.alpha.col(i));
+            }
         }
     }
 

@@ -319,7 +319,7 @@ fn fit_all(
 fn whitened_rows(examples: &Examples, features: &Features, judged: &Judged) -> Result<Vec<Vec<f64>>, LocatorError> {
     let all: Vec<usize> = (0..examples.len()).collect();
     let design = Design::new(&forward_examples(examples, features, &all)?)?;
-    let whitened = &judged.map.transform * design.z.transpose();
+    let whitened = judged.map.transform() * design.z.transpose();
     Ok((0..examples.len())
         .map(|i| {
             let mut row: Vec<f32> = whitened.col_as_slice(i).iter().map(|v| *v as f32).collect();
@@ -371,7 +371,7 @@ struct Far<'a> {
     fitting: &'a Fitting<'a>,
     cells: &'a Cells,
     fusion: &'a Fusion,
-    form: &'a Form<'a>,
+    form: &'a Form,
     inverse: &'a Inverse,
     rows: &'a [usize],
 }

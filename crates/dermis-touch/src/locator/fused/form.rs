@@ -34,11 +34,18 @@ const UNTOLD: Hyperparameters = Hyperparameters { length_m: 0.4, noise: 0.04, sh
 const UNTOLD_MARGIN: f64 = 1.0;
 
 /// What the forward expert is to be made from.
-pub(super) struct Form<'a> {
+pub(super) struct Form {
     pub features: Features,
     pub map: SignatureMap,
     pub prior: Option<ChannelPrior>,
     pub hyper: Hyperparameters,
+}
+
+/// A form with its hyperparameters and the score that it reaches.
+struct Tried<'a> {
+    features: Features,
+    prior: Option<ChannelPrior>,
+    hyper: Hyperparameters,
     score: f64,
     mean: Mean<'a>,
 }
@@ -125,7 +132,7 @@ pub(super) fn choose_form<'a>(
     map: &'a SignatureMap,
     rows: &[usize],
     sister: Option<&'a Sister>,
-) -> Result<(Form<'a>, [Option<PriorUse>; 3]), LocatorError> {
+) -> Result<(Form, [Option<PriorUse>; 3]), LocatorError> {
     let chosen: Vec<usize> = evenly(rows.len(), CHOOSING).into_iter().map(|r| rows[r]).collect();
     let radius = extent(&map.positions_m);
     let tries_all = chosen.len() < DECIDED;
@@ -135,6 +142,7 @@ pub(super) fn choose_form<'a>(
     means.extend(map.signatures.iter().any(|v| *v != 0.0).then_some(Mean::Physics));
     means.extend(sister.map(Mean::Sister));
     let mut begun: Vec<Begun> = Vec::new();
+    let known = WorkedOut::default();
     let untold = sister.is_some() && chosen.len() < TELLING;
     let start = match untold {
         true => Hyperparameters { length_m: UNTOLD.length_m * radius, ..UNTOLD },
@@ -154,7 +162,7 @@ pub(super) fn choose_form<'a>(
                 let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
                 let features = features.clone();
-                let mut worked_out = WorkedOut::default();
+                let mut worked_out = known.elsewhere();
                 let fitting = Fitting {
                     positions: &coarse.positions_m,
                     basis: projection.as_ref(),
@@ -171,20 +179,20 @@ pub(super) fn choose_form<'a>(
     // all.
     let is_beaten = |form: &Begun| begun.iter().any(|other| form.expects_the_same(other) && other.score > form.score);
     let tried: Vec<bool> = begun.iter().map(|form| tries_all || !is_beaten(form)).collect();
-    let mut forms: Vec<Form> = Vec::new();
+    let mut forms: Vec<Tried> = Vec::new();
     for (mut form, _) in begun.into_iter().zip(tried).filter(|(_, tried)| *tried) {
         let worked_out = std::mem::take(&mut form.worked_out);
         let fitting = form.fitting(&coarse, spacing_m);
         let (score, hyper) = fitting.select(&form.design, &form.prior, (form.score, start), radius, worked_out)?;
-        let map = mean_map(form.mean, map, &form.features)?;
-        forms.push(Form { features: form.features, map, prior: form.channel_prior, hyper, score, mean: form.mean });
+        let Begun { features, channel_prior: prior, mean, .. } = form;
+        forms.push(Tried { features, prior, hyper, score, mean });
     }
-    let best = |accept: &dyn Fn(&Form) -> bool| {
+    let best = |accept: &dyn Fn(&Tried) -> bool| {
         forms.iter().filter(|f| accept(f)).map(|f| f.score).fold(f64::NEG_INFINITY, f64::max)
     };
     // What is given beside the pokes must bring more than chance would.
     let margin = if untold { UNTOLD_MARGIN } else { SELECTION_MARGIN } / chosen.len() as f64;
-    let charged = |f: &Form| {
+    let charged = |f: &Tried| {
         let mean = if matches!(f.mean, Mean::Zero) { 0.0 } else { margin };
         let covariance = match (f.prior.is_some(), untold) {
             (false, true) if !matches!(f.mean, Mean::Sister(_)) => f64::INFINITY,
@@ -194,7 +202,7 @@ pub(super) fn choose_form<'a>(
         f.score - mean - covariance
     };
     let winner = (0..forms.len()).fold(0, |b, i| if charged(&forms[i]) > charged(&forms[b]) { i } else { b });
-    let compare = |given: bool, with: &dyn Fn(&Form) -> bool| {
+    let compare = |given: bool, with: &dyn Fn(&Tried) -> bool| {
         let gain = best(with) - best(&|f| !with(f));
         given.then(|| PriorUse { used: with(&forms[winner]), gain }).filter(|u| u.gain.is_finite())
     };
@@ -203,7 +211,9 @@ pub(super) fn choose_form<'a>(
         compare(sister.is_some(), &|f| matches!(f.mean, Mean::Sister(_))),
         compare(sister.is_some(), &|f| f.prior.is_some()),
     ];
-    Ok((forms.swap_remove(winner), uses))
+    let Tried { features, prior, hyper, mean, .. } = forms.swap_remove(winner);
+    let map = mean_map(mean, map, &features)?;
+    Ok((Form { features, map, prior, hyper }, uses))
 }
 
 /// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square

@@ -22,6 +22,8 @@ const DOUBLINGS: [u32; 4] = [0, 1, 2, 3];
 
 /// Cells less likely than this part of the likeliest do not lean.
 const LEANING: f64 = 1e-3;
+/// Logarithms of likelihoods below this count for nothing.
+const NEGLIGIBLE: f64 = -40.0;
 /// No such neighbour.
 const NONE: u32 = u32::MAX;
 
@@ -87,6 +89,72 @@ pub(super) struct Fusion {
     pub doublings: Option<u32>,
 }
 
+/// What ways of joining the same likelihood and guess have in common.
+struct Weighing {
+    top: f64,
+    /// exp(b (L - top)) of the temperature named.
+    likely: Vec<f32>,
+    of: f64,
+    /// The inverse expert's factor of each position, by doublings; all empty without a guess.
+    factors: [Vec<f64>; DOUBLINGS.len()],
+    /// Probabilities.
+    weights: Vec<f64>,
+}
+
+impl Weighing {
+    fn new(positions: usize) -> Self {
+        let factors = DOUBLINGS.map(|_| Vec::with_capacity(positions));
+        Self { top: 0.0, likely: Vec::with_capacity(positions), of: f64::NAN, factors, weights: vec![0.0; positions] }
+    }
+
+    fn begin(&mut self, positions: &[[f64; 2]], cells: &Cells, log_likelihood: &[f64], guess: Option<Guess>) {
+        self.top = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        self.of = f64::NAN;
+        self.factors.iter_mut().for_each(Vec::clear);
+        let Some(guess) = guess else { return };
+        let scale = 0.25 / (guess.variance_m2 + cells.spacing_m * cells.spacing_m / 12.0);
+        let [first, rest @ ..] = &mut self.factors;
+        first.extend(positions.iter().map(|p| {
+            let base = 1.0 + squared_distance(*p, guess.mean_m) * scale;
+            1.0 / (base * base.sqrt())
+        }));
+        let mut last = first;
+        for next in rest {
+            next.extend(last.iter().map(|factor| factor * factor));
+            last = next;
+        }
+    }
+
+    /// Fills the probabilities; returns the most probable position.
+    fn weigh(&mut self, fusion: &Fusion, log_likelihood: &[f64]) -> usize {
+        let b = fusion.temperature;
+        if self.of != b {
+            self.of = b;
+            self.likely.clear();
+            self.likely.extend(log_likelihood.iter().map(|l| (b * (self.top - l)) as f32));
+            exponentials(&mut self.likely);
+        }
+        let likely = self.likely.iter().zip(log_likelihood);
+        let weighed = likely.map(|(w, l)| if b * (l - self.top) < NEGLIGIBLE { 0.0 } else { f64::from(*w) });
+        match fusion.doublings.and_then(|d| self.factors.get(d as usize)).filter(|f| !f.is_empty()) {
+            Some(factors) => {
+                let of_both = weighed.zip(factors).map(|(w, factor)| w * factor);
+                self.weights.iter_mut().zip(of_both).for_each(|(weight, w)| *weight = w);
+            }
+            None => self.weights.iter_mut().zip(weighed).for_each(|(weight, w)| *weight = w),
+        }
+        let (mut total, mut peak) = (0.0, 0);
+        for (p, w) in self.weights.iter().enumerate() {
+            total += w;
+            if *w > self.weights[peak] {
+                peak = p;
+            }
+        }
+        self.weights.iter_mut().for_each(|w| *w /= total);
+        peak
+    }
+}
+
 /// Mean and covariance of the product.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Joined {
@@ -117,10 +185,10 @@ impl Fusion {
         let (mut total, mut evidence, mut peak) = (0.0, 0.0, 0);
         for p in 0..positions.len() {
             let below = log_likelihood[p] - top;
-            if below > -40.0 {
+            if below > NEGLIGIBLE {
                 evidence += below.exp();
             }
-            weights[p] = if self.temperature * below < -40.0 { 0.0 } else { f64::from(memory[p]) };
+            weights[p] = if self.temperature * below < NEGLIGIBLE { 0.0 } else { f64::from(memory[p]) };
             if let Some((guess, doublings)) = inverse {
                 let d2 = squared_distance(positions[p], guess.mean_m);
                 let base = 1.0 + d2 / (4.0 * (guess.variance_m2 + cell));
@@ -136,6 +204,34 @@ impl Fusion {
             }
         }
         weights.iter_mut().for_each(|w| *w /= total);
+        let log_evidence = top + (evidence / positions.len() as f64).ln();
+        Joined { log_evidence, ..self.read_out(positions, cells, log_likelihood, inverse, weights, peak) }
+    }
+
+    /// [`Fusion::join`] of what `weighing` was begun with, without its evidence.
+    fn join_weighed(
+        &self,
+        positions: &[[f64; 2]],
+        cells: &Cells,
+        log_likelihood: &[f64],
+        guess: Option<Guess>,
+        weighing: &mut Weighing,
+    ) -> Joined {
+        let peak = weighing.weigh(self, log_likelihood);
+        self.read_out(positions, cells, log_likelihood, guess.zip(self.doublings), &weighing.weights, peak)
+    }
+
+    /// Mean and covariance of probabilities whose largest is at `peak`; no evidence.
+    fn read_out(
+        &self,
+        positions: &[[f64; 2]],
+        cells: &Cells,
+        log_likelihood: &[f64],
+        inverse: Option<(Guess, u32)>,
+        weights: &[f64],
+        peak: usize,
+    ) -> Joined {
+        let cell = cells.spacing_m * cells.spacing_m / 12.0;
         // Precision of the inverse expert's place within a cell.
         let pull = inverse.map_or(0.0, |(g, doublings)| 0.5 * f64::from(1_u32 << doublings.min(8)) / g.variance_m2);
         let target = inverse.map_or([0.0; 2], |(g, _)| g.mean_m);
@@ -169,7 +265,7 @@ impl Fusion {
                 cross - mean[0] * mean[1],
             ],
             peak,
-            log_evidence: top + (evidence / positions.len() as f64).ln(),
+            log_evidence: f64::NEG_INFINITY,
         }
     }
 
@@ -187,17 +283,21 @@ impl Fusion {
         cells: &Cells,
         left_out: &[(&[f64], Option<Guess>, [f64; 2])],
     ) -> Self {
-        let mut weights = vec![0.0; positions.len()];
-        let mut memory = Vec::new();
-        let mut best = (f64::NEG_INFINITY, Self { temperature: TEMPERATURES[4], doublings: None });
-        for candidate in Self::candidates(left_out.iter().all(|l| l.1.is_some())) {
-            let mut errors = Vec::with_capacity(2 * left_out.len());
-            for (log_likelihood, guess, truth) in left_out {
-                let joined = candidate.join(positions, cells, log_likelihood, *guess, &mut memory, &mut weights);
+        let candidates = Self::candidates(left_out.iter().all(|l| l.1.is_some()));
+        // Errors with the posterior's deviations, x and y of each example, by candidate.
+        let mut errors: Vec<Vec<(f64, f64)>> = vec![Vec::with_capacity(2 * left_out.len()); candidates.len()];
+        let mut weighing = Weighing::new(positions.len());
+        for (log_likelihood, guess, truth) in left_out {
+            weighing.begin(positions, cells, log_likelihood, *guess);
+            for (candidate, errors) in candidates.iter().zip(&mut errors) {
+                let joined = candidate.join_weighed(positions, cells, log_likelihood, *guess, &mut weighing);
                 for axis in 0..2 {
                     errors.push((joined.mean_m[axis] - truth[axis], joined.covariance_m2[axis].sqrt()));
                 }
             }
+        }
+        let mut best = (f64::NEG_INFINITY, Self { temperature: TEMPERATURES[4], doublings: None });
+        for (candidate, errors) in candidates.into_iter().zip(&errors) {
             let ratios: Vec<f64> = errors.iter().map(|e| (e.0 / e.1).abs()).collect();
             let factor = quantile(&ratios, ONE_SIGMA).max(1e-3);
             let score = errors.iter().map(|e| log_student(e.0, e.1 * factor)).sum::<f64>() / left_out.len() as f64;
