@@ -10,7 +10,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
-use dermis_skin::{Skin, WeightChoice};
+use dermis_skin::{Reads, Skin, WeightChoice};
 use dermis_touch::Observation;
 use dermis_touch::locator::SeenPoke;
 use dermis_twin::from_skin::MeshSizes;
@@ -231,7 +231,7 @@ impl Bench {
         let mut frames = Vec::with_capacity(places.len());
         for &place in places {
             let act = Act::Press(place, usual_press(&self.press, self.places_m[place]));
-            let frame = if is_exact { sample.truth(act)? } else { sample.read(act)? };
+            let frame = if is_exact { self.rectified(sample.truth(act)?) } else { sample.read(act)? };
             frames.push((place, sample.without_absent(frame)));
         }
         match reader {
@@ -254,6 +254,14 @@ impl Bench {
                 counts.iter().map(by_pokes).collect()
             }
         }
+    }
+
+    /// A frame without noise, with the signs that the instrument leaves.
+    fn rectified(&self, mut frame: Vec<f64>) -> Vec<f64> {
+        if self.skin.backend.reads == Reads::Magnitude {
+            frame.iter_mut().for_each(|voltage| *voltage = voltage.abs());
+        }
+        frame
     }
 
     /// What is seen of presses: their places, and a frame of each.

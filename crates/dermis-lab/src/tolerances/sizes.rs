@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::Path;
 
-use dermis_skin::Skin;
+use dermis_skin::{Layer, Skin};
 use serde::{Deserialize, Serialize};
 
 use crate::Error;
@@ -150,6 +150,10 @@ impl Tolerances {
             ],
         };
         let mut causes = own.to_vec();
+        // Objects in a tank without a membrane press nothing.
+        if matches!(&skin.frontend.layer, Layer::Liquid(liquid) if liquid.tension_n_per_m == 0.0) {
+            causes.retain(|cause| *cause != Cause::ContactLaw);
+        }
         causes.extend([Cause::Gain, Cause::Noise]);
         causes.extend(self.bad_electrode.then_some(Cause::BadElectrode));
         causes

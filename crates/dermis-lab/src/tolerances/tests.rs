@@ -100,3 +100,19 @@ fn nonsense_extents_are_refused() {
         assert!(run(&skin, &Tolerances::none(), &extent, &|_, _| true).is_err(), "{extent:?}");
     }
 }
+
+#[test]
+fn a_tank_without_membrane_has_no_answer_to_pressure() {
+    let causes = |name: &str| Tolerances::default().causes(&Skin::open(name).unwrap());
+    assert!(!causes("golfball-tank").contains(&Cause::ContactLaw));
+    assert!(causes("ionic-disc").contains(&Cause::ContactLaw));
+}
+
+/// What amplitudes are compared with is read as an instrument that knows no signs reads: otherwise no touch is seen.
+#[test]
+fn amplitudes_of_rectified_readings_are_compared() {
+    let report = tried("hydrogel-disc", &Tolerances::default(), &extent(1));
+    for row in report.rows() {
+        assert!(row.amplitude_percent[0] < 50.0, "{row:?}");
+    }
+}
