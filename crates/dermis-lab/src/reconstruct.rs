@@ -147,18 +147,24 @@ fn reconstruct_to(
     if !paired {
         reference.estimate_noise(&data);
     }
+    // Channels that no longer rest, as those over a cut, are left out, also of the pokes.
+    let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
+    let left_out = match calibration.filter(|_| paired && by_pokes) {
+        Some(calibration) => calibration.unsound_channels(&baselines),
+        None => Vec::new(),
+    };
+    let fitted_anew = match calibration.filter(|_| !left_out.is_empty()) {
+        Some(calibration) => Some(calibration.without_channels(&prepared, &left_out, &reference.noise)?),
+        None => None,
+    };
+    let calibration = fitted_anew.as_ref().or(calibration);
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(&prepared, calibration, reference, &data)?;
     // A calibration may have scaled the channels anew.
     let mut differences = differences_to(&reference);
-    let left_out = match calibration.filter(|_| paired) {
-        Some(calibration) => calibration.unsound_channels(&baselines),
-        None => Vec::new(),
-    };
     for &channel in &left_out {
         differences.iter_mut().for_each(|difference| difference[channel as usize] = f64::NAN);
     }
-    let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
     let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
     let refined = match &refinement {
         Some(refinement) => {

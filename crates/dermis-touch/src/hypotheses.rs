@@ -1,7 +1,7 @@
 //! Where a touch may be, when presses at two places far apart explain a frame about equally well.
 //!
 //! Probabilities over places are cut into modes by a watershed from their peaks; modes whose saddle is more than half as
-//! high as the lower peak, or that lie nearer than a separation, are one. The odds between the two heaviest modes are
+//! high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two heaviest modes are
 //! followed over the frames of a press: their logarithm is averaged, over all frames of the press first and over the
 //! last second or so later. Averaged, not added: what a model has wrong at a place is wrong in every frame of a press.
 
@@ -13,6 +13,8 @@ const LEAST_LIKELY: f64 = 1e-3;
 const SADDLE: f64 = 0.5;
 /// Neighbours of a place are no farther from it than so many spacings: on a lattice eight.
 const NEIGHBOURHOOD: f64 = 1.6;
+/// Modes nearer than so many times the sum of their root mean square radii overlap: they are one.
+const RESOLVED: f64 = 2.0;
 /// A frame's second mode counts from this probability, against the first, ...
 const LEAST_PROBABILITY: f64 = 0.05;
 /// ... and is told from this one, after the frames before it.
@@ -65,6 +67,13 @@ struct Mode {
 impl Mode {
     fn mean(&self) -> [f64; 2] {
         self.first.map(|sum| sum / self.mass)
+    }
+
+    /// Root mean square distance from the mean.
+    fn spread(&self) -> f64 {
+        let mean = self.mean();
+        let variance = |a: usize| (self.second[a][a] / self.mass - mean[a] * mean[a]).max(0.0);
+        (variance(0) + variance(1)).sqrt()
     }
 
     fn join(&mut self, other: &Mode) {
@@ -197,7 +206,10 @@ impl PlaceModes {
         let mut next = 1;
         while next < modes.len() {
             let lone = modes[next];
-            let near = |mode: &Mode| distance(mode.mean(), lone.mean()) < self.separation_m;
+            let near = |mode: &Mode| {
+                let apart_m = distance(mode.mean(), lone.mean());
+                apart_m < self.separation_m || apart_m < RESOLVED * (mode.spread() + lone.spread())
+            };
             match (0..next).find(|&heavier| near(&modes[heavier])) {
                 Some(heavier) => {
                     modes[heavier].join(&lone);

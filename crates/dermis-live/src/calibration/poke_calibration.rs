@@ -188,13 +188,7 @@ impl Calibration {
         if let Some((_, loads)) = &pokes.loads {
             examples = examples.with_loads(rows.iter().map(|&i| loads[i]).collect())?;
         }
-        let positions = map_positions(prepared);
-        let map = if options.physics && prepared.skin.backend.wiring.is_known() {
-            SignatureMap::new(prepared.channels(), positions.clone(), prepared.signatures(&positions))?
-        } else {
-            SignatureMap::without_physics(prepared.channels(), positions)?
-        };
-        let fused = fit_best(&examples, &map, options.start, prepared)?;
+        let fused = fit_best(&examples, &signature_map(prepared, options.physics)?, options.start, prepared)?;
         let drift = (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose()?;
         let kept: Vec<usize> = picked(MOST_KEPT).collect();
         let mut scratch = fused.scratch();
@@ -282,6 +276,41 @@ impl Calibration {
         unsound.sort_unstable();
         unsound.dedup();
         unsound
+    }
+
+    /// The calibration of a skin on which these channels say nothing any more: fitted anew to its pokes without them, or
+    /// to the 800 of them that it keeps. `noise`: that of the channels now, in the unit of difference data. The places
+    /// are the locator's.
+    ///
+    /// # Errors
+    /// A channel that does not exist, noise of another length, or pokes from which nothing can be learnt without them.
+    pub fn without_channels(&self, prepared: &Prepared, channels: &[u32], noise: &[f64]) -> Result<Self, Error> {
+        if let Some(&channel) = channels.iter().find(|channel| **channel as usize >= self.channels) {
+            return Err(Error::Frames {
+                what: "channels to leave out".into(),
+                expected: format!("numbers below {}", self.channels),
+                got: channel.to_string(),
+            });
+        }
+        let mut silent = self.clone();
+        let mut gone = self.frames.clone();
+        for (kept, gone) in silent.frames.iter_mut().zip(&mut gone) {
+            for &channel in channels {
+                (kept[channel as usize], gone[channel as usize]) = (0.0, f64::NAN);
+            }
+        }
+        let mut examples = Examples::new(self.channels, gone.concat(), self.positions_m.clone())?;
+        examples = examples.with_channel_noise(noise.to_vec())?;
+        if let Some(loads) = &self.loads {
+            examples = examples.with_loads(loads.clone())?;
+        }
+        let fused = fit_best(&examples, &signature_map(prepared, true)?, &[], prepared)?;
+        let amplitudes =
+            gone.iter().map(|frame| Ok(fused.predict(frame)?.amplitude)).collect::<Result<Vec<f64>, Error>>()?;
+        silent.locator = PlaceLocator::Fused(Box::new(fused));
+        silent.by_model = None;
+        silent.strength = TouchStrength { weak: quantile(amplitudes, WEAK_SHARE), rest: None, in_noise: true };
+        Ok(silent)
     }
 
     /// What was found out about the pokes beside where they are located.
@@ -457,6 +486,17 @@ pub(crate) fn differences_of(
             Ok((reference, differences))
         }
     }
+}
+
+/// Where touches are looked for, with what they would read there by the skin file's physics, where that is wanted and the
+/// wiring is known.
+fn signature_map(prepared: &Prepared, physics: bool) -> Result<SignatureMap, Error> {
+    let positions = map_positions(prepared);
+    if !(physics && prepared.skin.backend.wiring.is_known()) {
+        return Ok(SignatureMap::without_physics(prepared.channels(), positions)?);
+    }
+    let signatures = prepared.signatures(&positions);
+    Ok(SignatureMap::new(prepared.channels(), positions, signatures)?)
 }
 
 /// The locator that predicts left-out pokes best: without a sister, or with the best of those given.

@@ -124,7 +124,10 @@ struct Correlations {
 
 /// What searches through hyperparameters have worked out for examples and a map at the same places, by length.
 #[derive(Debug, Clone, Default)]
-struct Known(Arc<Mutex<Vec<(f64, Arc<Correlations>)>>>);
+struct Known(Arc<Mutex<Vec<AtLength>>>);
+
+/// A length with what was worked out for it.
+type AtLength = (f64, Arc<Correlations>);
 
 impl Known {
     fn at(&self, positions: &[[f64; 2]], poked: &[[f64; 2]], length_m: f64) -> Arc<Correlations> {

@@ -65,8 +65,8 @@ fn a_press_that_reads_as_one_opposite_is_told_at_both_places_and_does_not_jump()
         let opposite = place.map(|v| -v);
         let off = |at: [f64; 2]| distance_mm(at, *place).min(distance_mm(at, opposite));
         near += usize::from(off(found.position_m) < 10.0);
-        // Nearer to the middle both places are one.
-        if place[0].hypot(place[1]) > 0.02 {
+        // Nearer to the middle both places overlap.
+        if place[0].hypot(place[1]) > 0.035 {
             let other = found.other_place.unwrap_or_else(|| panic!("no other place for {place:?}: {found:?}"));
             assert!(off(other.position_m) < 10.0, "{place:?}: {found:?}");
             assert!(distance_mm(other.position_m, found.position_m) > 26.0, "{place:?}: {found:?}");
@@ -76,7 +76,7 @@ fn a_press_that_reads_as_one_opposite_is_told_at_both_places_and_does_not_jump()
         }
     }
     println!("{both} told at both places, {near} of {} within 10 mm of one", places.len());
-    assert!(both >= 30 && near >= 38, "{both} {near}");
+    assert!(both >= 26 && near >= 38, "{both} {near}");
     held_in_place(&mut finder, &reference, &frames[25], places[25]);
 }
 
