@@ -1,9 +1,10 @@
 //! Where a touch may be, when presses at two places far apart explain a frame about equally well.
 //!
 //! Probabilities over places are cut into modes by a watershed from their peaks; modes whose saddle is more than half as
-//! high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two heaviest modes are
-//! followed over the frames of a press: their logarithm is averaged, over all frames of the press first and over the
-//! last second or so later. Averaged, not added: what a model has wrong at a place is wrong in every frame of a press.
+//! high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two
+//! heaviest modes are followed over the frames of a press: their logarithm is averaged, over all frames of the press
+//! first and over the last half second later. Averaged, not added: what a model has wrong at a place is wrong in every
+//! frame of a press.
 
 use serde::{Deserialize, Serialize};
 

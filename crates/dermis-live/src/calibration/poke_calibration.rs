@@ -101,7 +101,8 @@ pub struct PokeReview {
     pub dead_channels: Vec<u32>,
     /// Drift over the session, where the pokes are in the order they were made and enough.
     pub drift: Option<SessionDrift>,
-    /// Channels that jump while nothing touches the skin, where each poke had a baseline of its own; they were left out.
+    /// Channels that jump while nothing touches the skin, where each poke had a baseline of its own; they were left
+    /// out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unsound_channels: Vec<u32>,
     /// Scatter of each channel over those baselines, jumps left aside, in the unit of the readings; 0
@@ -488,8 +489,8 @@ pub(crate) fn differences_of(
     }
 }
 
-/// Where touches are looked for, with what they would read there by the skin file's physics, where that is wanted and the
-/// wiring is known.
+/// Where touches are looked for, with what they would read there by the skin file's physics, where that is wanted and
+/// the wiring is known.
 fn signature_map(prepared: &Prepared, physics: bool) -> Result<SignatureMap, Error> {
     let positions = map_positions(prepared);
     if !(physics && prepared.skin.backend.wiring.is_known()) {

@@ -3,11 +3,11 @@
 
 /// Fewer resting frames than this say nothing.
 pub const FEWEST_AT_REST: usize = 8;
-/// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian noise
-/// 1.
+/// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian
+/// noise 1.
 const JUMPS: f64 = 2.5;
 /// A channel that jumps in this share of a session is unsound.
-const OFTEN: f64 = 1.0 / 3.0;
+const OFTEN: f64 = 0.5;
 /// Frames of a piece of a session.
 const PIECE: usize = 15;
 /// Noise has grown where it is so many times what it was.
@@ -94,13 +94,14 @@ mod tests {
         (0..12).map(uniform).sum::<f64>() - 6.0
     }
 
-    /// Twenty frames: noise, noise with jumps, drift, three times the noise, constant, never read, and noise like the first.
+    /// Twenty frames: noise, noise with jumps, drift, six times the noise, constant, never read, and noise like the
+    /// first.
     fn frames() -> Vec<Vec<f64>> {
         (0..20)
             .map(|k: u64| {
                 let jump = if k == 7 || k == 13 { 40.0 } else { 0.0 };
                 let [a, b, c, d, e] = [0, 1, 2, 3, 4].map(|channel| noise(100 * channel + k));
-                vec![a, b + jump, 0.1 * c + k as f64, 3.0 * d, 5.0, f64::NAN, e]
+                vec![a, b + jump, 0.1 * c + k as f64, 6.0 * d, 5.0, f64::NAN, e]
             })
             .collect()
     }
