@@ -9,7 +9,9 @@ use dermis_touch::health::Health;
 use dermis_touch::{Observation, Touch};
 
 use crate::Error;
-use dermis_live::calibration::{CalibratedImager, Calibration, CircuitFit, find_circuit, relative_changes};
+use dermis_live::calibration::{
+    CalibratedImager, Calibration, CircuitFit, PlacementFinder, find_circuit, relative_changes,
+};
 use dermis_live::channels::ChannelReader;
 use dermis_live::forces::load_forces;
 use dermis_live::output::Output;
@@ -186,7 +188,7 @@ fn reconstruct_to(
     let load = calibration.and_then(Calibration::load_quantity);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
-        let other_places = reconstructor.placement.is_some();
+        let other_places = matches!(reconstructor.placement, Some(PlacementFinder::Matched(_)));
         sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces: forces.is_some(), load, other_places })?));
     }
     if let Some(path) = &request.images {

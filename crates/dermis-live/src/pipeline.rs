@@ -617,10 +617,9 @@ impl Pipeline {
         self.choices.calibration.as_ref().and_then(Calibration::load_quantity)
     }
 
-    /// Whether a calibration, by pokes or without labels, may place touches, and tell another place where it does not
-    /// know.
+    /// Whether a calibration without labels may place touches, and tell another place where it does not know.
     pub fn may_tell_other_places(&self) -> bool {
-        self.choices.calibration.is_some() || self.prepared.skin.backend.circuit.is_some()
+        self.choices.calibration.is_none() && self.prepared.skin.backend.circuit.is_some()
     }
 
     /// lambda in use, once the baseline stands.

@@ -14,8 +14,8 @@ const LEAST_LIKELY: f64 = 1e-3;
 const SADDLE: f64 = 0.5;
 /// Neighbours of a place are no farther from it than so many spacings: on a lattice eight.
 const NEIGHBOURHOOD: f64 = 1.6;
-/// Modes nearer than so many times the sum of their root mean square radii overlap: they are one.
-const RESOLVED: f64 = 2.0;
+/// Modes nearer than this times the sum of their root mean square radii overlap: they are one.
+const RESOLVED: f64 = 1.0;
 /// A frame's second mode counts from this probability, against the first, ...
 const LEAST_PROBABILITY: f64 = 0.05;
 /// ... and is told from this one, after the frames before it.

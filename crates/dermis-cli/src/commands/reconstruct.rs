@@ -24,7 +24,7 @@ Examples:
 The baseline has one or more frames, which are averaged, or as many as there are frames: then each frame has its own, and
 frames have nothing to do with each other. Frames that are differences already (--differences) have none. t.csv has the columns
 frame, id, x_mm, y_mm, amplitude, area_mm2, sigma_x_mm, sigma_y_mm, depth_mm or poke_force_n with a sigma where the
-calibration's pokes had one, and, on a calibrated skin, where else the touch may be: other_x_mm, other_y_mm and
+calibration's pokes had one, and, on a skin calibrated without labels, where else the touch may be: other_x_mm, other_y_mm and
 other_probability. A frame without touch has no row. i.npy is frames x rows x columns (f32), row 0 at the top, NaN outside.
 Missing channels are empty cells or NaN. Exit code 1: the files are written, but the baseline fits the skin better in another
 order of channels; which, and the lines of the skin file that say so, are printed.";

@@ -67,8 +67,7 @@ pub(crate) fn learnt_finder(
 ) -> Result<PlacementFinder, Error> {
     let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
     let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
-    let finder =
-        LearntFinder::new(calibration, smallest_amplitude, prepared.half_width_m(), prepared.places_apart_m())?;
+    let finder = LearntFinder::new(calibration, smallest_amplitude, prepared.half_width_m())?;
     Ok(PlacementFinder::Learnt(Box::new(finder)))
 }
 

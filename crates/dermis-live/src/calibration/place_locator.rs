@@ -42,14 +42,6 @@ impl PlaceLocator {
         }
     }
 
-    /// The places that [`PlaceScratch::posterior`] is about, metres.
-    pub fn places_m(&self) -> &[[f64; 2]] {
-        match self {
-            Self::Single(locator) => locator.positions_m(),
-            Self::Fused(locator) => locator.positions_m(),
-        }
-    }
-
     /// Memory for [`PlaceLocator::locate`].
     pub fn scratch(&self) -> PlaceScratch {
         match self {
@@ -67,16 +59,6 @@ impl PlaceLocator {
                 *scratch = self.scratch();
                 self.locate(frame, scratch)
             }
-        }
-    }
-}
-
-impl PlaceScratch {
-    /// Probability of each place after the last frame located.
-    pub fn posterior(&self) -> &[f64] {
-        match self {
-            Self::Single(scratch) => scratch.posterior(),
-            Self::Fused(scratch) => scratch.posterior(),
         }
     }
 }

@@ -1,7 +1,7 @@
 //! What places the single touch of a frame in a calibrated skin.
 
 use dermis_touch::locator::{PlaceCorrection, TypicalAmplitude};
-use dermis_touch::{LoadQuantity, PlaceHypotheses, PlaceHypothesis, PlaceModes, TouchLoad};
+use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
 use super::place_locator::{PlaceLocator, PlaceScratch};
@@ -35,27 +35,25 @@ pub struct LearntFinder {
     load: Option<LoadQuantity>,
     /// Root mean square of the noise-weighted frame below which there is no touch.
     smallest_amplitude: f64,
-    hypotheses: PlaceHypotheses,
 }
 
 impl PlacementFinder {
-    /// Where the single touch of a frame is, `None` where the frame is too weak. Two places that explain it about
-    /// equally well are followed over the frames of a press; `time_ns` is that of the frame.
+    /// Where the single touch of a frame is, `None` where the frame is too weak. The matched filter follows two places
+    /// that explain it about equally well over the frames of a press; `time_ns` is that of the frame.
     ///
     /// # Errors
     /// A frame of another length, or without enough channels.
     pub fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
         match self {
-            PlacementFinder::Learnt(finder) => finder.place(time_ns, difference),
+            PlacementFinder::Learnt(finder) => finder.place(difference),
             PlacementFinder::Matched(finder) => finder.place(time_ns, difference),
         }
     }
 
     /// The next frame has nothing to do with this one.
     pub fn forget(&mut self) {
-        match self {
-            PlacementFinder::Learnt(finder) => finder.hypotheses.forget(),
-            PlacementFinder::Matched(finder) => finder.forget(),
+        if let PlacementFinder::Matched(finder) = self {
+            finder.forget();
         }
     }
 
@@ -78,76 +76,43 @@ impl PlacementFinder {
 }
 
 impl LearntFinder {
-    /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch. Places at least
-    /// `separation_m` apart may be two explanations of a frame.
+    /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
     ///
     /// # Errors
     /// As [`Calibration::typical_amplitude`].
-    pub(super) fn new(
-        calibration: &Calibration,
-        smallest_amplitude: f64,
-        half_width_m: f64,
-        separation_m: f64,
-    ) -> Result<Self, Error> {
+    pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64, half_width_m: f64) -> Result<Self, Error> {
         let locator = calibration.locator().clone();
-        let hypotheses = PlaceHypotheses::new(PlaceModes::new(locator.places_m(), separation_m));
         let correction = calibration.correction().cloned();
         let typical = match correction {
             Some(_) => None,
             None => calibration.typical_amplitude(half_width_m)?,
         };
         let load = calibration.load_quantity();
-        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, hypotheses })
+        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude })
     }
 
-    fn place(&mut self, time_ns: u64, difference: &[f64]) -> Result<Option<Placement>, Error> {
+    /// The mean of the locator's posterior, also where that has several modes: a single mode of a posterior learnt from
+    /// few pokes is the worse guess.
+    fn place(&mut self, difference: &[f64]) -> Result<Option<Placement>, Error> {
         if difference.iter().all(|v| !v.is_finite() || *v == 0.0) {
-            self.hypotheses.forget();
             return Ok(None);
         }
         let located = self.locator.locate(difference, &mut self.scratch)?;
         if located.amplitude < self.smallest_amplitude {
-            self.hypotheses.forget();
             return Ok(None);
         }
         let load = self.load.zip(located.load);
-        let mut position_m = [located.x_m, located.y_m];
-        let mut covariance_m2 = [
-            [located.sigma_x_m.powi(2), located.covariance_xy_m2],
-            [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
-        ];
-        let probabilities = self.scratch.posterior();
-        let told = self.hypotheses.follow(time_ns, probabilities);
-        let apart = |at: [f64; 2]| !self.hypotheses.are_one(at, position_m);
-        let told = told.filter(|told| told.other.is_some() || apart(told.leading.position_m));
-        let mut other_place = None;
-        if let Some(told) = told {
-            // The mean over both places is neither of them.
-            let whole = variances(self.locator.places_m(), probabilities);
-            let scale = [0, 1].map(|axis| (covariance_m2[axis][axis] / whole[axis]).sqrt());
-            let calibrated = |mode: PlaceHypothesis| {
-                let covariance = |a: usize, b: usize| mode.covariance_m2[a][b] * scale[a] * scale[b];
-                [[covariance(0, 0), covariance(0, 1)], [covariance(1, 0), covariance(1, 1)]]
-            };
-            other_place = told.other.map(|mode| PlaceHypothesis { covariance_m2: calibrated(mode), ..mode });
-            (position_m, covariance_m2) = (told.leading.position_m, calibrated(told.leading));
-        }
+        let position_m = [located.x_m, located.y_m];
         Ok(Some(Placement {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
             doubtful: located.novelty > MOST_NOVELTY,
             position_m,
-            covariance_m2,
-            other_place,
+            covariance_m2: [
+                [located.sigma_x_m.powi(2), located.covariance_xy_m2],
+                [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
+            ],
+            other_place: None,
         }))
     }
-}
-
-/// Variances of x and y over places of these probabilities, m^2.
-fn variances(places_m: &[[f64; 2]], probabilities: &[f64]) -> [f64; 2] {
-    let sum = |of: &dyn Fn([f64; 2]) -> f64| places_m.iter().zip(probabilities).map(|(at, p)| p * of(*at)).sum::<f64>();
-    [0, 1].map(|axis| {
-        let mean = sum(&|at| at[axis]);
-        sum(&|at| (at[axis] - mean).powi(2)).max(f64::MIN_POSITIVE)
-    })
 }

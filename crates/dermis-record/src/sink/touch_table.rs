@@ -14,7 +14,7 @@ use dermis_touch::{LoadQuantity, Touch};
 const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm";
 /// What a force calibration adds.
 const FORCES: &str = ",force_n,force_range";
-/// What a calibration adds that may not know where a touch is.
+/// What a calibration without labels adds, which may not know where a touch is.
 const OTHER_PLACES: &str = ",other_x_mm,other_y_mm,other_probability";
 
 /// What a table of touches has beside places and amplitudes.

@@ -23,8 +23,6 @@ use super::{InverseError, Weighting, check_finite};
 pub const LEAST_CALIBRATION_FRAMES: usize = 20;
 
 const SIGN_ITERATIONS: usize = 30;
-/// No score counts as better than this.
-const BEST_SCORE: f64 = 0.999_999;
 
 /// What a touch does to the skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -299,11 +297,13 @@ impl SelfCalibration {
     }
 
     /// Turns the scores of a frame into probabilities of the places, one touch being somewhere and every place as
-    /// likely before: `p ~ (1 - c^2)^(-n / 2)`, c the score where it is positive, n the number of independent numbers
-    /// that the calibration frames' residuals are worth (the participation ratio of their covariance). This is the
-    /// likelihood of Gaussian residuals whose size and whose touch's strength are unknown.
+    /// likely before: `p ~ (1 - c^2 + f)^(-n / 2)`, c the score where it is positive, f the noise floor that every model
+    /// is believed to have, n the number of independent numbers that the calibration frames' residuals are worth (the
+    /// participation ratio of their covariance). With f = 0 this is the likelihood of Gaussian residuals whose size and
+    /// whose touch's strength are unknown.
     pub fn probabilities(&self, scores: &[f64], probabilities: &mut Vec<f64>) {
-        let log = |score: f64| -0.5 * self.independent * (1.0 - score.clamp(0.0, BEST_SCORE).powi(2)).ln();
+        let unexplained = |score: f64| 1.0 - score.clamp(0.0, 1.0).powi(2) + self.options.noise_floor;
+        let log = |score: f64| -0.5 * self.independent * unexplained(score).ln();
         let top = scores.iter().map(|score| log(*score)).fold(f64::NEG_INFINITY, f64::max);
         probabilities.clear();
         probabilities.extend(scores.iter().map(|score| if *score > 0.0 { (log(*score) - top).exp() } else { 0.0 }));

@@ -35,7 +35,6 @@ mod spots;
 mod tanks;
 mod teaching;
 mod twin_faults;
-mod two_places;
 
 /// A skin file's text with these lines in its table of the twin.
 fn with_twin(text: &str, lines: &str) -> String {
