@@ -37,7 +37,7 @@ interface Drawn {
   group: SVGGElement;
   circle: SVGCircleElement;
   label: SVGTextElement;
-  /** Where else the touch may be: hidden where that is known. */
+  /** Where else the touch may be: drawn only where that is not known. */
   other: SVGCircleElement;
   otherLabel: SVGTextElement;
 }
@@ -235,15 +235,17 @@ export class View {
         other: element("circle", { class: "other", stroke: colour }),
         otherLabel: element("text", { "font-size": 3.1 * this.unit }),
       };
-      drawn.group.append(drawn.circle, drawn.label, drawn.other, drawn.otherLabel);
+      drawn.group.append(drawn.circle, drawn.label);
       this.touchLayer.append(drawn.group);
       this.drawn.set(touch.id, drawn);
     }
     const { x_mm: x, y_mm: y } = touch;
     const radius = Math.max(Math.sqrt(Math.max(touch.area_mm2, 0) / Math.PI), 1.6 * this.unit);
     this.ring(drawn.circle, drawn.label, [x, y], radius, `${touch.id}: ${x.toFixed(1)}, ${y.toFixed(1)} mm`);
-    for (const part of [drawn.other, drawn.otherLabel]) part.style.display = touch.other ? "" : "none";
-    if (touch.other) {
+    if (!touch.other) {
+      for (const part of [drawn.other, drawn.otherLabel]) part.remove();
+    } else {
+      if (!drawn.other.isConnected) drawn.group.append(drawn.other, drawn.otherLabel);
       const percent = (100 * touch.other.probability).toFixed(0);
       this.ring(drawn.other, drawn.otherLabel, [touch.other.x_mm, touch.other.y_mm], radius, `${touch.id}? ${percent} %`);
     }

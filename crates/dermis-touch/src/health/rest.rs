@@ -27,7 +27,7 @@ pub struct RestScatter {
 
 impl RestScatter {
     /// Of frames of the untouched skin, all of one length; NaN where missing. Nothing for fewer than
-    /// [`FEWEST_AT_REST`]. A session is looked at in pieces of about [`PIECE`] frames, so that what the skin does from
+    /// [`FEWEST_AT_REST`]. A session is looked at in pieces of some 15 frames, so that what the skin does from
     /// one hour to the next is not its noise.
     pub fn of(frames: &[Vec<f64>]) -> Option<Self> {
         let channels = frames.first().filter(|_| frames.len() >= FEWEST_AT_REST)?.len();
