@@ -10,7 +10,7 @@ use dermis_touch::{Observation, Touch};
 
 use crate::Error;
 use dermis_live::calibration::{
-    CalibratedImager, Calibration, CircuitFit, PlacementFinder, find_circuit, relative_changes,
+    CalibratedImager, Calibration, CircuitFit, PlacementFinder, find_circuit, relative_changes, set_channels,
 };
 use dermis_live::channels::ChannelReader;
 use dermis_live::forces::load_forces;
@@ -164,9 +164,7 @@ fn reconstruct_to(
         CalibratedImager::new(&prepared, calibration, reference, &data)?;
     // A calibration may have scaled the channels anew.
     let mut differences = differences_to(&reference);
-    for &channel in &left_out {
-        differences.iter_mut().for_each(|difference| difference[channel as usize] = f64::NAN);
-    }
+    set_channels(&mut differences, &left_out, f64::NAN);
     let refinement = prepared.skin.imaging.refinement.filter(|_| !by_pokes);
     let refined = match &refinement {
         Some(refinement) => {

@@ -33,5 +33,5 @@ pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use skin_scene::scene;
 pub use update::{
     BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
-    PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+    OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
 };

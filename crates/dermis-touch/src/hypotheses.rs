@@ -8,6 +8,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::typical::spacing;
+
 /// Places less likely than this part of the likeliest belong to no mode.
 const LEAST_LIKELY: f64 = 1e-3;
 /// Peaks are one where the saddle between them is higher than this part of the lower.
@@ -91,7 +93,8 @@ impl Mode {
 impl PlaceModes {
     /// Of these places, metres, best on a lattice. Modes nearer than `separation_m` are one.
     pub fn new(places_m: &[[f64; 2]], separation_m: f64) -> Self {
-        let spacing_m = spacing(places_m);
+        // A single place has no neighbour.
+        let spacing_m = Some(spacing(places_m)).filter(|step| step.is_finite()).unwrap_or(0.0);
         let reach = NEIGHBOURHOOD * spacing_m;
         // Sorted along x, so that each place meets those of a narrow strip only.
         let mut along: Vec<u32> = (0..places_m.len() as u32).collect();
@@ -343,18 +346,6 @@ impl PlaceHypotheses {
 
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
-}
-
-/// Median distance from a place to its nearest neighbour, over some of them.
-fn spacing(places_m: &[[f64; 2]]) -> f64 {
-    let step = places_m.len().div_ceil(100).max(1);
-    let nearest = |at: &[f64; 2]| {
-        let far = places_m.iter().map(|other| distance(*at, *other)).filter(|d| *d > 0.0);
-        far.fold(f64::INFINITY, f64::min)
-    };
-    let mut distances: Vec<f64> = places_m.iter().step_by(step).map(nearest).filter(|d| d.is_finite()).collect();
-    distances.sort_by(f64::total_cmp);
-    distances.get(distances.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

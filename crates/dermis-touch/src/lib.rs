@@ -64,6 +64,7 @@ mod touch;
 mod touch_load;
 mod track;
 mod tracker_params;
+mod typical;
 mod watershed;
 
 pub use baseline::{

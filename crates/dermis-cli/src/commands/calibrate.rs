@@ -1,5 +1,5 @@
-//! `dermis calibrate`: pokes at known positions to a calibration that `run` and `reconstruct` use, and presses of known
-//! force to a force calibration.
+//! `dermis calibrate`: pokes at known positions to a calibration that `run` and `reconstruct` use, and presses of
+//! known force to a force calibration.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -485,8 +485,8 @@ fn today() -> String {
     date_of(seconds / 86_400)
 }
 
-/// Date of a day counted from 1970-01-01, by the calendar that begins its years in March (H. Hinnant, chrono-Compatible
-/// Low-Level Date Algorithms, civil_from_days; for days from 1970 on).
+/// Date of a day counted from 1970-01-01, by the calendar that begins its years in March (H. Hinnant,
+/// chrono-Compatible Low-Level Date Algorithms, civil_from_days; for days from 1970 on).
 fn date_of(days: u64) -> String {
     let shifted = days + 719_468;
     let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);

@@ -13,8 +13,8 @@ use dermis_device::Frame;
 use super::run::{Running, source};
 use crate::page::{PageOptions, Request, ServerHandle};
 
-/// The page that `dermis run` has, of a program's own loop over frames. Its methods are called in the order of a frame:
-/// [`LivePage::answer`], [`LivePage::record`], [`LivePage::show`], [`LivePage::after`].
+/// The page that `dermis run` has, of a program's own loop over frames. Its methods are called in the order of a
+/// frame: [`LivePage::answer`], [`LivePage::record`], [`LivePage::show`], [`LivePage::after`].
 pub struct LivePage {
     run: Running,
     requests: Receiver<Request>,

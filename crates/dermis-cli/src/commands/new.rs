@@ -1,5 +1,5 @@
-//! `dermis new`: a skin of the user's own, begun: a commented skin file and its drawing. What is not said by options is
-//! asked for where someone sits at the terminal. No file is replaced.
+//! `dermis new`: a skin of the user's own, begun: a commented skin file and its drawing. What is not said by options
+//! is asked for where someone sits at the terminal. No file is replaced.
 
 use std::fs::OpenOptions;
 use std::io::{self, IsTerminal, Write};

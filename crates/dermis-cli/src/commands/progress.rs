@@ -5,8 +5,8 @@ use std::io::IsTerminal;
 /// Work shorter than this needs no word.
 const QUIET: std::time::Duration = std::time::Duration::from_secs(2);
 
-/// Work of unknown length. Where someone watches, a spinner shows it; elsewhere a line on stderr says what takes longer
-/// than two seconds.
+/// Work of unknown length. Where someone watches, a spinner shows it; elsewhere a line on stderr says what takes
+/// longer than two seconds.
 pub(crate) struct Busy {
     spinner: indicatif::ProgressBar,
     done: Option<crossbeam_channel::Sender<()>>,

@@ -25,7 +25,8 @@ pub struct MatchedFinder {
 
 impl MatchedFinder {
     /// Frames whose root mean square in units of the noise is below `smallest_amplitude` show no touch. Without a
-    /// reference yet: [`MatchedFinder::adapt`]. Places at least `separation_m` apart may be two explanations of a frame.
+    /// reference yet: [`MatchedFinder::adapt`]. Places at least `separation_m` apart may be two explanations of a
+    /// frame.
     pub(super) fn new(
         calibration: SelfCalibration,
         smallest_amplitude: f64,

@@ -174,9 +174,7 @@ impl Calibration {
         let (reference, mut differences) = differences_of(prepared, measured)?;
         let scatter = measured.rest_scatter();
         let unsound_channels = scatter.as_ref().map_or_else(Vec::new, |scatter| scatter.unsound(None));
-        for &channel in &unsound_channels {
-            differences.iter_mut().for_each(|difference| difference[channel as usize] = f64::NAN);
-        }
+        set_channels(&mut differences, &unsound_channels, f64::NAN);
         let Sound { rows, repeated, dead_channels } = check_pokes(prepared, &differences, pokes)?;
         let picked = |count: usize| rows.iter().step_by(rows.len().div_ceil(count).max(1)).copied();
         let places = |rows: &[usize]| rows.iter().map(|&i| pokes.positions_m[i]).collect::<Vec<_>>();
@@ -279,9 +277,9 @@ impl Calibration {
         unsound
     }
 
-    /// The calibration of a skin on which these channels say nothing any more: fitted anew to its pokes without them, or
-    /// to the 800 of them that it keeps. `noise`: that of the channels now, in the unit of difference data. The places
-    /// are the locator's.
+    /// The calibration of a skin on which these channels say nothing any more: fitted anew to its pokes without them,
+    /// or to the 800 of them that it keeps. `noise`: that of the channels now, in the unit of difference data. The
+    /// places are the locator's.
     ///
     /// # Errors
     /// A channel that does not exist, noise of another length, or pokes from which nothing can be learnt without them.
@@ -295,11 +293,8 @@ impl Calibration {
         }
         let mut silent = self.clone();
         let mut gone = self.frames.clone();
-        for (kept, gone) in silent.frames.iter_mut().zip(&mut gone) {
-            for &channel in channels {
-                (kept[channel as usize], gone[channel as usize]) = (0.0, f64::NAN);
-            }
-        }
+        set_channels(&mut silent.frames, channels, 0.0);
+        set_channels(&mut gone, channels, f64::NAN);
         let mut examples = Examples::new(self.channels, gone.concat(), self.positions_m.clone())?;
         examples = examples.with_channel_noise(noise.to_vec())?;
         if let Some(loads) = &self.loads {
@@ -486,6 +481,13 @@ pub(crate) fn differences_of(
             let differences = frames.iter().enumerate().map(|(i, frame)| reference.difference(frame, own(i))).collect();
             Ok((reference, differences))
         }
+    }
+}
+
+/// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.
+pub fn set_channels(frames: &mut [Vec<f64>], channels: &[u32], value: f64) {
+    for &channel in channels {
+        frames.iter_mut().for_each(|frame| frame[channel as usize] = value);
     }
 }
 

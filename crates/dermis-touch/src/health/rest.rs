@@ -1,6 +1,8 @@
 //! Channels that do not rest while nothing touches the skin: loose contacts of a torn sheet jump, and a channel whose
 //! noise has grown since it was calibrated no longer says what it said then.
 
+use crate::typical::median;
+
 /// Fewer resting frames than this say nothing.
 pub const FEWEST_AT_REST: usize = 8;
 /// A channel jumps where its standard deviation is so many times the robust one: drift makes it 0.8 times, Gaussian
@@ -68,17 +70,8 @@ fn scatter(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let deviation = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
-    let middle = median(values.clone());
-    [deviation, GAUSSIAN * median(values.iter().map(|v| (v - middle).abs()).collect())]
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => values[n / 2],
-        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
-    }
+    let middle = median(&values);
+    [deviation, GAUSSIAN * median(&values.iter().map(|v| (v - middle).abs()).collect::<Vec<_>>())]
 }
 
 #[cfg(test)]

@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use super::data::{LeaveOneOut, LeftOut, MIN_EXAMPLES};
 use super::error::{LocatorError, check_finite, check_first, check_length, check_positions};
 use super::posterior::quantile;
-use super::regression::{matern52, median};
+use super::regression::matern52;
+use crate::typical::median;
 
 /// Lengths tried, relative to half the shorter side of the skin.
 const LENGTHS: [f64; 4] = [0.3, 0.6, 1.2, 3.0];

@@ -9,9 +9,10 @@ use super::design::{Design, Prior, basis};
 use super::error::{LocatorError, check_length};
 use super::load::{LoadLaw, root_mean_square};
 use super::model::Locator;
-use super::posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile, spacing};
-use super::regression::{ChannelPrior, FittedMap, WorkedOut, example_noise, median, smoothed};
+use super::posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile};
+use super::regression::{ChannelPrior, FittedMap, WorkedOut, example_noise, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
+use crate::typical::{median, spacing};
 
 /// Passes of filling missing channels of the examples with what the regression makes of the others.
 const FILLING_PASSES: usize = 3;

@@ -3,7 +3,6 @@
 
 use faer::Mat;
 
-use super::regression::median;
 use super::rows::tempered_sums;
 
 /// Temperatures tried: from nearly flat to colder than the likelihood, evenly in the logarithm.
@@ -240,17 +239,6 @@ pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
     let low = at.floor() as usize;
     let high = (low + 1).min(sorted.len() - 1);
     sorted[low] + (at - low as f64) * (sorted[high] - sorted[low])
-}
-
-/// Median distance from a position to its nearest neighbour.
-pub(super) fn spacing(positions: &[[f64; 2]]) -> f64 {
-    let sampled = positions.len().min(200);
-    let nearest = |s: usize| {
-        let here = positions[s * positions.len() / sampled];
-        let d2 = positions.iter().map(|q| super::design::squared_distance(*q, here)).filter(|d| *d > 0.0);
-        d2.fold(f64::INFINITY, f64::min).sqrt()
-    };
-    median(&(0..sampled).map(nearest).collect::<Vec<_>>())
 }
 
 /// Root mean square distance of positions from their centroid, times sqrt 2: the radius of a disc evenly covered.

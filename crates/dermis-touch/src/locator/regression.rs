@@ -13,6 +13,7 @@ use faer::{Mat, Par, RowRef, Side};
 use super::data::Hyperparameters;
 use super::design::{Design, Prior, squared_distance};
 use super::error::LocatorError;
+use crate::typical::median;
 
 /// Noise of the strongest frames relative to that of the median one: what a position never explains.
 const AMPLITUDE_INDEPENDENT_NOISE: f64 = 0.2;
@@ -63,14 +64,6 @@ pub(super) fn smoothed(design: &Design, prior: &Prior, hyper: &Hyperparameters) 
 pub(super) fn example_noise(design: &Design, noise: f64) -> Vec<f64> {
     let median = median(&design.amplitude);
     design.amplitude.iter().map(|&a| noise_variance(noise, a, median)).collect()
-}
-
-/// Middle value of a slice that is not empty.
-pub(super) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let n = sorted.len();
-    if n % 2 == 1 { sorted[n / 2] } else { 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]) }
 }
 
 /// The fitted map in whitened coordinates y = T z, in which the covariance between channels is the identity, with what

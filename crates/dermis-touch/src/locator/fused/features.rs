@@ -8,7 +8,7 @@
 use crate::locator::data::{Examples, MIN_CHANNELS};
 use crate::locator::design::channel_weights;
 use crate::locator::error::{LocatorError, check_first, check_length};
-use crate::locator::regression::median;
+use crate::typical::median;
 
 /// A channel's median is taken as at least this part of the median channel's.
 const SMALLEST_MEDIAN: f64 = 0.2;

@@ -15,9 +15,10 @@ use crate::locator::error::{LocatorError, check_length};
 use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, evenly, prepare};
 use crate::locator::load::LoadLaw;
 use crate::locator::model::Locator;
-use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile, spacing};
+use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile};
 use crate::locator::regression::{FittedMap, WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
+use crate::typical::spacing;
 
 /// Principal components of the features that the inverse expert sees.
 pub(super) const PLAIN_RANK: usize = 64;
@@ -199,7 +200,7 @@ fn best_mix(first: &LeftOutPlaces, second: &LeftOutPlaces, truth: &[[f64; 2]]) -
     let score = |places: &[[f64; 2]]| {
         let squares: Vec<f64> =
             places.iter().zip(truth).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).collect();
-        let middle = crate::locator::regression::median(&squares).max(f64::MIN_POSITIVE);
+        let middle = crate::typical::median(&squares).max(f64::MIN_POSITIVE);
         squares.iter().map(|s| (s + middle).ln()).sum::<f64>()
     };
     let mut best = (f64::INFINITY, 1.0, Vec::new());

@@ -10,8 +10,9 @@ use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureM
 use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
 use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
-use crate::locator::posterior::{extent, spacing};
+use crate::locator::posterior::extent;
 use crate::locator::regression::{ChannelPrior, WorkedOut};
+use crate::typical::spacing;
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
 pub(super) const GRID: Grid =

@@ -14,8 +14,8 @@ use super::landmarks;
 use crate::locator::error::{LocatorError, check_first, check_length};
 use crate::locator::fit::evenly;
 use crate::locator::posterior::quantile;
-use crate::locator::regression::median;
 use crate::locator::rows::{dot, matern52, matern52_of, products};
+use crate::typical::median;
 
 /// Lengths tried, relative to the median distance between examples.
 const LENGTHS: [f64; 6] = [0.6, 0.9, 1.3, 2.0, 3.0, 5.0];

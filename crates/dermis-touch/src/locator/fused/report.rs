@@ -3,7 +3,7 @@
 use super::fusion::Fusion;
 use crate::locator::data::LeaveOneOut;
 use crate::locator::posterior::quantile;
-use crate::locator::regression::median;
+use crate::typical::median;
 
 /// Distances between true and found places of left-out examples.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
