@@ -57,6 +57,8 @@ pub struct Pipeline {
     baseline: Baseline,
     /// `None` where the skin file wants channels not to be watched.
     health: Option<HealthStage>,
+    /// How often the first frames gave no baseline, and why the last time.
+    useless_starts: (u32, Option<Error>),
     /// `None` where the skin file does not ask for damage to be watched.
     damage: Option<DamageStage>,
     /// In place of it where the skin conducts less where it is pressed.
@@ -163,6 +165,7 @@ impl Pipeline {
             reader,
             baseline,
             health,
+            useless_starts: (0, None),
             damage,
             levels,
             circuit,
@@ -264,16 +267,41 @@ impl Pipeline {
         Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
     }
 
-    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before.
+    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before, and the first
+    /// one to that of later frames.
     fn use_new_baseline(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
         let Err(error) = self.use_baseline(at) else { return Ok(()) };
         let Some(before) = self.baseline.records().len().checked_sub(2).filter(|_| self.is_running()) else {
-            return Err(error);
+            return self.start_over(error);
         };
         let reason = format!("the tare gave no baseline: {error}");
         tracing::warn!("{reason}");
         self.baseline.reuse(time_ns, before, &reason)?;
         self.use_baseline(at)
+    }
+
+    /// Frames that give no baseline, such as those of an instrument whose electrodes are not connected yet, are
+    /// waited out; what no frames can mend is an error.
+    fn start_over(&mut self, error: Error) -> Result<(), Error> {
+        if !matches!(error, Error::Frames { .. }) {
+            return Err(error);
+        }
+        let times = self.useless_starts.0 + 1;
+        // Said at once, and then more and more seldom.
+        if times.is_power_of_two() {
+            tracing::warn!(times, "the first frames gave no baseline, waiting for others: {error}");
+        }
+        self.useless_starts = (times, Some(error));
+        self.baseline.start_over();
+        if self.health.is_some() {
+            self.health = Some(HealthStage::new(&self.prepared)?);
+        }
+        Ok(())
+    }
+
+    /// Why there is no baseline yet, where frames came from which none could be made.
+    pub fn take_start_problem(&mut self) -> Option<Error> {
+        self.useless_starts.1.take().filter(|_| !self.is_running())
     }
 
     fn is_running(&self) -> bool {

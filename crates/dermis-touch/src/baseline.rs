@@ -420,6 +420,18 @@ impl Baseline {
         }
     }
 
+    /// Forgets a start-up baseline that is of no use, and its record: start-up begins anew with the next frame.
+    pub fn start_over(&mut self) {
+        if self.records.last().is_some_and(|record| record.origin == ReferenceOrigin::Startup) {
+            self.records.pop();
+            self.kept.pop();
+        }
+        self.started = false;
+        self.startup.clear();
+        self.baseline.fill(f64::NAN);
+        self.noise_std.fill(f64::NAN);
+    }
+
     fn record(&mut self, time_ns: u64, frames: usize, origin: ReferenceOrigin, reason: String) {
         self.keep(ReferenceRecord { time_ns, frames, origin, reason });
     }

@@ -119,7 +119,11 @@ impl Arguments {
         }
         outcome?;
         if has_ended {
-            eprintln!("{name} has ended after {} frames", pipeline.frames());
+            if let Some(problem) = pipeline.take_start_problem() {
+                return Err(problem.into());
+            }
+            let rest = if pipeline.hyperparameter().is_none() { ", before there was a baseline" } else { "" };
+            eprintln!("{name} has ended after {} frames{rest}", pipeline.frames());
         }
         Ok(run.outcome(counters, incomplete.as_deref()))
     }

@@ -26,6 +26,10 @@ pub struct LinearProblem {
     form: Form,
 }
 
+/// A lambda^2 below this share of the trace of `S P S'` is lost in rounding: the inverse of a matrix of condition 1e14
+/// has hardly a digit left.
+const LEAST_SQUARE: f64 = 1e-14;
+
 /// What each form keeps.
 #[derive(Debug)]
 enum Form {
@@ -164,13 +168,29 @@ impl LinearProblem {
     /// The operator at a hyperparameter.
     ///
     /// # Errors
-    /// A hyperparameter that is not positive and finite, or a system that is not positive definite.
+    /// A hyperparameter that is not positive and finite, or too small to regularise, or a system that is not positive
+    /// definite.
     pub fn operator(&self, hyperparameter: f64) -> Result<Operator, InverseError> {
         check_hyperparameter(hyperparameter)?;
+        self.check_regularises(hyperparameter)?;
         match &self.form {
             Form::Data(form) => self.data_space(hyperparameter, form),
             Form::Model | Form::Unknowns(_) => self.over_unknowns(hyperparameter),
         }
+    }
+
+    /// Refuses a lambda that is lost in the rounding of what it is added to.
+    fn check_regularises(&self, lambda: f64) -> Result<(), InverseError> {
+        let rounding = match &self.form {
+            // Its trace would have to be worked out.
+            Form::Model => 0.0,
+            Form::Data(_) | Form::Unknowns(_) => LEAST_SQUARE * self.gram_trace()?,
+        };
+        if lambda * lambda > rounding.max(f64::MIN_POSITIVE) {
+            return Ok(());
+        }
+        let expected = "large enough to regularise: its square is lost in the rounding of J P J'";
+        Err(InverseError::Value { what: "hyperparameter", index: None, value: lambda, expected })
     }
 
     fn data_space(&self, lambda: f64, form: &DataForm) -> Result<Operator, InverseError> {

@@ -4,11 +4,13 @@
 //! matrix `(S^-1)_MM` is factored.
 
 use faer::linalg::matmul::matmul;
-use faer::linalg::solvers::Solve;
+use faer::linalg::solvers::{Llt, Solve};
 use faer::{Accum, Mat, Par, Side};
 
 use super::{InverseError, Operator};
 
+/// Shares of the largest entry that are added to a diagonal in turn.
+const RIDGES: [f64; 6] = [0.0, 1e-13, 1e-10, 1e-7, 1e-4, 1e-1];
 /// Rows of the operator that are worked on at a time.
 const ROWS_AT_ONCE: usize = 64;
 
@@ -49,11 +51,7 @@ impl MissingChannels {
         let block = Mat::from_fn(missing.len(), missing.len(), |row, column| entry(row, missing[column]));
         let mut fill = Mat::from_fn(missing.len(), present.len(), |row, column| -entry(row, present[column]));
         if !missing.is_empty() {
-            let factor = block.llt(Side::Lower).map_err(|_| InverseError::Singular {
-                what: "the block of the missing channels",
-                hint: "raise the hyperparameter",
-            })?;
-            factor.solve_in_place(&mut fill);
+            factor(block)?.solve_in_place(&mut fill);
         }
         Ok(Self { missing, present, fill })
     }
@@ -105,6 +103,19 @@ impl MissingChannels {
             }
         }
     }
+}
+
+/// The factor of a block of S^-1. S^-1 is positive definite, but where the hyperparameter is so small that S can hardly
+/// be inverted, rounding may make it look otherwise: then something is added to the diagonal, as little as will do.
+fn factor(mut block: Mat<f64>) -> Result<Llt<f64>, InverseError> {
+    let largest = (0..block.nrows()).map(|row| block[(row, row)].abs()).fold(0.0, f64::max);
+    for share in RIDGES {
+        (0..block.nrows()).for_each(|row| block[(row, row)] += share * largest);
+        if let Ok(factor) = block.llt(Side::Lower) {
+            return Ok(factor);
+        }
+    }
+    Err(InverseError::Singular { what: "the block of the missing channels", hint: "raise the hyperparameter" })
 }
 
 #[cfg(test)]
@@ -159,6 +170,23 @@ mod tests {
                 let variance = |(k, c): (usize, &usize)| (expected.matrix[(row, k)] * noise[*c]).powi(2);
                 let expected: f64 = present.iter().enumerate().map(variance).sum::<f64>().sqrt();
                 assert!((found - expected).abs() < 1e-10, "{count} missing: {found} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn channels_can_be_missing_however_small_the_hyperparameter_is() {
+        // More channels than unknowns: without a hyperparameter, S has no inverse.
+        let jacobian = Mat::from_fn(20, 9, |row, column| ((row * 7 + column * column * 3 + row * column) as f64).sin());
+        let prior = PriorMatrix::Diagonal(vec![1.0; 9]);
+        let problem = LinearProblem::new(jacobian.as_ref(), Weighting::Identity, prior).unwrap();
+        for lambda in [1e-6, 1e-7, 1e-8, 1e-9, 1e-12] {
+            let Ok(operator) = problem.operator(lambda) else { continue };
+            for missing in [&[3_u32][..], &[0, 1, 2, 3, 4, 5, 6], &[1, 3, 5, 7, 9, 11, 13, 15, 17, 19]] {
+                let missing = MissingChannels::new(&operator, missing).unwrap();
+                let mut frame = vec![1.0; 20];
+                missing.fill_in(&mut frame);
+                assert!(frame.iter().all(|value| value.is_finite()), "{lambda:e}: {frame:?}");
             }
         }
     }

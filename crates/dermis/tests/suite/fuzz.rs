@@ -118,3 +118,18 @@ fn a_recording_told_to_end_has_every_frame_before() {
     system.end();
     assert_eq!(system.processed, 40);
 }
+
+#[test]
+fn first_frames_of_zeros_delay_the_baseline_and_end_nothing() {
+    for skin in ["healing-square", "ionic-disc", "em-8"] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut system = System::new(skin, folder.path());
+        system.take(&Step::Spoil(Spoilt::All(0.0)));
+        (0..150).for_each(|_| system.take(&Step::Spoil(Spoilt::All(0.0))));
+        assert!(system.pipeline.hyperparameter().is_none(), "{skin}: a baseline of zeros");
+        system.take(&Step::Frames(120));
+        assert!(system.pipeline.hyperparameter().is_some(), "{skin}: no baseline although readings come");
+        assert!(system.pipeline.health().is_sound(), "{skin}: what was wrong before the start is held against it");
+        system.end();
+    }
+}
