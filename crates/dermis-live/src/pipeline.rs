@@ -277,7 +277,11 @@ impl Pipeline {
         let reason = format!("the tare gave no baseline: {error}");
         tracing::warn!("{reason}");
         self.baseline.reuse(time_ns, before, &reason)?;
-        self.use_baseline(at)
+        match self.use_baseline(at) {
+            // Not even with the baseline of before, since all channels are left out: its reference stays.
+            Err(Error::Frames { .. }) => Ok(()),
+            used => used,
+        }
     }
 
     /// Frames that give no baseline, such as those of an instrument whose electrodes are not connected yet, are

@@ -29,6 +29,8 @@ pub struct LinearProblem {
 /// A lambda^2 below this share of the trace of `S P S'` is lost in rounding: the inverse of a matrix of condition 1e14
 /// has hardly a digit left.
 const LEAST_SQUARE: f64 = 1e-14;
+/// What lambda^2 may be at all: what is divided by it is still a number.
+const DIVISIBLE: std::ops::Range<f64> = 1e-200..1e200;
 
 /// What each form keeps.
 #[derive(Debug)]
@@ -186,10 +188,14 @@ impl LinearProblem {
             Form::Model => 0.0,
             Form::Data(_) | Form::Unknowns(_) => LEAST_SQUARE * self.gram_trace()?,
         };
-        if lambda * lambda > rounding.max(f64::MIN_POSITIVE) {
+        let square = lambda * lambda;
+        if square > rounding && DIVISIBLE.contains(&square) {
             return Ok(());
         }
-        let expected = "large enough to regularise: its square is lost in the rounding of J P J'";
+        let expected = match square > 1.0 {
+            true => "below 1e100",
+            false => "large enough to regularise: its square is lost in the rounding of J P J'",
+        };
         Err(InverseError::Value { what: "hyperparameter", index: None, value: lambda, expected })
     }
 

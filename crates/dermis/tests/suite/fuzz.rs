@@ -10,6 +10,7 @@ use std::sync::atomic::Ordering;
 
 use dermis::lab::twin_commands::TwinCommand;
 use dermis::twin::Treatment;
+use dermis::twin::instrument::Fault;
 use dermis::twin::physics::Cut;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, FileFailurePersistence, RngSeed};
@@ -130,6 +131,33 @@ fn first_frames_of_zeros_delay_the_baseline_and_end_nothing() {
         system.take(&Step::Frames(120));
         assert!(system.pipeline.hyperparameter().is_some(), "{skin}: no baseline although readings come");
         assert!(system.pipeline.health().is_sound(), "{skin}: what was wrong before the start is held against it");
+        system.end();
+    }
+}
+
+#[test]
+fn hyperparameters_that_cannot_be_used_are_refused_and_channels_may_fail_meanwhile() {
+    for skin in ["healing-square", "ionic-disc", "piezo-disc", "em-8"] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut system = System::new(skin, folder.path());
+        system.take(&Step::Frames(40));
+        let usual = system.pipeline.hyperparameter().unwrap();
+        for lambda in [1e-300, 1e300, 1e-150, 1e150] {
+            system.take(&Step::Hyperparameter(lambda));
+            system.take(&Step::Frames(40));
+            assert_eq!(system.pipeline.hyperparameter(), Some(usual), "{skin} went on with {lambda:e}");
+        }
+        // Hardly usable, and nearly nothing of the data used.
+        for lambda in [1e-6 * usual, 1e6 * usual] {
+            system.take(&Step::Hyperparameter(lambda));
+            system.take(&Step::Frames(40));
+            for channel in [0, 7, 13] {
+                let stuck = TwinCommand::Break(Fault::StuckChannel { channel, value_v: 0.0 });
+                system.take(&Step::Command(stuck, 1));
+                system.take(&Step::Frames(30));
+            }
+            system.take(&Step::Command(TwinCommand::Repair, 1));
+        }
         system.end();
     }
 }
