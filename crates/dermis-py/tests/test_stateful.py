@@ -26,7 +26,13 @@ class Sessions(RuleBasedStateMachine):
         self.session = None
 
     @initialize(name=st.sampled_from(["ionic-disc", "em-8", "hydrogel-disc"]))
+    def begins(self, name):
+        self.opens(name)
+
     @rule(name=st.sampled_from(["ionic-disc", "healing-square"]))
+    def opens_another(self, name):
+        self.opens(name)
+
     def opens(self, name):
         if self.session is not None:
             self.session.close()
@@ -130,7 +136,7 @@ class Sessions(RuleBasedStateMachine):
 TestSessions = Sessions.TestCase
 TestSessions.settings = settings(
     deadline=None,
-    max_examples=int(os.environ.get("DERMIS_FUZZ", "15")),
+    max_examples=int(os.environ.get("DERMIS_FUZZ", "6")),
     stateful_step_count=30,
     suppress_health_check=list(HealthCheck),
     derandomize="CI" in os.environ,
