@@ -263,3 +263,40 @@ fn drift_is_told_from_its_absence() {
     let drifts = SessionDrift::measure(&drifting.examples()).expect("a statistic");
     assert!(drifts.z > 3.0 && drifts.ratio > 1.2, "{drifts:?}");
 }
+
+/// Many channels and few pokes: directions made for the pokes must not take the noise of another frame for a place.
+#[test]
+fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
+    const MANY: usize = 600;
+    const NOISE: f64 = 0.05;
+    let made = |count: usize, seed: u64| -> (Vec<f64>, Vec<[f64; 2]>) {
+        let mut random = Random(0x9e37_79b9_7f4a_7c15 ^ (seed + 1));
+        let (mut frames, mut places) = (Vec::new(), Vec::new());
+        for _ in 0..count {
+            let p = [0, 1].map(|_| 0.08 * random.next() - 0.04);
+            frames.extend((0..MANY).map(|k| signature(p, k) + NOISE * random.normal()));
+            places.push(p);
+        }
+        (frames, places)
+    };
+    // The physics knows the signatures but for a tenth.
+    let known =
+        map().into_iter().flat_map(|p| (0..MANY).map(move |k| signature(p, k) * (1.0 + 0.1 * (k as f64).sin())));
+    let physics = SignatureMap::new(MANY, map(), known.collect()).expect("a map");
+    let (frames, places) = made(40, 1);
+    let examples = Examples::new(MANY, frames, places).expect("valid pokes");
+    let examples = examples.with_channel_noise(vec![NOISE; MANY]).expect("noise of every channel");
+    let locator = FusedLocator::fit(&examples, &physics, &FusedOptions::default()).expect("a locator");
+    let mut scratch = locator.scratch();
+    let (others, at) = made(200, 2);
+    let mut errors: Vec<f64> = Vec::new();
+    for (frame, p) in others.chunks_exact(MANY).zip(&at) {
+        let found = locator.predict_into(frame, &mut scratch).expect("a place");
+        errors.push((found.x_m - p[0]).hypot(found.y_m - p[1]));
+    }
+    errors.sort_by(f64::total_cmp);
+    let (median_m, told_m) = (errors[errors.len() / 2], locator.report().fused.median_m);
+    assert!(median_m < 2.0 * told_m && median_m < 2e-3, "{median_m} m, where {told_m} m were told");
+    let tenth_m = errors[errors.len() * 9 / 10];
+    assert!(tenth_m < 5e-3, "every tenth press is off by {tenth_m} m");
+}

@@ -6,6 +6,7 @@ use faer::{Mat, Side};
 
 use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
+use crate::typical::median;
 
 /// Channel noise below this fraction of the median is raised to it, so that a channel stuck at one value does not rule.
 const NOISE_FLOOR: f64 = 0.05;
@@ -27,6 +28,9 @@ pub(super) struct Design {
     pub energy: Vec<f64>,
     /// Missing entries as (example, channel).
     pub missing: Vec<(usize, usize)>,
+    /// Variance that measurement noise has in every direction of z, for an example of median amplitude; 0 where the
+    /// noise of the channels is not known.
+    pub noise_variance: f64,
 }
 
 impl Design {
@@ -59,7 +63,15 @@ impl Design {
             scale_row(&mut z, i, 1.0 / amplitude[i]);
         }
         let energy = vec![0.0; c];
-        let mut design = Self { z, amplitude, positions_m: examples.positions_m.clone(), weights, energy, missing };
+        let mut design = Self {
+            z,
+            amplitude,
+            positions_m: examples.positions_m.clone(),
+            weights,
+            energy,
+            missing,
+            noise_variance: 0.0,
+        };
         design.measure_energy();
         let root = (c as f64).sqrt();
         let seen = design.seen_energy();
@@ -69,6 +81,10 @@ impl Design {
             design.amplitude[i] /= root * shrink;
         }
         design.measure_energy();
+        if examples.channel_noise.is_some() {
+            // Weighted channels have noise 1, and a frame has the energy c a^2.
+            design.noise_variance = 1.0 / (c as f64 * median(&design.amplitude).powi(2));
+        }
         Ok(design)
     }
 
@@ -94,6 +110,7 @@ impl Design {
             weights: self.weights.clone(),
             energy: self.energy.clone(),
             missing: Vec::new(),
+            noise_variance: self.noise_variance,
         }
     }
 

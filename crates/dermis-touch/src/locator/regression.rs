@@ -215,7 +215,9 @@ impl FittedMap {
         let unwhitened = worked_out.unwhitened(design, prior, positions, basis, hyper)?;
         let UnwhitenedMap { z, residual, alpha, map, .. } = &*unwhitened;
         let n = z.nrows();
-        let factor = channel_factor(residual, alpha, hyper.shrinkage, channel_prior)?;
+        // Directions made for the examples hold little of another frame but its noise.
+        let least = basis.map_or(0.0, |_| design.noise_variance / noise_variance(hyper.noise, 1.0, 1.0));
+        let factor = channel_factor(residual, alpha, hyper.shrinkage, least, channel_prior)?;
         let (frames, alpha) = (whitened(&factor, z), whitened(&factor, alpha));
         let (transform, signatures) = (OnceCell::new(), OnceCell::new());
         if let Some(q) = basis {
@@ -363,11 +365,12 @@ pub(super) struct ChannelPrior {
     pub examples: f64,
 }
 
-/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal.
+/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal, with `least` on that.
 fn channel_factor(
     residual: &Mat<f64>,
     alpha: &Mat<f64>,
     shrinkage: f64,
+    least: f64,
     prior: Option<&ChannelPrior>,
 ) -> Result<Mat<f64>, LocatorError> {
     let (n, c) = (residual.nrows() as f64, residual.ncols());
@@ -380,7 +383,7 @@ fn channel_factor(
     let covariance = Mat::from_fn(c, c, |i, j| {
         let expected = prior.map_or(0.0, |p| p.covariance[(i, j)] * worth * trace / prior_trace);
         let value = ((sample[(i, j)] + sample[(j, i)]) * 0.5 + expected) / (n + worth);
-        if i == j { value + shrinkage * floor } else { (1.0 - shrinkage) * value }
+        if i == j { value + shrinkage * floor + least } else { (1.0 - shrinkage) * value }
     });
     let what = "covariance between channels";
     Ok(covariance.llt(Side::Lower).map_err(|_| LocatorError::Singular { what })?.L().to_owned())
@@ -409,6 +412,7 @@ mod tests {
             weights: vec![1.0; channels],
             energy: vec![1.0; channels],
             missing: Vec::new(),
+            noise_variance: 0.0,
         };
         let prior =
             Prior { at_examples: Mat::zeros(n, channels), over_map: Mat::zeros(map.len(), channels), cosine: 0.0 };

@@ -105,7 +105,9 @@ pub(super) fn forward_examples(
         features.forward(frame, &unit, amplitude, out);
     }
     let positions_m = rows.iter().map(|&i| examples.positions_m[i]).collect();
-    Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise: None })
+    // The frames are in units of the noise already.
+    let channel_noise = examples.channel_noise.as_ref().map(|_| vec![1.0; c]);
+    Ok(Examples { channels: c, frames, positions_m, loads: None, channel_noise })
 }
 
 /// The mean of the map in the form that the forward expert sees.
