@@ -303,7 +303,7 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Why there is no baseline yet, where frames came from which none could be made.
+    /// Why there is no baseline yet, where frames came from which none could be made; told once.
     pub fn take_start_problem(&mut self) -> Option<Error> {
         self.useless_starts.1.take().filter(|_| !self.is_running())
     }

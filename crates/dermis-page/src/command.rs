@@ -87,6 +87,21 @@ impl Command {
 }
 
 impl Press {
+    /// Position, metres.
+    pub fn position_m(&self) -> [f64; 2] {
+        [self.x_mm * 1e-3, self.y_mm * 1e-3]
+    }
+
+    /// Radius of the indenter, metres.
+    pub fn radius_m(&self) -> f64 {
+        self.radius_mm * 1e-3
+    }
+
+    /// Pressure beneath it, pascal.
+    pub fn pressure_pa(&self) -> f64 {
+        self.pressure_kpa * 1e3
+    }
+
     /// Refuses a press that begins off the skin. One that slides off it may come back.
     fn check_on_skin(&self, scene: &Scene) -> Result<(), String> {
         let (x, y) = (self.x_mm, self.y_mm);

@@ -74,14 +74,14 @@ impl PressedTwin {
     /// # Errors
     /// A press that makes no sense, or begins off the skin; what was pressed stays.
     pub(crate) fn press(&mut self, press: &Press) -> Result<(), TwinError> {
-        let (pointer, place_m) = (press.pointer_id, [press.x_mm * 1e-3, press.y_mm * 1e-3]);
+        let (pointer, place_m) = (press.pointer_id, press.position_m());
         let is_off = !self.twin.frontend().extent().contains(place_m);
         let scene = self.twin.scene_mut();
         if is_off && scene.is_pressed_by(pointer) {
             scene.release(pointer);
             return Ok(());
         }
-        scene.press(pointer, place_m[0], place_m[1], press.radius_mm * 1e-3, press.pressure_kpa * 1e3)
+        scene.press(pointer, place_m[0], place_m[1], press.radius_m(), press.pressure_pa())
     }
 
     /// Lets go.

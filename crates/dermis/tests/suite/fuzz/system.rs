@@ -192,9 +192,9 @@ impl<'a> System<'a> {
             Command::Press(press) | Command::Move(press) => {
                 let press = TwinCommand::Press {
                     pointer: press.pointer_id,
-                    position_m: [press.x_mm * 1e-3, press.y_mm * 1e-3],
-                    radius_m: press.radius_mm * 1e-3,
-                    pressure_pa: press.pressure_kpa * 1e3,
+                    position_m: press.position_m(),
+                    radius_m: press.radius_m(),
+                    pressure_pa: press.pressure_pa(),
                 };
                 self.command(press, 1);
             }
