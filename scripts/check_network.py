@@ -18,6 +18,8 @@ import tempfile
 
 import numpy as np
 
+MODELS = "crates/dermis-live/models"
+
 try:
     import torch
 except ImportError:
@@ -181,10 +183,10 @@ def forward(tensors, image, levels):
 
 def shipped(root):
     """Weights, architecture and image size of the models that ship."""
-    for card in sorted((root / "models").glob("*.json")):
+    for card in sorted((root / MODELS).glob("*.json")):
         card = json.loads(card.read_text())
         shape = [card["shape"][key] for key in ("inputs", "classes", "width", "levels")]
-        yield read_safetensors(root / "models" / card["weights"]), (*shape, card["rows"], card["columns"]), card["weights"]
+        yield read_safetensors(root / MODELS / card["weights"]), (*shape, card["rows"], card["columns"]), card["weights"]
 
 
 def main():

@@ -17,9 +17,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # crates.io takes no package above 10 MiB, and no more than five keywords of at most 20 characters.
 LARGEST_BYTES = 10 * 1024 * 1024
-# Crates that embed files from outside their folder, which a package would not hold: not fit for crates.io as they are. To
-# be emptied; a crate that is no longer so must go from here.
-NOT_READY = {"dermis-skin", "dermis-live", "dermis-mit"}
 problems = []
 
 
@@ -97,12 +94,8 @@ def check_package(package, published):
     if size > LARGEST_BYTES:
         problem(f"the package's files have {size} bytes, at most {LARGEST_BYTES}")
     outside = outside_files(folder)
-    if outside and name not in NOT_READY:
+    if outside:
         problem(f"embeds {outside[0]}, which its package does not hold")
-    if outside and name in NOT_READY:
-        print(f"{name}: not fit for crates.io: embeds {len(outside)} files from outside, {outside[0]} for one")
-    if not outside and name in NOT_READY:
-        problem("is fit now: take it from NOT_READY in scripts/check_packages.py")
     print(f"{name} {package['version']}: {len(files)} files, {size / 1024:.0f} KiB")
 
 

@@ -41,7 +41,9 @@ def huge_skins(ground):
     square = "shape = { square = { side_mm = 100.0 } }"
     healing = ground.ask("skins", "show", "healing-square").out()
     check(square in healing or "side_mm" in healing, "healing-square is shown without its shape")
-    grid = ground.skin("grid.toml", re.sub(r"(?m)^grid = \d+", "grid = 512", healing))
+    # Touches of a liquid are fitted with the interactions of all its pixels.
+    liquid = ground.ask("skins", "show", "ionic-square").out()
+    grid = ground.skin("grid.toml", re.sub(r"(?m)^grid = \d+", "grid = 512", liquid))
     refused(ground, "grid = 512", grid, ["imaging.grid = 512", "--memory"])
     for count, names in ((1_000_000, ["bytes; expected"]), (150_000, ["drive"])):
         pairs = ",".join(["[1,2]"] * count)

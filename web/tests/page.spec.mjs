@@ -134,7 +134,7 @@ test("a press is let go when its page closes", async () => {
 test("an electrode that is lost is named, with since when, and cleared when it is back", { skip: isDemo }, async () => {
   const folder = await mkdtemp(join(tmpdir(), "dermis-page-"));
   const skin = join(folder, "broken.toml");
-  const sound = await readFile(new URL("../../skins/healing-square.toml", import.meta.url), "utf8");
+  const sound = await readFile(new URL("../../crates/dermis-skin/skins/healing-square.toml", import.meta.url), "utf8");
   // Long after the baseline; long enough that a slow machine opens the page meanwhile.
   await writeFile(skin, `${sound}\n[[twin.faults]]\nopen_electrodes = [5]\nfrom_s = 5.0\nuntil_s = 20.0\n`);
   const broken = await startServer(0, [skin]);

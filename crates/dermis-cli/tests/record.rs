@@ -236,7 +236,7 @@ fn a_disk_that_is_full_from_the_start_is_refused() {
 #[test]
 fn what_the_source_lost_is_counted_again_by_the_replay() {
     let desk = tempfile::tempdir().expect("a directory");
-    let skin = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../skins/healing-square.toml");
+    let skin = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../dermis-skin/skins/healing-square.toml");
     let skin = std::fs::read_to_string(skin).expect("a skin file");
     std::fs::write(desk.path().join("lossy.toml"), lossy(&skin)).expect("a file");
     let recorded = dermis(desk.path(), &[&["record", "lossy.toml", "--out", "a.mcap"], &QUICK[..]].concat());

@@ -28,6 +28,8 @@ pub struct Imager {
     problem: Arc<LinearProblem>,
     operator: Operator,
     live: LiveOperator,
+    /// lambda as the skin file's rule or a calibration gives it.
+    rule_hyperparameter: f64,
     polarity: f64,
     /// Standard deviation of each inside pixel caused by the reference's noise.
     pixel_noise: Vec<f32>,
@@ -109,6 +111,7 @@ impl Imager {
         let pixel_noise = pixel_noise(&operator, noise);
         Ok(Self {
             live,
+            rule_hyperparameter: lambda,
             polarity,
             pixel_noise,
             inside: prepared.map.inside_pixels().to_vec(),
@@ -130,6 +133,11 @@ impl Imager {
     /// lambda.
     pub fn hyperparameter(&self) -> f64 {
         self.operator.hyperparameter
+    }
+
+    /// lambda as the skin file's rule or a calibration gives it, whatever is in use.
+    pub fn rule_hyperparameter(&self) -> f64 {
+        self.rule_hyperparameter
     }
 
     /// Rebuilds the operator at another lambda. After an error the imager is what it was.

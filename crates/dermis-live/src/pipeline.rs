@@ -3,47 +3,40 @@
 //! neither where frames come from nor where results go. Stages know nothing of each other: those that look at health,
 //! damage and classes return what follows, and it is applied here.
 
+mod baselines;
 mod circuit;
+mod hyperparameter;
 mod levels;
+mod operators;
 mod stage_latencies;
 mod state;
 
 use std::time::Duration;
 
-use dermis_device::{Frame, FrameTable, Layout};
+use dermis_device::{Frame, Layout};
 use dermis_learn::Model;
-use dermis_tomo::inverse::check_hyperparameter;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::health::Health;
-use dermis_touch::{
-    Baseline, BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceOrigin, ReferenceRecord,
-    TareGuard,
-};
+use dermis_touch::{Baseline, BaselineChange, BaselineParams, BaselineState, Load, ReferenceRecord};
 
 use crate::Error;
-use crate::beside::Beside;
 use crate::calibration::{Calibration, LoadQuantity, check_wiring};
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
-use crate::imager::NewOperator;
 use crate::instant::Instant;
 use crate::output::Output;
 use crate::prepare::Prepared;
-use crate::reconstructor::Reconstructor;
 use crate::reference::Reference;
 use crate::stages::circuit::CircuitStage;
 use crate::stages::classes::{ClassPace, ClassStage};
 use crate::stages::damage::{DamageDecision, DamageFrame, DamageStage, DamageView, LevelStage, lobe_floor};
 use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
+use operators::Operators;
 pub use stage_latencies::StageLatencies;
-use state::{Choices, Running, Starting, State};
+use state::{Choices, Running, Starting, State, drift_compensation};
 
 /// Frames averaged by a tare.
 pub const TARE_FRAMES: usize = 32;
-
-/// An operator for another lambda is in use so much later, nanoseconds of the frames' time: several times what it takes
-/// to make one on one slow core.
-const OPERATOR_READY_NS: u64 = 300_000_000;
 
 /// Before the first baseline, a frame counts where one in so many of its channels has a reading.
 const LEAST_START: usize = 4;
@@ -71,29 +64,6 @@ pub struct Pipeline {
     operators: Operators,
     buffers: Buffers,
     timing: Timing,
-}
-
-/// Operators for other hyperparameters.
-#[derive(Debug)]
-struct Operators {
-    /// The lambda of the one that is being made.
-    making: Option<f64>,
-    coming: Beside<Result<NewOperator, Error>>,
-    /// What was asked for last, while another one is being made.
-    next: Option<f64>,
-    /// Frames that have waited for operators of a model that is no longer in use.
-    waited: u64,
-}
-
-impl Operators {
-    /// None is being made; so many frames have waited before.
-    fn after(waited: u64) -> Self {
-        Self { making: None, coming: Beside::new(), next: None, waited }
-    }
-
-    fn waits(&self) -> u64 {
-        self.waited + self.coming.waits()
-    }
 }
 
 /// The frame at hand on its way to an image.
@@ -267,47 +237,6 @@ impl Pipeline {
         Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
     }
 
-    /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before, and the first
-    /// one to that of later frames.
-    fn use_new_baseline(&mut self, time_ns: u64, at: (u64, u64)) -> Result<(), Error> {
-        let Err(error) = self.use_baseline(at) else { return Ok(()) };
-        let Some(before) = self.baseline.records().len().checked_sub(2).filter(|_| self.is_running()) else {
-            return self.start_over(error);
-        };
-        let reason = format!("the tare gave no baseline: {error}");
-        tracing::warn!("{reason}");
-        self.baseline.reuse(time_ns, before, &reason)?;
-        match self.use_baseline(at) {
-            // Not even with the baseline of before, since all channels are left out: its reference stays.
-            Err(Error::Frames { .. }) => Ok(()),
-            used => used,
-        }
-    }
-
-    /// Frames that give no baseline, such as those of an instrument whose electrodes are not connected yet, are
-    /// waited out; what no frames can mend is an error.
-    fn start_over(&mut self, error: Error) -> Result<(), Error> {
-        if !matches!(error, Error::Frames { .. }) {
-            return Err(error);
-        }
-        let times = self.useless_starts.0 + 1;
-        // Said at once, and then more and more seldom.
-        if times.is_power_of_two() {
-            tracing::warn!(times, "the first frames gave no baseline, waiting for others: {error}");
-        }
-        self.useless_starts = (times, Some(error));
-        self.baseline.start_over();
-        if self.health.is_some() {
-            self.health = Some(HealthStage::new(&self.prepared)?);
-        }
-        Ok(())
-    }
-
-    /// Why there is no baseline yet, where frames came from which none could be made; told once.
-    pub fn take_start_problem(&mut self) -> Option<Error> {
-        self.useless_starts.1.take().filter(|_| !self.is_running())
-    }
-
     fn is_running(&self) -> bool {
         matches!(self.state, State::Running(_))
     }
@@ -442,169 +371,10 @@ impl Pipeline {
         self.health.as_ref().map_or_else(Health::default, HealthStage::health)
     }
 
-    /// A new baseline stands: match it to the model and, the first time, build the operator.
-    fn use_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
-        if let (Some(health), State::Starting(_)) = (&mut self.health, &self.state) {
-            health.check_start(at, &self.prepared, &self.baseline)?;
-        }
-        let left_out = self.health.as_ref().map_or(&[][..], HealthStage::left_out);
-        let reference = match &self.health {
-            Some(health) => health.reference(&self.prepared, &self.baseline)?,
-            None => {
-                let (rest, noise) = (self.baseline.baseline(), self.baseline.noise_std());
-                Reference::from_baseline(&self.prepared, rest, Some(noise))?
-            }
-        };
-        for channel in left_out.iter().map(|&channel| channel as usize) {
-            self.baseline.move_channel(channel, reference.baseline[channel]);
-        }
-        match &mut self.state {
-            State::Running(running) => {
-                let Reconstructor { imager, touches, refinement, placement, .. } = &mut running.reconstructor;
-                let reference = match placement {
-                    Some(finder) => finder.adapt(reference),
-                    None => reference,
-                };
-                imager.set_noise(&reference.noise)?;
-                touches.set_noise(imager.noise_image());
-                refinement.set_noise(&reference.noise);
-                running.reference = reference;
-            }
-            State::Starting(starting) => {
-                let mut running = starting.run(&self.prepared, &mut self.choices, reference)?;
-                if !left_out.is_empty() && left_out.len() < running.reference.noise.len() {
-                    running.reconstructor.leave_out(&self.prepared, left_out, &running.reference.noise)?;
-                }
-                self.state = State::Running(Box::new(running));
-            }
-        }
-        self.compare_with_reference()?;
-        let State::Running(running) = &mut self.state else { return Ok(()) };
-        if let Some(levels) = &mut self.levels {
-            levels.set_baseline(&self.baseline, running.reconstructor.imager.noise_image())?;
-        }
-        if let Some(damage) = &mut self.damage {
-            damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
-            // Touches are fitted to the sheet with the cuts that the baseline includes.
-            running.reconstructor.refinement.set_cuts(self.timing.clock.time_ns(), &damage.cuts());
-        }
-        Ok(())
-    }
-
     /// Health is judged by the reference and the operator in use.
     fn compare_with_reference(&mut self) -> Result<(), Error> {
         if let (Some(health), State::Running(running)) = (&mut self.health, &self.state) {
             health.compare_with(&running.reference, running.reconstructor.imager.operator())?;
-        }
-        Ok(())
-    }
-
-    /// Takes the mean of the next frames as the new baseline.
-    ///
-    /// # Errors
-    /// While touched, unless forced.
-    pub fn tare(&mut self, force: bool, reason: &str) -> Result<usize, Error> {
-        let guard = if force { TareGuard::Force } else { TareGuard::RefuseUnderLoad };
-        self.baseline.tare(TARE_FRAMES, guard, reason)?;
-        Ok(TARE_FRAMES)
-    }
-
-    /// Takes up a baseline that was in use before, by its place in [`Pipeline::baseline_records`].
-    ///
-    /// # Errors
-    /// A number without a baseline whose values are kept.
-    pub fn reuse_baseline(&mut self, record: usize, reason: &str) -> Result<(), Error> {
-        self.baseline.reuse(self.timing.clock.time_ns(), record, reason)?;
-        self.use_baseline((0, self.timing.frames))
-    }
-
-    /// Goes on from a baseline that was in use before, one value a channel of the protocol, with the noise of the
-    /// channels at rest, in place of learning one from the first frames.
-    ///
-    /// # Errors
-    /// Another number of channels than the skin's, or a baseline that does not fit its model.
-    pub fn restore_baseline(
-        &mut self,
-        record: ReferenceRecord,
-        values: &[f64],
-        noise_std: &[f64],
-    ) -> Result<(), Error> {
-        self.baseline.restore(record, values, noise_std)?;
-        self.use_baseline((0, self.timing.frames))
-    }
-
-    /// Goes on from frames of the untouched skin, in place of learning the baseline from the first frames that come.
-    /// Their mean is the baseline, and from 8 frames on their scatter is the noise, which is else the one that the skin
-    /// file assumes.
-    ///
-    /// # Errors
-    /// A table that does not hold the skin's channels, or one without readings.
-    pub fn set_baseline(&mut self, table: &FrameTable) -> Result<(), Error> {
-        let file = table.source().display().to_string();
-        let reads = self.prepared.skin.backend.reads;
-        let mut reader = ChannelReader::new(table.layout(), &self.prepared.protocol, reads, &file)?;
-        let frames = reader.read_table(table)?;
-        let Reference { baseline, scale, noise, .. } = Reference::of(&self.prepared, &frames)?;
-        self.reader.share_phase_of(&reader);
-        let as_measured: Vec<f64> = noise.iter().zip(&scale).map(|(volts, scale)| volts / scale.abs()).collect();
-        let (reason, origin) = (format!("frames of {file}"), ReferenceOrigin::Given);
-        let record = ReferenceRecord { time_ns: 0, frames: frames.len(), origin, reason };
-        self.restore_baseline(record, &baseline, &as_measured)
-    }
-
-    /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
-    /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
-    /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
-    /// kept for it; once a circuit has been found, the skin file's rule counts again.
-    ///
-    /// # Errors
-    /// A lambda that is not positive and finite.
-    pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
-        // Before the start it is only kept: what is wrong with it has to be said now.
-        check_hyperparameter(lambda)?;
-        self.choices.hyperparameter = Some(lambda);
-        if self.operators.making.is_some() {
-            self.operators.next = Some(lambda);
-        } else if self.hyperparameter().is_some_and(|in_use| in_use != lambda) {
-            self.make_operator(lambda);
-        }
-        Ok(())
-    }
-
-    /// Begins to make the operator at another lambda.
-    fn make_operator(&mut self, lambda: f64) {
-        let State::Running(running) = &self.state else { return };
-        let work = running.reconstructor.imager.work_out(lambda);
-        let due_ns = self.timing.clock.time_ns().saturating_add(OPERATOR_READY_NS);
-        self.operators.making = Some(lambda);
-        self.operators.coming.begin(due_ns, move |_| Some(work()));
-    }
-
-    /// Takes up an operator that was made, if its time has come.
-    fn take_up_operator(&mut self, time_ns: u64) -> Result<(), Error> {
-        let Some(made) = self.operators.coming.take(time_ns) else { return Ok(()) };
-        let lambda = self.operators.making.take().unwrap_or(f64::NAN);
-        let State::Running(running) = &mut self.state else { return Ok(()) };
-        let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
-        match made.and_then(|operator| imager.replace_operator(operator, &running.reference.noise)) {
-            Ok(()) => {
-                touches.set_noise(imager.noise_image());
-                if let Some(damage) = &mut self.damage {
-                    damage.set_noise(imager.noise_image());
-                }
-                if let Some(levels) = &mut self.levels {
-                    levels.set_noise(imager.noise_image());
-                }
-                self.compare_with_reference()?;
-            }
-            Err(error) => {
-                let in_use = imager.hyperparameter();
-                tracing::warn!("the hyperparameter {lambda:.3e} cannot be used ({error}); going on with {in_use:.3e}");
-                self.choices.hyperparameter = Some(in_use);
-            }
-        }
-        if let Some(next) = self.operators.next.take().filter(|next| Some(*next) != self.hyperparameter()) {
-            self.make_operator(next);
         }
         Ok(())
     }
@@ -659,6 +429,11 @@ impl Pipeline {
         self.running().map(|running| running.reconstructor.imager.hyperparameter())
     }
 
+    /// lambda as the skin file's rule or a calibration gives it, once the baseline stands.
+    pub fn rule_hyperparameter(&self) -> Option<f64> {
+        self.running().map(|running| running.reconstructor.imager.rule_hyperparameter())
+    }
+
     /// The reference in use, once the baseline stands.
     pub fn reference(&self) -> Option<&Reference> {
         self.running().map(|running| &running.reference)
@@ -699,20 +474,5 @@ impl Pipeline {
             State::Starting(_) => None,
             State::Running(running) => Some(running),
         }
-    }
-}
-
-/// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.
-/// Where it is told by levels, these are the baseline.
-fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
-    if LevelStage::is_wanted(prepared) {
-        return DriftCompensation::Off;
-    }
-    match prepared.skin.touch.drift_time_constant_s {
-        time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
-            DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }
-        }
-        time_constant_s if time_constant_s > 0.0 => DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 },
-        _ => DriftCompensation::Off,
     }
 }

@@ -178,8 +178,8 @@ impl BodyRecord {
 /// # Errors
 /// None, as a test sees to.
 pub fn builtin_records() -> Result<Vec<BodyRecord>, MitError> {
-    serde_json::from_str(include_str!("../../../skins/bodies.json"))
-        .map_err(|error| MitError::Record { what: "skins/bodies.json".into(), reason: error.to_string() })
+    serde_json::from_str(include_str!("../bodies.json"))
+        .map_err(|error| MitError::Record { what: "bodies.json".into(), reason: error.to_string() })
 }
 
 /// `$DERMIS_CACHE`, or `dermis` in the user's directory for caches; none where there is neither.

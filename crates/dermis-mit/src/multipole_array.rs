@@ -7,18 +7,16 @@
 //! has `tau_l = 4 pi mu0 l/(l+1) T_l`. Neighbours excite each other: `d = -tau (c + sum S d) / (4 pi mu0)` with the
 //! re-expansion S of one body's irregular harmonics about the other, solved by fixed-point sweeps.
 
-use std::collections::HashMap;
-use std::f64::consts::{FRAC_PI_2, PI};
+mod coil_tables;
+
+pub use coil_tables::CoilTables;
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Par};
-use rayon::prelude::*;
 
-use crate::array::CoilArray;
-use crate::coil::Coil;
 use crate::constants::FOUR_PI_MU0;
-use crate::error::{MitError, positive};
-use crate::harmonics::{HARMONICS, MOST_DEGREE, index, translation};
+use crate::error::MitError;
+use crate::harmonics::{MOST_DEGREE, translation};
 use crate::polarizability::Polarizability;
 use crate::vector::{Complex, subtract};
 
@@ -31,200 +29,6 @@ pub struct Coupling {
     pub reach_m: f64,
     /// Fixed-point sweeps.
     pub sweeps: usize,
-}
-
-/// The coils' expansions at every body over a range of heights: Chebyshev polynomials.
-#[derive(Clone, Debug)]
-pub struct CoilTables {
-    coils: usize,
-    places_m: Vec<[f64; 2]>,
-    low_m: f64,
-    high_m: f64,
-    nodes: usize,
-    /// Per coil and body: polynomial by polynomial, [`HARMONICS`] each.
-    coefficients: Vec<f64>,
-}
-
-/// Chebyshev polynomials of a table.
-const NODES: usize = 16;
-
-impl CoilTables {
-    /// Tabulates all coils at bodies of these places (x, y) between two heights of their centres.
-    ///
-    /// # Errors
-    /// No bodies, heights that are not in order, wire nearer to a body's centre than `clearance_m` anywhere in the
-    /// range.
-    pub fn new(
-        array: &CoilArray,
-        places_m: &[[f64; 2]],
-        heights_m: [f64; 2],
-        clearance_m: f64,
-    ) -> Result<Self, MitError> {
-        let [low_m, high_m] = heights_m;
-        if places_m.is_empty() {
-            return Err(MitError::Count { what: "bodies", expected: 1, got: 0 });
-        }
-        positive("clearance_m", clearance_m)?;
-        positive("range of heights (m)", high_m - low_m)?;
-        check_clearance(array, places_m, heights_m, clearance_m)?;
-        let mut known: HashMap<(usize, [i64; 2]), usize> = HashMap::new();
-        // One coil and place for each table that is needed, and where each coil and body find theirs.
-        let mut distinct: Vec<(&Coil, [f64; 2])> = Vec::new();
-        let mut found: Vec<(usize, Fold)> = Vec::with_capacity(array.coils().len() * places_m.len());
-        for coil in array.coils() {
-            // Heights are those of the bodies: coils of other heights have tables of their own.
-            let is_level = |other: &Coil| (other.centre_m[2] - coil.centre_m[2]).abs() < 1e-12;
-            let first = array.coils().iter().position(|other| is_level(other) && coil.is_moved(other)).unwrap_or(0);
-            let symmetry = Symmetry::of(coil);
-            for place in places_m {
-                let fold = symmetry.fold([place[0] - coil.centre_m[0], place[1] - coil.centre_m[1]]);
-                let key = (first, fold.place_m.map(|m| (m * 1e10).round() as i64));
-                let table = *known.entry(key).or_insert_with(|| {
-                    distinct.push((coil, fold.place_m));
-                    distinct.len() - 1
-                });
-                found.push((table, fold));
-            }
-        }
-        let tables: Vec<Vec<f64>> =
-            distinct.par_iter().map(|(coil, place_m)| chebyshev(coil, *place_m, [low_m, high_m])).collect();
-        let mut coefficients = Vec::with_capacity(found.len() * NODES * HARMONICS);
-        found.iter().for_each(|(table, fold)| coefficients.extend(fold.unfolded(&tables[*table])));
-        let coils = array.coils().len();
-        Ok(Self { coils, places_m: places_m.to_vec(), low_m, high_m, nodes: NODES, coefficients })
-    }
-
-    /// The first so many harmonics of the coefficients, body by body, then polynomial by polynomial, harmonic by harmonic
-    /// and coil by coil: as frames read them.
-    fn by_body(&self, harmonics: usize) -> Vec<f64> {
-        let bodies = self.places_m.len();
-        let mut coefficients = Vec::with_capacity(bodies * self.nodes * harmonics * self.coils);
-        for body in 0..bodies {
-            for (node, harmonic) in (0..self.nodes).flat_map(|n| (0..harmonics).map(move |h| (n, h))) {
-                let at = |coil: usize| ((coil * bodies + body) * self.nodes + node) * HARMONICS + harmonic;
-                coefficients.extend((0..self.coils).map(|coil| self.coefficients[at(coil)]));
-            }
-        }
-        coefficients
-    }
-}
-
-/// How a coil's field repeats itself about its middle.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Symmetry {
-    /// All directions are alike.
-    Round,
-    /// Quarter turns and the axes' mirrors.
-    Square,
-    None,
-}
-
-/// A place brought to where its table is made, and the way back: the mirror y -> -y, then a turn.
-#[derive(Clone, Copy, Debug)]
-struct Fold {
-    place_m: [f64; 2],
-    mirrored: bool,
-    angle: f64,
-}
-
-impl Symmetry {
-    fn of(coil: &Coil) -> Self {
-        if coil.is_axisymmetric() {
-            Self::Round
-        } else if coil.is_of_squares() {
-            Self::Square
-        } else {
-            Self::None
-        }
-    }
-
-    fn fold(self, [x, y]: [f64; 2]) -> Fold {
-        match self {
-            Self::Round => Fold { place_m: [x.hypot(y), 0.0], mirrored: false, angle: y.atan2(x) },
-            Self::Square => {
-                let quarters = (y.atan2(x) / FRAC_PI_2).round();
-                let (sine, cosine) = (quarters * FRAC_PI_2).sin_cos();
-                // Exact: sines and cosines of quarter turns.
-                let (sine, cosine) = (sine.round(), cosine.round());
-                let [along, across] = [cosine * x + sine * y, cosine * y - sine * x];
-                Fold { place_m: [along, across.abs()], mirrored: across < 0.0, angle: quarters * FRAC_PI_2 }
-            }
-            Self::None => Fold { place_m: [x, y], mirrored: false, angle: 0.0 },
-        }
-    }
-}
-
-impl Fold {
-    /// The table of the place itself. In a mirror through its middle a coil's current turns the other way, and so does
-    /// the field's axial part: the potential is even, and what goes with the sine changes its sign.
-    fn unfolded(&self, table: &[f64]) -> Vec<f64> {
-        let mut out = table.to_vec();
-        if self.mirrored {
-            for row in out.chunks_exact_mut(HARMONICS) {
-                for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
-                    let sine = &mut row[index(degree, order) + 1];
-                    *sine = -*sine;
-                }
-            }
-        }
-        if self.angle == 0.0 { out } else { turned(&out, self.angle) }
-    }
-}
-
-fn check_clearance(
-    array: &CoilArray,
-    places_m: &[[f64; 2]],
-    [low_m, high_m]: [f64; 2],
-    clearance_m: f64,
-) -> Result<(), MitError> {
-    for (coil, wire) in array.coils().iter().enumerate() {
-        for (body, [x, y]) in places_m.iter().enumerate() {
-            for step in 0..=8 {
-                let position_m = [*x, *y, low_m + (high_m - low_m) * f64::from(step) / 8.0];
-                let distance_m = wire.distance_m(position_m);
-                if !distance_m.is_finite() {
-                    let field = "distance of a body from wire (m)";
-                    return Err(MitError::Value { field, value: distance_m, expected: "finite" });
-                }
-                if distance_m < clearance_m {
-                    let (coil, body, radius_m) = (coil + 1, body + 1, clearance_m);
-                    return Err(MitError::WireInside { body, position_m, coil, distance_m, radius_m });
-                }
-            }
-        }
-    }
-    Ok(())
-}
-
-/// Chebyshev coefficients over the height of a coil's expansion at a place relative to its middle.
-fn chebyshev(coil: &Coil, [dx, dy]: [f64; 2], [low_m, high_m]: [f64; 2]) -> Vec<f64> {
-    let angle = |k: usize| PI * (k as f64 + 0.5) / NODES as f64;
-    let samples: Vec<[f64; HARMONICS]> = (0..NODES)
-        .map(|k| {
-            let z = 0.5 * (low_m + high_m) + 0.5 * (high_m - low_m) * angle(k).cos();
-            coil.expansion([coil.centre_m[0] + dx, coil.centre_m[1] + dy, z])
-        })
-        .collect();
-    let coefficient = |n: usize, i: usize| {
-        let share = if n == 0 { 1.0 } else { 2.0 } / NODES as f64;
-        share * (0..NODES).map(|k| samples[k][i] * (n as f64 * angle(k)).cos()).sum::<f64>()
-    };
-    (0..NODES).flat_map(|n| (0..HARMONICS).map(move |i| (n, i))).map(|(n, i)| coefficient(n, i)).collect()
-}
-
-/// Coefficients of a table made along +x, turned about the coil's axis.
-fn turned(table: &[f64], angle: f64) -> Vec<f64> {
-    let mut out = table.to_vec();
-    for row in out.chunks_exact_mut(HARMONICS) {
-        for (degree, order) in (1..=MOST_DEGREE).flat_map(|l| (1..=l).map(move |m| (l, m))) {
-            let (s, c) = (order as f64 * angle).sin_cos();
-            let at = index(degree, order);
-            let (along, across) = (row[at], row[at + 1]);
-            row[at] = along * c - across * s;
-            row[at + 1] = along * s + across * c;
-        }
-    }
-    out
 }
 
 /// Bodies at fixed places whose heights move, over an array of coils.

@@ -24,20 +24,20 @@ pub const BUILTIN_NAMES: [&str; 14] = [
 /// The file of a built-in skin.
 pub fn builtin_text(name: &str) -> Option<&'static str> {
     Some(match name {
-        "healing-square" => include_str!("../../../skins/healing-square.toml"),
-        "ionic-disc" => include_str!("../../../skins/ionic-disc.toml"),
-        "ionic-square" => include_str!("../../../skins/ionic-square.toml"),
-        "em-8" => include_str!("../../../skins/em-8.toml"),
-        "em-16-circular" => include_str!("../../../skins/em-16-circular.toml"),
-        "em-16-square" => include_str!("../../../skins/em-16-square.toml"),
-        "hydrogel-disc" => include_str!("../../../skins/hydrogel-disc.toml"),
-        "ktc-tank" => include_str!("../../../skins/ktc-tank.toml"),
-        "golfball-tank" => include_str!("../../../skins/golfball-tank.toml"),
-        "sciospec-tank" => include_str!("../../../skins/sciospec-tank.toml"),
-        "pyeidors-tank" => include_str!("../../../skins/pyeidors-tank.toml"),
-        "piezo-square" => include_str!("../../../skins/piezo-square.toml"),
-        "piezo-disc" => include_str!("../../../skins/piezo-disc.toml"),
-        "piezo-cylinder" => include_str!("../../../skins/piezo-cylinder.toml"),
+        "healing-square" => include_str!("../skins/healing-square.toml"),
+        "ionic-disc" => include_str!("../skins/ionic-disc.toml"),
+        "ionic-square" => include_str!("../skins/ionic-square.toml"),
+        "em-8" => include_str!("../skins/em-8.toml"),
+        "em-16-circular" => include_str!("../skins/em-16-circular.toml"),
+        "em-16-square" => include_str!("../skins/em-16-square.toml"),
+        "hydrogel-disc" => include_str!("../skins/hydrogel-disc.toml"),
+        "ktc-tank" => include_str!("../skins/ktc-tank.toml"),
+        "golfball-tank" => include_str!("../skins/golfball-tank.toml"),
+        "sciospec-tank" => include_str!("../skins/sciospec-tank.toml"),
+        "pyeidors-tank" => include_str!("../skins/pyeidors-tank.toml"),
+        "piezo-square" => include_str!("../skins/piezo-square.toml"),
+        "piezo-disc" => include_str!("../skins/piezo-disc.toml"),
+        "piezo-cylinder" => include_str!("../skins/piezo-cylinder.toml"),
         _ => return None,
     })
 }
@@ -45,8 +45,8 @@ pub fn builtin_text(name: &str) -> Option<&'static str> {
 /// A file that built-in skins share, by the path that they name it with.
 pub(super) fn builtin_part(path: &str) -> Option<&'static str> {
     match path {
-        "backends/mit-16.toml" => Some(include_str!("../../../skins/backends/mit-16.toml")),
-        "backends/mux-64.toml" => Some(include_str!("../../../skins/backends/mux-64.toml")),
+        "backends/mit-16.toml" => Some(include_str!("../skins/backends/mit-16.toml")),
+        "backends/mux-64.toml" => Some(include_str!("../skins/backends/mux-64.toml")),
         _ => None,
     }
 }

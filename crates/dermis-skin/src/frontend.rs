@@ -1,6 +1,10 @@
 //! What is sewn on the robot: outline, layer, electrodes.
 
-use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, Surface, square_to_disc};
+mod electrodes;
+
+pub use electrodes::{Electrodes, Pad, PadRing, RimElectrode};
+
+use dermis_tomo::mesh::{Outline, Surface};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -8,11 +12,8 @@ use crate::check::{Checker, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 use crate::magnetic::{Coils, Elements};
-use crate::pair::Pair;
 
 const MM: f64 = 1e-3;
-/// More electrodes than any multiplexer has are a typing error.
-pub(crate) const MOST_ELECTRODES: usize = 1024;
 /// More vertices of an outline than any drawing needs.
 const MOST_VERTICES: usize = 2000;
 
@@ -84,120 +85,6 @@ pub enum Bend {
     Cylinder {
         /// Its diameter.
         diameter_mm: f64,
-    },
-}
-
-/// Electrodes of a skin; numbered from 1 in the order that the generator says.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Electrodes {
-    /// Evenly round the rim of a disc (or any outline, by arc length).
-    Rim {
-        /// How many.
-        count: usize,
-        /// Length of each along the rim.
-        width_mm: f64,
-        /// Angle of the middle of electrode 1, counter-clockwise from +x. On other outlines than discs: its place along
-        /// the rim in terms of a full turn, from the first vertex (of a rectangle: bottom left) counter-clockwise.
-        /// Default: half the distance of two electrodes.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        start_deg: Option<f64>,
-        /// Numbered clockwise seen from the toucher.
-        #[serde(default)]
-        clockwise: bool,
-    },
-    /// Square pads under the sheet in a rectangular ring round its middle, `per_side + 1` to a side counting both
-    /// corners, counter-clockwise from the bottom left corner.
-    RimPads {
-        /// Intervals a side, one number or [along x, along y].
-        per_side: Pair<usize>,
-        /// Distance between neighbouring centres, one number or [along x, along y].
-        pitch_mm: Pair<f64>,
-        /// Side of a pad.
-        size_mm: f64,
-    },
-    /// Listed electrodes on the rim.
-    RimList(Vec<RimElectrode>),
-    /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows
-    /// and columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom
-    /// left, so that neighbours in number are neighbours in place.
-    PadGrid {
-        /// Pads in a row and rows, one number or [in a row, rows].
-        per_side: Pair<usize>,
-        /// Diameter of a pad.
-        diameter_mm: f64,
-    },
-    /// Round pads under the sheet on circles round its middle, the innermost first, each counter-clockwise.
-    PadRings {
-        /// The circles.
-        rings: Vec<PadRing>,
-        /// Diameter of a pad.
-        diameter_mm: f64,
-    },
-    /// Listed pads.
-    Pads(Vec<Pad>),
-}
-
-impl Default for Electrodes {
-    fn default() -> Self {
-        Self::Pads(Vec::new())
-    }
-}
-
-impl Electrodes {
-    pub(crate) fn are_none(&self) -> bool {
-        matches!(self, Self::Pads(pads) if pads.is_empty())
-    }
-}
-
-/// Pads on a circle.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PadRing {
-    /// How many.
-    pub count: usize,
-    /// Radius of the circle.
-    pub radius_mm: f64,
-    /// Angle of the first, counter-clockwise from +x.
-    #[serde(default)]
-    pub start_deg: f64,
-}
-
-/// One listed electrode on the rim.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RimElectrode {
-    /// Angle of its middle, counter-clockwise from +x (on other outlines than discs: position along the rim in terms of
-    /// a full turn).
-    pub at_deg: f64,
-    /// Length along the rim.
-    pub width_mm: f64,
-}
-
-/// One listed pad under the sheet.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-pub enum Pad {
-    /// Round pad.
-    Circle {
-        /// Centre.
-        centre_mm: [f64; 2],
-        /// Diameter.
-        diameter_mm: f64,
-    },
-    /// Rectangular pad.
-    Rectangle {
-        /// Centre.
-        centre_mm: [f64; 2],
-        /// Along x.
-        width_mm: f64,
-        /// Along y.
-        height_mm: f64,
-    },
-    /// A single node.
-    Point {
-        /// Where.
-        at_mm: [f64; 2],
     },
 }
 
@@ -313,165 +200,6 @@ fn contains(ring: &[[f64; 2]], p: [f64; 2]) -> bool {
         }
     }
     inside
-}
-
-impl Electrodes {
-    /// How many there are.
-    pub fn count(&self) -> usize {
-        match self {
-            Self::Rim { count, .. } => *count,
-            Self::RimPads { per_side, .. } => {
-                let [x, y] = per_side.both();
-                x.saturating_add(y).saturating_mul(2)
-            }
-            Self::PadGrid { per_side, .. } => {
-                let [x, y] = per_side.both();
-                x.saturating_mul(y)
-            }
-            Self::PadRings { rings, .. } => rings.iter().fold(0, |sum, ring| sum.saturating_add(ring.count)),
-            Self::RimList(list) => list.len(),
-            Self::Pads(pads) => pads.len(),
-        }
-    }
-
-    /// Their shapes on an outline, metres, in order.
-    pub fn shapes(&self, outline: &Outline) -> Vec<ElectrodeShape> {
-        let circle =
-            |diameter_mm: f64| move |centre_m| ElectrodeShape::PadCircle { centre_m, radius_m: 0.5 * diameter_mm * MM };
-        match self {
-            Self::Rim { count, width_mm, start_deg, clockwise } => {
-                let direction = if *clockwise { Direction::Clockwise } else { Direction::CounterClockwise };
-                let start_deg = start_deg.unwrap_or(180.0 / *count as f64);
-                match outline {
-                    Outline::Disc { .. } => Outline::rim_arcs(*count, width_mm * MM, start_deg.to_radians(), direction),
-                    _ => {
-                        let start_m = start_deg / 360.0 * outline.perimeter_m();
-                        outline.rim_segments(*count, width_mm * MM, start_m, direction)
-                    }
-                }
-            }
-            Self::RimPads { per_side, pitch_mm, size_mm } => {
-                let (centre_m, side_m) = ([0.0, 0.0], size_mm * MM);
-                let pad = ElectrodeShape::PadRectangle { centre_m, width_m: side_m, height_m: side_m, angle_rad: 0.0 };
-                let [x, y] = per_side.both();
-                pad.ring(x + 1, y + 1, pitch_mm.both().map(|pitch| pitch * MM), Direction::CounterClockwise)
-            }
-            Self::RimList(list) => {
-                let on_disc = matches!(outline, Outline::Disc { .. });
-                let place = |electrode: &RimElectrode| {
-                    let width_m = electrode.width_mm * MM;
-                    if on_disc {
-                        ElectrodeShape::RimArc { centre_rad: electrode.at_deg.to_radians(), width_m }
-                    } else {
-                        let turn = (electrode.at_deg / 360.0).rem_euclid(1.0);
-                        ElectrodeShape::RimSegment { centre_m: turn * outline.perimeter_m(), width_m }
-                    }
-                };
-                list.iter().map(place).collect()
-            }
-            Self::PadGrid { per_side, diameter_mm } => {
-                pad_grid(outline, per_side.both()).into_iter().map(circle(*diameter_mm)).collect()
-            }
-            Self::PadRings { rings, diameter_mm } => {
-                let (low, high) = outline.bounds_m();
-                let middle = [0, 1].map(|axis| 0.5 * (low[axis] + high[axis]));
-                let place = |ring: &PadRing, k: usize| {
-                    let angle = ring.start_deg.to_radians() + k as f64 * std::f64::consts::TAU / ring.count as f64;
-                    [middle[0] + ring.radius_mm * MM * angle.cos(), middle[1] + ring.radius_mm * MM * angle.sin()]
-                };
-                let places = rings.iter().flat_map(|ring| (0..ring.count).map(move |k| place(ring, k)));
-                places.map(circle(*diameter_mm)).collect()
-            }
-            Self::Pads(pads) => pads.iter().map(Pad::shape).collect(),
-        }
-    }
-
-    fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
-        let count = self.count();
-        if !(2..=MOST_ELECTRODES).contains(&count) {
-            let expected = format!("2 to {MOST_ELECTRODES} electrodes");
-            return Err(checker.refused("frontend.electrodes", count, expected));
-        }
-        let key = |name: &str| format!("frontend.electrodes.{name}");
-        match self {
-            Self::Rim { width_mm, start_deg, .. } => {
-                checker.length_mm(&key("rim.width_mm"), *width_mm)?;
-                checker.within(&key("rim.start_deg"), start_deg.unwrap_or(0.0), -360.0, 360.0)
-            }
-            Self::RimPads { per_side, pitch_mm, size_mm } => {
-                per_side.both().iter().try_for_each(|n| checker.count(&key("rim-pads.per_side"), *n, 1, 256))?;
-                pitch_mm.both().iter().try_for_each(|p| checker.length_mm(&key("rim-pads.pitch_mm"), *p))?;
-                checker.length_mm(&key("rim-pads.size_mm"), *size_mm)
-            }
-            Self::RimList(list) => list.iter().try_for_each(|electrode| {
-                checker.within(&key("rim-list.at_deg"), electrode.at_deg, -360.0, 360.0)?;
-                checker.length_mm(&key("rim-list.width_mm"), electrode.width_mm)
-            }),
-            Self::PadGrid { per_side, diameter_mm } => {
-                per_side.both().iter().try_for_each(|n| checker.count(&key("pad-grid.per_side"), *n, 1, 256))?;
-                checker.length_mm(&key("pad-grid.diameter_mm"), *diameter_mm)
-            }
-            Self::PadRings { rings, diameter_mm } => {
-                for ring in rings {
-                    checker.count(&key("pad-rings.rings.count"), ring.count, 1, MOST_ELECTRODES)?;
-                    checker.within(&key("pad-rings.rings.radius_mm"), ring.radius_mm, 0.0, MOST_MM)?;
-                    checker.within(&key("pad-rings.rings.start_deg"), ring.start_deg, -360.0, 360.0)?;
-                }
-                checker.length_mm(&key("pad-rings.diameter_mm"), *diameter_mm)
-            }
-            Self::Pads(pads) => pads.iter().try_for_each(|pad| pad.check(checker)),
-        }
-    }
-}
-
-impl Pad {
-    fn shape(&self) -> ElectrodeShape {
-        let metres = |p: &[f64; 2]| [p[0] * MM, p[1] * MM];
-        match self {
-            Pad::Circle { centre_mm, diameter_mm } => {
-                ElectrodeShape::PadCircle { centre_m: metres(centre_mm), radius_m: 0.5 * diameter_mm * MM }
-            }
-            Pad::Rectangle { centre_mm, width_mm, height_mm } => ElectrodeShape::PadRectangle {
-                centre_m: metres(centre_mm),
-                width_m: width_mm * MM,
-                height_m: height_mm * MM,
-                angle_rad: 0.0,
-            },
-            Pad::Point { at_mm } => ElectrodeShape::Point { position_m: metres(at_mm) },
-        }
-    }
-
-    fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
-        let key = |name: &str| format!("frontend.electrodes.pads.{name}");
-        match self {
-            Pad::Circle { centre_mm, diameter_mm } => {
-                checker.place_mm(&key("circle.centre_mm"), centre_mm)?;
-                checker.length_mm(&key("circle.diameter_mm"), *diameter_mm)
-            }
-            Pad::Rectangle { centre_mm, width_mm, height_mm } => {
-                checker.place_mm(&key("rectangle.centre_mm"), centre_mm)?;
-                checker.length_mm(&key("rectangle.width_mm"), *width_mm)?;
-                checker.length_mm(&key("rectangle.height_mm"), *height_mm)
-            }
-            Pad::Point { at_mm } => checker.place_mm(&key("point.at_mm"), at_mm),
-        }
-    }
-}
-
-/// Places of [`Electrodes::PadGrid`], metres.
-fn pad_grid(outline: &Outline, [columns, rows]: [usize; 2]) -> Vec<[f64; 2]> {
-    let (low, high) = outline.bounds_m();
-    let unit = |k: usize, of: usize| (2.0 * k as f64 + 1.0) / of as f64 - 1.0;
-    let place = |row: usize, step: usize| {
-        let column = if row.is_multiple_of(2) { step } else { columns - 1 - step };
-        let [x, y] = match outline {
-            Outline::Disc { .. } => square_to_disc([unit(column, columns), unit(row, rows)]),
-            _ => [unit(column, columns), unit(row, rows)],
-        };
-        let along = |axis: usize, unit: f64| 0.5 * (low[axis] + high[axis] + unit * (high[axis] - low[axis]));
-        [along(0, x), along(1, y)]
-    };
-    (0..rows).flat_map(|row| (0..columns).map(move |step| place(row, step))).collect()
 }
 
 impl Frontend {

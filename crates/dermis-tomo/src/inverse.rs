@@ -37,7 +37,8 @@ pub use parametric::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;
 pub use self_calibration::{
-    CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedTouch, SelfCalibration, TouchEffect, TouchTemplates,
+    CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedPair, MatchedTouch, PairSearch, SelfCalibration, TouchEffect,
+    TouchTemplates,
 };
 pub use smooth_covariance::SmoothCovariance;
 pub use spectrum::{LCurvePoint, Spectrum};

@@ -8,31 +8,15 @@
 //! current changes all its voltages by the same share, a touch or a cut does not. Every baseline that was in use is
 //! kept with its time and reason, and can be taken up again.
 
-use crate::error::{TouchError, require, require_length};
-use serde::{Deserialize, Serialize};
+mod statistics;
+mod types;
 
-/// Whether drift is followed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum DriftCompensation {
-    /// The baseline changes only by tare.
-    Off,
-    /// The baseline follows the raw values while the skin is free.
-    Exponential {
-        /// Time constant tau, seconds, above 0: a step in the raw values has faded to 1/e after it. A touch too weak to
-        /// be reported as load fades with it too.
-        time_constant_s: f64,
-        /// The baseline stays frozen for so long after a load has gone, seconds, at least 0: the material relaxes.
-        settle_s: f64,
-    },
-    /// The baseline follows a change of all channels by the same share, and nothing else, while the skin is free.
-    Uniform {
-        /// Time constant tau, seconds, above 0.
-        time_constant_s: f64,
-        /// As for [`DriftCompensation::Exponential`].
-        settle_s: f64,
-    },
-}
+pub use types::{
+    BaselineChange, BaselineParams, BaselineState, DriftCompensation, Load, ReferenceOrigin, ReferenceRecord, TareGuard,
+};
+
+use crate::error::{TouchError, require, require_length};
+use statistics::robust_mean_and_std;
 
 /// A change counts as alike everywhere where its uniform part has this share of its energy.
 const UNIFORM_SHARE: f64 = 0.9;
@@ -40,105 +24,6 @@ const UNIFORM_SHARE: f64 = 0.9;
 const UNIFORM_REST: f64 = 3.0;
 /// Values of so many baselines are kept; of older ones only the first.
 const MOST_KEPT: usize = 64;
-
-/// Rules of a [`Baseline`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BaselineParams {
-    /// Frames of the start-up baseline. At least 1; from 8 on it shrugs off outliers and a short touch.
-    pub startup_frames: usize,
-    /// Drift compensation.
-    pub drift: DriftCompensation,
-}
-
-impl Default for BaselineParams {
-    /// 32 frames; drift followed with 60 s, 2 s after release.
-    fn default() -> Self {
-        Self { startup_frames: 32, drift: DriftCompensation::Exponential { time_constant_s: 60.0, settle_s: 2.0 } }
-    }
-}
-
-/// Whether the skin is touched in a frame, as judged by the caller (from contacts of its image, say).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Load {
-    /// Nothing touches it.
-    Free,
-    /// Something does.
-    Touched,
-}
-
-/// What a tare does about load.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TareGuard {
-    /// Refused while touched, and called off when a touch begins during it.
-    RefuseUnderLoad,
-    /// Carried out whatever the load; recorded as forced.
-    Force,
-}
-
-/// How far the baseline is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BaselineState {
-    /// Gathering start-up frames; nothing is compensated yet.
-    Starting {
-        /// Frames gathered.
-        have: usize,
-        /// Frames needed.
-        want: usize,
-    },
-    /// In use.
-    Ready,
-    /// In use, while a tare gathers frames for the next one.
-    Taring {
-        /// Frames gathered.
-        have: usize,
-        /// Frames needed.
-        want: usize,
-    },
-}
-
-/// What [`Baseline::learn`] changed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum BaselineChange {
-    /// Nothing, or only drift.
-    None,
-    /// The start-up baseline is there.
-    Started,
-    /// A tare is done.
-    Tared,
-    /// A tare was called off because a touch began.
-    TareCancelled,
-}
-
-/// Where a baseline came from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ReferenceOrigin {
-    /// The first frames.
-    Startup,
-    /// A tare.
-    Tare,
-    /// A tare that was forced.
-    ForcedTare,
-    /// Values given by the caller.
-    Given,
-    /// The skin at rest with a damage that was found, so that touches are found beside it.
-    Damage,
-}
-
-/// When and why the baseline was set.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ReferenceRecord {
-    /// Time of the frame that completed it, nanoseconds.
-    pub time_ns: u64,
-    /// Frames that it is the mean of; 0 when given.
-    pub frames: usize,
-    /// Where it came from.
-    pub origin: ReferenceOrigin,
-    /// The caller's reason; empty at start-up.
-    pub reason: String,
-}
 
 /// A tare under way.
 #[derive(Debug, Clone)]
@@ -554,42 +439,4 @@ fn check_drift(drift: DriftCompensation) -> Result<(), TouchError> {
     let tau = time_constant_s;
     require(tau.is_finite() && tau > 0.0, "time_constant_s", tau, "finite and above 0")?;
     require(settle_s.is_finite() && settle_s >= 0.0, "settle_s", settle_s, "finite and at least 0")
-}
-
-/// Gaussian standard deviation over median absolute deviation, 1 / Phi^-1(3/4).
-const MAD_TO_STD: f64 = 1.482_602_218_505_602;
-/// Gaussian standard deviation over mean absolute deviation, sqrt(pi/2).
-const MEAN_DEVIATION_TO_STD: f64 = 1.253_314_137_315_500_3;
-
-/// Mean of the values within three robust standard deviations of the median, and that standard deviation.
-///
-/// Where more than half of the values are equal (coarse quantisation) the deviation is taken from the mean absolute
-/// deviation instead (Iglewicz and Hoaglin, *How to Detect and Handle Outliers*, 1993). NaN without values.
-fn robust_mean_and_std(values: impl Iterator<Item = f64>, sorted: &mut Vec<f64>) -> (f64, f64) {
-    sorted.clear();
-    sorted.extend(values.filter(|value| value.is_finite()));
-    if sorted.is_empty() {
-        return (f64::NAN, f64::NAN);
-    }
-    let centre = median(sorted);
-    // From here on the buffer holds deviations, by size.
-    for value in sorted.iter_mut() {
-        *value -= centre;
-    }
-    sorted.sort_unstable_by(|a, b| a.abs().total_cmp(&b.abs()));
-    let middle = sorted.len() / 2;
-    let below = if sorted.len() % 2 == 1 { middle } else { middle - 1 };
-    let median_deviation = 0.5 * (sorted[below].abs() + sorted[middle].abs());
-    let mean_deviation = sorted.iter().map(|deviation| deviation.abs()).sum::<f64>() / sorted.len() as f64;
-    let robust = MAD_TO_STD * median_deviation;
-    let std = if robust > 0.0 { robust } else { MEAN_DEVIATION_TO_STD * mean_deviation };
-    let kept = sorted.iter().filter(|deviation| deviation.abs() <= 3.0 * std);
-    let (sum, count) = kept.fold((0.0, 0.0), |(sum, count), deviation| (sum + deviation, count + 1.0));
-    (centre + if count > 0.0 { sum / count } else { 0.0 }, std)
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let middle = values.len() / 2;
-    if values.len() % 2 == 1 { values[middle] } else { 0.5 * (values[middle - 1] + values[middle]) }
 }

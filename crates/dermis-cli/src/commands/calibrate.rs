@@ -1,6 +1,8 @@
 //! `dermis calibrate`: pokes at known positions to a calibration that `run` and `reconstruct` use, and presses of
 //! known force to a force calibration.
 
+mod report;
+
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -10,7 +12,7 @@ use dermis::lab::forces::{PressPlan, fit_forces, force_samples, press_twin};
 use dermis::lab::twin_sample::{random_presses, sample_tables};
 use dermis::live::calibrate::calibrate;
 use dermis::live::calibration::{
-    Calibration, CalibrationOptions, LoadQuantity, PokeFrames, Pokes, find_circuit, read_pokes, relative_changes,
+    Calibration, CalibrationOptions, PokeFrames, Pokes, find_circuit, read_pokes, relative_changes,
 };
 use dermis::live::channels::ChannelReader;
 use dermis::live::forces::save_forces;
@@ -18,14 +20,14 @@ use dermis::live::prepare::Prepared;
 use dermis::skin::{CircuitChoice, Skin, Wiring};
 use dermis::twin::from_skin::press_range;
 use dermis_device::{FileSpec, Format, FrameTable};
-use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample};
-use dermis_touch::locator::{Accuracy, PriorUse};
+use dermis_touch::force::{CalibrationScope, CurveKind, ForceSample};
+use report::{print_experts, print_forces, print_pokes};
 
 use super::circuit::print_circuit;
 use super::extent::Extent;
 use super::recorded::baseline_or_differences;
 use super::skin_word::SkinWord;
-use super::{busy, listed, spinner, with_progress};
+use super::{busy, spinner, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -44,9 +46,6 @@ of which only the outline is known, --outline-mm and --channels stand for the sk
 unknown touches. Printed are the leave-one-out error, what each part of the locator and physics brought, and where
 more pokes would help most. A force calibration (--forces) is made from pokes with force_n, or by pressing the skin's twin
 in nine places; `run` and `reconstruct` read it with --forces.";
-
-/// From so many standard errors on, a session drifts.
-const DRIFT_Z: f64 = 3.0;
 
 /// Arguments of `dermis calibrate`.
 #[derive(clap::Args)]
@@ -366,119 +365,6 @@ fn write_skin(head: &str, skin: &Skin, file: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std::io::Result<()> {
-    let (report, review) = (calibration.leave_one_out(), calibration.review());
-    writeln!(out, "pokes: {}", calibration.pokes())?;
-    if review.repeated > 0 {
-        writeln!(out, "pokes that repeat another one exactly, left out: {}", review.repeated)?;
-    }
-    if !review.dead_channels.is_empty() {
-        writeln!(
-            out,
-            "channels that read the same in every poke: {}",
-            listed(review.dead_channels.iter().map(|c| *c as usize))
-        )?;
-    }
-    if !review.unsound_channels.is_empty() {
-        writeln!(
-            out,
-            "channels that jump while nothing touches the skin, left out: {}",
-            listed(review.unsound_channels.iter().map(|c| *c as usize))
-        )?;
-    }
-    writeln!(
-        out,
-        "leave-one-out error: median {:.2} mm, 90th percentile {:.2} mm",
-        report.median_error_m * 1e3,
-        report.p90_error_m * 1e3
-    )?;
-    writeln!(
-        out,
-        "within one predicted sigma: {:.0} % in x, {:.0} % in y",
-        100.0 * report.coverage[0],
-        100.0 * report.coverage[1]
-    )?;
-    if let (Some(quantity), Some(error)) = (calibration.load_quantity(), report.load_error) {
-        let name = match quantity {
-            LoadQuantity::DepthM => "depth",
-            LoadQuantity::ForceN => "force",
-        };
-        writeln!(out, "{name}: read within {:.0} % (one sigma)", 100.0 * error)?;
-    }
-    if calibration.has_silent_loads() {
-        writeln!(out, "depth or force of the pokes: not read, frames do not grow with it")?;
-    }
-    if let Some(drift) = review.drift {
-        let mm = |accuracy: Accuracy| format!("{:.2} mm", 1e3 * accuracy.median_m);
-        let verdict = if drift.z > DRIFT_Z { "signatures drift" } else { "no drift seen" };
-        writeln!(
-            out,
-            "time: {verdict}; the first half locates the second within {}, every other poke the rest within {} (median)",
-            mm(drift.later),
-            mm(drift.interleaved)
-        )?;
-    }
-    Ok(())
-}
-
-/// Which parts of the locator are used, and what physics and sister skins brought.
-fn print_experts(
-    skin: &Skin,
-    calibration: &Calibration,
-    differences: bool,
-    no_physics: bool,
-    out: &mut dyn Write,
-) -> std::io::Result<()> {
-    let Some(report) = calibration.experts() else { return Ok(()) };
-    if calibration.correction().is_some() {
-        writeln!(out, "touches are placed by the skin's model, corrected by the pokes; by pokes alone:")?;
-    }
-    let expert = |used: bool, a: &Accuracy| {
-        let used = if used { "used" } else { "not used" };
-        format!("median {:.2} mm, 90th percentile {:.2} mm, {used}", 1e3 * a.median_m, 1e3 * a.p90_m)
-    };
-    writeln!(out, "  from place to frame (Gaussian process): {}", expert(report.forward_used, &report.forward))?;
-    writeln!(out, "  from frame to place (kernel regression): {}", expert(report.inverse_used, &report.inverse))?;
-    let brought = |part: PriorUse| {
-        let used = if part.used { "used" } else { "left out" };
-        format!("{used}; left-out pokes are predicted {:+.3} better with it (mean log density)", part.gain)
-    };
-    match report.physics {
-        Some(part) => writeln!(out, "physics of the skin file: {}", brought(part))?,
-        None if no_physics => writeln!(out, "physics of the skin file: left out, as asked for")?,
-        None if !skin.backend.wiring.is_known() => writeln!(out, "physics: none, the wiring is unknown")?,
-        None if differences => writeln!(out, "physics of the skin file: not tried")?,
-        None => {}
-    }
-    for (what, part) in [("map of the sister skin", report.sister_map), ("its noise", report.sister_covariance)] {
-        if let Some(part) = part {
-            writeln!(out, "{what}: {}", brought(part))?;
-        }
-    }
-    if !report.doubtful.is_empty() {
-        let fate = if report.doubtful_left_out { "left out" } else { "kept" };
-        writeln!(
-            out,
-            "pokes that the others contradict, {fate}: {} (is their position written down right?)",
-            listed(report.doubtful.iter().copied())
-        )?;
-    }
-    Ok(())
-}
-
-fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {
-    let [least, most] = calibration.valid_force_n;
-    let range = most - least;
-    writeln!(out, "presses seen: {} of {presses}", calibration.samples)?;
-    writeln!(out, "force: {least:.4} to {most:.4} N on {:.1} mm^2", 1e6 * calibration.scope.indenter_area_m2)?;
-    let share = 100.0 * calibration.residual_n / range;
-    writeln!(out, "residual: {:.4} N rms, {share:.1} % of the range", calibration.residual_n)?;
-    match calibration.saturation_signal {
-        Some(signal) => writeln!(out, "saturated from {:.4} N on", calibration.curve.force_n(signal)),
-        None => writeln!(out, "no saturation within the range"),
-    }
-}
-
 /// Today, UTC.
 fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
@@ -500,12 +386,4 @@ fn date_of(days: u64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::date_of;
-
-    #[test]
-    fn days_are_dates() {
-        let known = [(0, "1970-01-01"), (59, "1970-03-01"), (11_016, "2000-02-29"), (20_453, "2025-12-31")];
-        known.iter().for_each(|(days, date)| assert_eq!(date_of(*days), *date));
-    }
-}
+mod tests;

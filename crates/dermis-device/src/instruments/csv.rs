@@ -4,7 +4,8 @@
 //! cell, `nan` or `NaN` is a missing reading; infinite values are refused. Decimal points only. Cells may stand in
 //! double quotes, with separators in them. Columns headed `time_s`, or `sequence` and the times that `dermis export`
 //! writes, come before the readings and are the frames' numbers and times; columns headed `re ...` and `im ...` are the
-//! parts of complex readings.
+//! parts of complex readings. A complex reading may also stand in one cell, as NumPy and MATLAB write it: `1.5-2e-3j`,
+//! `(1.5-2e-3j)`, `1.5-2e-3i`; a plain number among such cells has no imaginary part.
 
 use std::path::Path;
 
@@ -65,6 +66,37 @@ pub fn read_numbers(path: &Path) -> Result<NumberTable, DeviceError> {
 /// [`DeviceError::Foreign`] if it is no text, [`DeviceError::Ragged`] or [`DeviceError::Cell`] with the line,
 /// [`DeviceError::Empty`] without a row of numbers.
 pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
+    let mut refused = |_| false;
+    parse_cells(content, file, &mut refused)
+}
+
+/// As [`parse`]. `imaginary` gets every imaginary part, in the order of the cells, where any cell is complex; else it
+/// stays empty.
+fn parse_complex(content: &[u8], file: &Path, imaginary: &mut Vec<f64>) -> Result<NumberTable, DeviceError> {
+    let mut keep = |part: ImaginaryPart| {
+        imaginary.resize(part.cell, 0.0);
+        imaginary.push(part.value);
+        true
+    };
+    let table = parse_cells(content, file, &mut keep)?;
+    if !imaginary.is_empty() {
+        imaginary.resize(table.values.len(), 0.0);
+    }
+    Ok(table)
+}
+
+/// Of a complex cell, numbered from 0 over all rows.
+struct ImaginaryPart {
+    cell: usize,
+    value: f64,
+}
+
+/// The real parts; `keep` says whether complex cells are welcome.
+fn parse_cells(
+    content: &[u8],
+    file: &Path,
+    keep: &mut dyn FnMut(ImaginaryPart) -> bool,
+) -> Result<NumberTable, DeviceError> {
     let mut lines = lines(text_of(content, file, EXPECTED)?).peekable();
     let empty = || DeviceError::Empty { file: file.to_owned() };
     let &(_, first) = lines.peek().ok_or_else(empty)?;
@@ -89,7 +121,14 @@ pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
                 found: shorten(cell),
                 expected,
             };
-            values.push(number(cell).map_err(fail)?);
+            let value = match number(cell) {
+                Ok(value) => value,
+                Err(expected) => match complex(cell) {
+                    Some([real, value]) if keep(ImaginaryPart { cell: values.len(), value }) => real,
+                    _ => return Err(fail(expected)),
+                },
+            };
+            values.push(value);
         }
         let found = values.len() - before;
         if found != columns {
@@ -110,7 +149,8 @@ const FRAME_COLUMNS: [&str; 5] = ["time_s", "sequence", "device_time_ns", "host_
 /// # Errors
 /// As [`parse`]; [`DeviceError::Count`] where real and imaginary parts are not equally many.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
-    let table = parse(content, file)?;
+    let mut imaginary = Vec::new();
+    let table = parse_complex(content, file, &mut imaginary)?;
     let named = |index: usize| table.header.as_ref().and_then(|header| header.get(index)).map(String::as_str);
     let is_frame_column = |index: &usize| named(*index).is_some_and(|name| FRAME_COLUMNS.contains(&name));
     // A table of one column has readings, whatever it is called.
@@ -119,16 +159,17 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
         return Err(DeviceError::Empty { file: file.to_owned() });
     }
     let is_imaginary = |index: usize| named(index).is_some_and(|name| name.starts_with("im "));
-    let complex = named(first).is_some_and(|name| name.starts_with("re "));
-    let part = |imaginary: bool| -> Vec<f64> {
-        let columns: Vec<usize> =
-            (first..table.columns).filter(|&k| !complex || is_imaginary(k) == imaginary).collect();
-        table.values.chunks_exact(table.columns).flat_map(|row| columns.iter().map(|&column| row[column])).collect()
+    let in_two = named(first).is_some_and(|name| name.starts_with("re "));
+    let part = |of: &[f64], imaginary: bool| -> Vec<f64> {
+        let columns: Vec<usize> = (first..table.columns).filter(|&k| !in_two || is_imaginary(k) == imaginary).collect();
+        of.chunks_exact(table.columns).flat_map(|row| columns.iter().map(|&column| row[column])).collect()
     };
-    let values = part(false);
+    let values = part(&table.values, false);
     let mut frames = FrameTable::new(Layout::Channels { count: values.len() / table.rows() }, values, file)?;
-    if complex {
-        frames = frames.with_imaginary(part(true))?;
+    if in_two {
+        frames = frames.with_imaginary(part(&table.values, true))?;
+    } else if !imaginary.is_empty() {
+        frames = frames.with_imaginary(part(&imaginary, false))?;
     }
     let column = |name: &str| (0..first).find(|&index| named(index) == Some(name)).map(|index| table.column(index));
     let from_first = |times: Vec<f64>| -> Vec<f64> { times.iter().map(|ns| 1e-9 * (ns - times[0])).collect() };
@@ -193,8 +234,8 @@ fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
 /// Names in a first row: no cell is a number, and one has a letter.
 fn header_of(line: &str, separator: Separator) -> Option<Vec<String>> {
     let filled = || separator.cells(line).filter(|cell| !cell.is_empty());
-    let named =
-        filled().all(|cell| cell.parse::<f64>().is_err()) && filled().any(|cell| cell.contains(char::is_alphabetic));
+    let named = filled().all(|cell| cell.parse::<f64>().is_err() && complex(cell).is_none())
+        && filled().any(|cell| cell.contains(char::is_alphabetic));
     named.then(|| separator.cells(line).map(str::to_owned).collect())
 }
 
@@ -208,6 +249,19 @@ fn number(cell: &str) -> Result<f64, &'static str> {
         Ok(value) => Ok(value),
         Err(_) => Err("a number with a decimal point, nan or nothing"),
     }
+}
+
+/// Both parts of a complex cell: `a+bj`, `bj`, with `i` for `j`, in parentheses or not; a part may be `nan`.
+fn complex(cell: &str) -> Option<[f64; 2]> {
+    let bare = cell.strip_prefix('(').and_then(|cell| cell.strip_suffix(')')).unwrap_or(cell);
+    let body = bare.strip_suffix(['j', 'i', 'J', 'I'])?;
+    // The last sign that is not of an exponent.
+    let mut signs = body.char_indices().filter(|(at, c)| "+-".contains(*c) && !body[..*at].ends_with(['e', 'E']));
+    let (real, imaginary) = body.split_at(signs.next_back().map_or(0, |(at, _)| at));
+    // NumPy writes `1+-2j`.
+    let real = real.strip_suffix('+').unwrap_or(real);
+    let finite = |part: &str| part.trim().parse::<f64>().ok().filter(|value| !value.is_infinite());
+    Some([if real.is_empty() { 0.0 } else { finite(real)? }, finite(imaginary)?])
 }
 
 /// What stands between cells.
@@ -340,6 +394,32 @@ mod tests {
         assert_eq!((complex.values(), complex.imaginary()), ([1.0, 2.0].as_slice(), Some([3.0, 4.0].as_slice())));
         assert!(decode(b"sequence,re a,im a,im b\n0,1,2,3\n", Path::new("made.csv")).is_err());
         assert!(decode(b"sequence,time_s\n0,1\n", Path::new("made.csv")).is_err());
+    }
+
+    #[test]
+    fn complex_readings_stand_in_one_cell_as_numpy_and_matlab_write_them() {
+        let decoded = |text: &str| decode(text.as_bytes(), Path::new("made.csv"));
+        // numpy.savetxt with and without a delimiter, MATLAB's writematrix, and a plain number among them.
+        for text in [
+            "(1.5e+00+2.0e-01j),(-3e0+-4e0j)\n5,nan-1j\n",
+            " (1.5+0.2j) (-3-4j)\n (5+0j) (nan-1j)\n",
+            "1.5+0.2i;-3-4i\n5;NaN-1i\n",
+            "time_s,a,b\n0,1.5+2e-1j,-3e+0-4e+0J\n1,5,nan-1j\n",
+        ] {
+            let table = decoded(text).unwrap_or_else(|error| panic!("{text}: {error}"));
+            assert_eq!((table.frames(), table.channels()), (2, 2), "{text}");
+            assert_eq!(table.imaginary(), Some([0.2, -4.0, 0.0, -1.0].as_slice()), "{text}");
+            assert!(table.values()[..3] == [1.5, -3.0, 5.0] && table.values()[3].is_nan(), "{text}");
+        }
+        let alone = decoded("2j,1\n").unwrap();
+        assert_eq!((alone.values(), alone.imaginary()), ([0.0, 1.0].as_slice(), Some([2.0, 0.0].as_slice())));
+        assert!(decoded("1,2\n").unwrap().imaginary().is_none());
+        for broken in ["1,1+infj", "1,1+j", "1,1+2k", "1,(1+2j", "1,1 + 2j3"] {
+            let message = decoded(&format!("3,4\n{broken}\n")).unwrap_err().to_string();
+            assert!(message.starts_with("made.csv:2: column 2"), "{broken}: {message}");
+        }
+        // Positions are no complex numbers.
+        assert!(message("1,2\n1+2j,3\n").contains("expected a number"), "{}", message("1,2\n1+2j,3\n"));
     }
 
     #[test]

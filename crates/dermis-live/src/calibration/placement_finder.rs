@@ -113,6 +113,7 @@ impl LearntFinder {
                 [located.covariance_xy_m2, located.sigma_y_m.powi(2)],
             ],
             other_place: None,
+            second: None,
         }))
     }
 }

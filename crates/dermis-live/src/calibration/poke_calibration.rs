@@ -2,14 +2,23 @@
 //! places single touches with an honest sigma. With few pokes the locator leans on the physics or on sister skins, with
 //! many on the pokes alone.
 
+mod frames;
+mod map;
+mod stored;
+
+pub(crate) use frames::differences_of;
+pub use frames::{PokeFrames, set_channels};
+
 use std::path::Path;
 
 use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
-    Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, Locator, LocatorError, MIN_EXAMPLES,
-    PlaceCorrection, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
+    Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, LocatorError, MIN_EXAMPLES, PlaceCorrection,
+    SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
 };
+use frames::without_silence;
+use map::signature_map;
 use serde::{Deserialize, Serialize};
 
 use super::place_locator::PlaceLocator;
@@ -17,21 +26,9 @@ use super::poke_check::{Sound, check_pokes};
 use super::pokes::{LoadQuantity, Pokes};
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::reference::{Reference, check_frames};
 
-/// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's
-/// places.
-const VERSION_SINGLE: u32 = 1;
-const VERSION_FUSED: u32 = 2;
-const VERSION_BY_MODEL: u32 = 3;
 /// Correlation lengths tried for the measured Jacobian, relative to half the shorter side.
 const LENGTHS: [f64; 4] = [0.15, 0.25, 0.4, 0.6];
-/// Positions of the locator's map lie so far apart that there are about so many, but within these bounds, relative to
-/// half the shorter side. On the gelatin skin 400 pokes place others 1.48, 1.31 and 1.28 mm off (median) with spacings
-/// of 0.058, 0.042 and 0.027; the time for a frame grows with the number of positions.
-const MAP_POSITIONS: usize = 2800;
-const FINEST_SPACING: f64 = 0.025;
-const MAP_SPACING: f64 = 0.04;
 /// So many pokes, evenly drawn, are kept for the measured Jacobian, whose time grows with their cube.
 const MOST_KEPT: usize = 800;
 /// So many pokes, evenly drawn, tell how weak a touch may be.
@@ -51,30 +48,6 @@ const BELOW_WEAK: f64 = 0.7;
 const SEEN_BY_MODEL: f64 = 0.95;
 /// Fewest pokes in the order they were made that tell of drift.
 const FEWEST_FOR_DRIFT: usize = 40;
-
-/// What a skin measured when it was poked, channels in the protocol's order.
-#[derive(Clone, Copy, Debug)]
-pub enum PokeFrames<'a> {
-    /// Frames of the pressed skin, one a poke, and of the untouched skin: as many, each poke's own, or some for all.
-    Readings {
-        /// Of the untouched skin.
-        baselines: &'a [Vec<f64>],
-        /// Of the pressed skin.
-        frames: &'a [Vec<f64>],
-    },
-    /// Differences of both, one a poke.
-    Differences(&'a [Vec<f64>]),
-}
-
-impl PokeFrames<'_> {
-    /// How the channels rest, where each poke has a baseline of its own and there are enough.
-    fn rest_scatter(&self) -> Option<RestScatter> {
-        match self {
-            PokeFrames::Readings { baselines, frames } if baselines.len() == frames.len() => RestScatter::of(baselines),
-            _ => None,
-        }
-    }
-}
 
 /// What is used beside the pokes.
 #[derive(Clone, Copy, Debug)]
@@ -113,7 +86,7 @@ pub struct PokeReview {
 
 /// A calibration.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "StoredCalibration", into = "StoredCalibration")]
+#[serde(try_from = "stored::StoredCalibration", into = "stored::StoredCalibration")]
 pub struct Calibration {
     skin: String,
     channels: usize,
@@ -462,46 +435,6 @@ impl Calibration {
     }
 }
 
-/// The reference of the pokes and their difference data.
-pub(crate) fn differences_of(
-    prepared: &Prepared,
-    measured: PokeFrames<'_>,
-) -> Result<(Reference, Vec<Vec<f64>>), Error> {
-    match measured {
-        PokeFrames::Differences(frames) => {
-            let reference = Reference::of_differences(prepared, frames)?;
-            let differences = frames.iter().map(|frame| reference.difference(frame, None)).collect();
-            Ok((reference, differences))
-        }
-        PokeFrames::Readings { baselines, frames } => {
-            check_frames("poke", frames, prepared.channels())?;
-            let reference = Reference::of(prepared, baselines)?;
-            let paired = baselines.len() == frames.len() && frames.len() > 1;
-            let own = |index: usize| paired.then(|| baselines[index].as_slice());
-            let differences = frames.iter().enumerate().map(|(i, frame)| reference.difference(frame, own(i))).collect();
-            Ok((reference, differences))
-        }
-    }
-}
-
-/// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.
-pub fn set_channels(frames: &mut [Vec<f64>], channels: &[u32], value: f64) {
-    for &channel in channels {
-        frames.iter_mut().for_each(|frame| frame[channel as usize] = value);
-    }
-}
-
-/// Where touches are looked for, with what they would read there by the skin file's physics, where that is wanted and
-/// the wiring is known.
-fn signature_map(prepared: &Prepared, physics: bool) -> Result<SignatureMap, Error> {
-    let positions = map_positions(prepared);
-    if !(physics && prepared.skin.backend.wiring.is_known()) {
-        return Ok(SignatureMap::without_physics(prepared.channels(), positions)?);
-    }
-    let signatures = prepared.signatures(&positions);
-    Ok(SignatureMap::new(prepared.channels(), positions, signatures)?)
-}
-
 /// The locator that predicts left-out pokes best: without a sister, or with the best of those given.
 fn fit_best(
     examples: &Examples,
@@ -537,130 +470,4 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;
     values.get((share * last as f64).round() as usize).copied()
-}
-
-/// A frame in which channels that read nothing in any poke change by nothing.
-fn without_silence(frame: &[f64], dead_channels: &[u32]) -> Vec<f64> {
-    let mut frame = frame.to_vec();
-    for &channel in dead_channels {
-        let value = &mut frame[channel as usize];
-        *value = if value.is_finite() { *value } else { 0.0 };
-    }
-    frame
-}
-
-/// Frames as JSON holds them: what is missing is `null`.
-fn frames_with_gaps<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<Vec<f64>>, D::Error> {
-    let rows = Vec::<Vec<Option<f64>>>::deserialize(from)?;
-    Ok(rows.into_iter().map(|row| row.into_iter().map(|value| value.unwrap_or(f64::NAN)).collect()).collect())
-}
-
-/// Positions for the locator's map: a square lattice within the outline.
-fn map_positions(prepared: &Prepared) -> Vec<[f64; 2]> {
-    let outline = &prepared.body.outline;
-    let (low, high) = outline.bounds_m();
-    let half_width_m = prepared.half_width_m();
-    let spacing_m = (outline.area_m2() / MAP_POSITIONS as f64)
-        .sqrt()
-        .clamp(FINEST_SPACING * half_width_m, MAP_SPACING * half_width_m);
-    let counts = [0, 1].map(|axis| ((high[axis] - low[axis]) / spacing_m).ceil().max(1.0) as usize);
-    // In the middle of the bounds, so that a symmetric skin has a symmetric map.
-    let at = |axis: usize, k: usize| {
-        0.5 * (low[axis] + high[axis]) + (k as f64 - 0.5 * (counts[axis] - 1) as f64) * spacing_m
-    };
-    let lattice = (0..counts[1]).flat_map(|row| (0..counts[0]).map(move |column| (column, row)));
-    lattice.map(|(column, row)| [at(0, column), at(1, row)]).filter(|place| outline.contains(*place)).collect()
-}
-
-/// The stored form of a [`Calibration`]. Exactly one of `locator` (version 1) and `fused` is there, and `by_model` in
-/// version 3.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StoredCalibration {
-    version: u32,
-    skin: String,
-    channels: usize,
-    load: Option<LoadQuantity>,
-    #[serde(deserialize_with = "frames_with_gaps")]
-    frames: Vec<Vec<f64>>,
-    positions_m: Vec<[f64; 2]>,
-    loads: Option<Vec<f64>>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    locator: Option<Box<Locator>>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    fused: Option<Box<FusedLocator>>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    by_model: Option<PlaceCorrection>,
-    #[serde(default)]
-    pokes: Option<usize>,
-    #[serde(default)]
-    strength: TouchStrength,
-    #[serde(default)]
-    review: PokeReview,
-}
-
-impl TryFrom<StoredCalibration> for Calibration {
-    type Error = String;
-
-    fn try_from(stored: StoredCalibration) -> Result<Self, String> {
-        let version = stored.version;
-        let expected = |what: &str| Err(format!("version {version}: expected {what} and nothing else of the three"));
-        let locator = match (version, stored.fused, stored.locator, &stored.by_model) {
-            (VERSION_FUSED, Some(fused), None, None) | (VERSION_BY_MODEL, Some(fused), None, Some(_)) => {
-                PlaceLocator::Fused(fused)
-            }
-            (VERSION_SINGLE, None, Some(locator), None) => PlaceLocator::Single(locator),
-            (VERSION_SINGLE, ..) => return expected("\"locator\""),
-            (VERSION_FUSED, ..) => return expected("\"fused\""),
-            (VERSION_BY_MODEL, ..) => return expected("\"fused\" and \"by_model\""),
-            _ => return Err(format!("version: {version}, expected {VERSION_SINGLE} to {VERSION_BY_MODEL}")),
-        };
-        let count = stored.frames.len();
-        let ragged = stored.frames.iter().any(|frame| frame.len() != stored.channels);
-        let loads_fit = stored.loads.as_ref().is_none_or(|loads| loads.len() == count);
-        if ragged || stored.positions_m.len() != count || !loads_fit {
-            return Err("frames, positions and loads differ in number, or frames in length".into());
-        }
-        if locator.channels() != stored.channels {
-            return Err(format!("locator: {} channels, expected {}", locator.channels(), stored.channels));
-        }
-        Ok(Self {
-            skin: stored.skin,
-            channels: stored.channels,
-            load: stored.load,
-            frames: stored.frames,
-            positions_m: stored.positions_m,
-            loads: stored.loads,
-            locator,
-            by_model: stored.by_model,
-            pokes: stored.pokes.unwrap_or(count),
-            strength: stored.strength,
-            review: stored.review,
-        })
-    }
-}
-
-impl From<Calibration> for StoredCalibration {
-    fn from(calibration: Calibration) -> Self {
-        let (version, locator, fused) = match calibration.locator {
-            PlaceLocator::Single(locator) => (VERSION_SINGLE, Some(locator), None),
-            PlaceLocator::Fused(fused) if calibration.by_model.is_some() => (VERSION_BY_MODEL, None, Some(fused)),
-            PlaceLocator::Fused(fused) => (VERSION_FUSED, None, Some(fused)),
-        };
-        Self {
-            version,
-            skin: calibration.skin,
-            channels: calibration.channels,
-            load: calibration.load,
-            frames: calibration.frames,
-            positions_m: calibration.positions_m,
-            loads: calibration.loads,
-            locator,
-            fused,
-            by_model: calibration.by_model,
-            pokes: Some(calibration.pokes),
-            strength: calibration.strength,
-            review: calibration.review,
-        }
-    }
 }

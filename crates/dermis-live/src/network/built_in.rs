@@ -1,5 +1,5 @@
-//! Trained networks that ship with dermis: those of `models/`, embedded. `docs/src/learning.md` has the commands that
-//! made them.
+//! Trained networks that ship with dermis: those of the crate's `models/`, embedded. `docs/src/learning.md` has the
+//! commands that made them.
 
 use dermis_learn::{LearnError, Model};
 
@@ -11,13 +11,10 @@ use dermis_learn::{LearnError, Model};
 pub fn built_in(skin: &str) -> Result<Option<Model>, LearnError> {
     let (card, weights): (&str, &[u8]) = match skin {
         "healing-square" => (
-            include_str!("../../../../models/healing-square.json"),
-            include_bytes!("../../../../models/healing-square.safetensors"),
+            include_str!("../../models/healing-square.json"),
+            include_bytes!("../../models/healing-square.safetensors"),
         ),
-        "ktc-tank" => (
-            include_str!("../../../../models/ktc-tank.json"),
-            include_bytes!("../../../../models/ktc-tank.safetensors"),
-        ),
+        "ktc-tank" => (include_str!("../../models/ktc-tank.json"), include_bytes!("../../models/ktc-tank.safetensors")),
         _ => return Ok(None),
     };
     Model::from_contents(card, weights, skin).map(Some)

@@ -27,12 +27,13 @@ impl Pipeline {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         self.prepared = prepared;
         let SelfCalibrated { imager, finder, .. } = calibrated;
+        // Channels are weighed otherwise now: a lambda that was asked for stays as many times what the rule gives.
+        let times = imager.rule_hyperparameter() / running.reconstructor.imager.rule_hyperparameter();
+        self.choices.hyperparameter = self.choices.hyperparameter.map(|lambda| times * lambda);
         running.reconstructor.imager = imager;
         running.reconstructor.placement = Some(PlacementFinder::Matched(Box::new(finder)));
         running.reconstructor.interrupt(time_ns);
-        // A lambda that was asked for is one of the operator before.
         self.operators = Operators::after(self.operators.waits());
-        self.choices.hyperparameter = None;
         if self.damage.is_some() {
             self.damage = Some(DamageStage::new(&self.prepared)?);
         }
@@ -44,6 +45,9 @@ impl Pipeline {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         if !left_out.is_empty() && left_out.len() < running.reference.noise.len() {
             running.reconstructor.leave_out(&self.prepared, left_out, &running.reference.noise)?;
+        }
+        if let Some(lambda) = self.choices.hyperparameter {
+            self.make_operator(lambda);
         }
         Ok(())
     }

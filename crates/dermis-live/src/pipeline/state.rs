@@ -1,5 +1,6 @@
 //! What the pipeline is made of before and after its first baseline.
 
+use dermis_touch::DriftCompensation;
 use dermis_touch::force::ForceCalibration;
 
 use crate::Error;
@@ -8,6 +9,7 @@ use crate::imager::{Imager, operator_needs_no_baseline};
 use crate::prepare::Prepared;
 use crate::reconstructor::Reconstructor;
 use crate::reference::Reference;
+use crate::stages::damage::LevelStage;
 use crate::stages::refinement::Refinement;
 
 /// Where the pipeline is in its life.
@@ -92,5 +94,20 @@ impl Starting {
         reconstructor.refinement.set_noise(&reference.noise);
         reconstructor.refinement.leave_out(prepared, &[], &reference.noise)?;
         Ok(Running { reference, reconstructor })
+    }
+}
+
+/// As the skin file has it; where damage is watched, drift is one factor for all channels, which no damage looks like.
+/// Where it is told by levels, these are the baseline.
+pub(super) fn drift_compensation(prepared: &Prepared) -> DriftCompensation {
+    if LevelStage::is_wanted(prepared) {
+        return DriftCompensation::Off;
+    }
+    match prepared.skin.touch.drift_time_constant_s {
+        time_constant_s if time_constant_s > 0.0 && prepared.skin.damage.watch => {
+            DriftCompensation::Uniform { time_constant_s, settle_s: 2.0 }
+        }
+        time_constant_s if time_constant_s > 0.0 => DriftCompensation::Exponential { time_constant_s, settle_s: 2.0 },
+        _ => DriftCompensation::Off,
     }
 }

@@ -2,6 +2,15 @@
 
 use dermis_touch::{PlaceHypothesis, TouchLoad};
 
+/// A second touch of a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SecondTouch {
+    /// Position, metres.
+    pub position_m: [f64; 2],
+    /// How strong it is, relative to the first, 0 to 1.
+    pub share: f64,
+}
+
 /// Where a touch lies according to a calibration, in place of the image's own position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -17,4 +26,6 @@ pub struct Placement {
     pub doubtful: bool,
     /// Where else the touch may be, where the frame does not tell.
     pub other_place: Option<PlaceHypothesis>,
+    /// The frame is of two touches; the position is that of the stronger.
+    pub second: Option<SecondTouch>,
 }

@@ -30,21 +30,14 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
-/// A frame of which a fit leaves more than so many times the noise's energy, and beyond the noise more than this share
-/// of its own, may hold two touches that the image shows as one. One touch leaves up to 0.0019 beyond the noise (twins
-/// of gels and liquids, 40 presses each), two a quarter of the longer side apart that the image joins 0.0038 or more.
+/// A frame of which a fit leaves more than so many times the noise's energy may hold two touches that the image shows as
+/// one.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
-const UNEXPLAINED: f64 = 0.003;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
 /// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
 /// left,
 const LEFT_BY_TWO: f64 = 0.3;
-/// stand apart by this share of half the shorter side and by so many times the sum of their radii,
-const LEAST_APART: f64 = 0.3;
-const LEAST_APART_RADII: f64 = 1.0;
-/// and press alike within this factor (amplitude times area).
-const MOST_UNLIKE: f64 = 10.0;
 /// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half
 /// the shorter side.
 const DIRECTIONS: usize = 4;
@@ -55,6 +48,27 @@ const MOST_DRAWN_BACK: usize = 4;
 /// Contacts that are looked at so in a frame, the strongest, and frames before the next look after one in vain.
 const MOST_JOINED: usize = 3;
 const FRAMES_TO_NEXT_LOOK: u32 = 8;
+
+/// When two touches are looked for in place of one, and what makes them two.
+#[derive(Clone, Copy, Debug)]
+struct PartingRule {
+    /// One spot for each contact leaves more than this share of the frame's energy beyond the noise.
+    unexplained: f64,
+    /// The two stand apart by this share of half the shorter side and by so many times the sum of their radii,
+    least_apart: f64,
+    least_apart_radii: f64,
+    /// and press alike within this factor (amplitude times area).
+    most_unlike: f64,
+}
+
+/// Where touches are smooth spots, one leaves up to 0.0019 beyond the noise (twins of gels and liquids, 40 presses
+/// each), two a quarter of the longer side apart that the image joins 0.0038 or more.
+const SMOOTH: PartingRule =
+    PartingRule { unexplained: 0.003, least_apart: 0.3, least_apart_radii: 1.0, most_unlike: 10.0 };
+/// A patch that conducts as a whole is no spot: one touch leaves 0.007 to 0.07, two that are joined 0.02 to 0.3 (twins of
+/// discs of 64 patches), and only what two spots come to tells them apart.
+const PATCHES: PartingRule =
+    PartingRule { unexplained: 0.015, least_apart: 0.36, least_apart_radii: 1.2, most_unlike: 4.0 };
 
 /// Refines the contacts of one frame after the other, in memory of its own.
 #[derive(Debug)]
@@ -72,8 +86,7 @@ pub(crate) struct SpotStage {
     /// Frames before the next attempt; none where frames wait for as much work as they take.
     wait: u32,
     is_unhurried: bool,
-    /// Whether a touch is a smooth spot, so that what one spot leaves says that there are two. A patch that conducts as
-    /// a whole is none.
+    /// Whether a touch is a smooth spot; a patch that conducts as a whole is none.
     are_smooth: bool,
     grid: PixelGrid,
     inside: Vec<bool>,
@@ -125,9 +138,9 @@ impl SpotStage {
             contacts.insert(joined + 1, contacts[joined]);
             self.starts_m.insert(joined + 1, two[1].position_m);
             self.starts_m[joined] = two[0].position_m;
-            let largest = two[0].amplitude.max(two[1].amplitude);
+            let largest = press(&two[0]).max(press(&two[1]));
             for (contact, spot) in contacts[joined..joined + 2].iter_mut().zip(two) {
-                share_of(contact, spot.amplitude / largest, spot.position_m);
+                share_of(contact, press(&spot) / largest, spot.position_m);
             }
         }
         let explained = outcome.residual <= EXPLAINED * outcome.energy;
@@ -150,6 +163,10 @@ impl SpotStage {
         if self.are_smooth { (1..spots.len()).find(met) } else { None }
     }
 
+    fn rule(&self) -> PartingRule {
+        if self.are_smooth { SMOOTH } else { PATCHES }
+    }
+
     /// From now on each frame is looked at for touches that the image shows as one.
     pub(crate) fn take_time(&mut self) {
         self.is_unhurried = true;
@@ -164,11 +181,9 @@ impl SpotStage {
     /// for each contact leaves unexplained is fitted with one more, from several starts about each of the strongest
     /// contacts.
     fn part(&mut self, difference: &[f64], single: &FitOutcome) -> Option<(usize, FitOutcome)> {
-        if !self.are_smooth {
-            return None;
-        }
         let last = self.last_parted_m.take();
-        let suspect = single.residual > UNEXPLAINED_BY_NOISE && beyond_noise(single) > UNEXPLAINED * single.energy;
+        let suspect =
+            single.residual > UNEXPLAINED_BY_NOISE && beyond_noise(single) > self.rule().unexplained * single.energy;
         if !suspect || self.starts_m.len() >= MOST_SPOTS {
             self.wait = 0;
             return None;
@@ -219,11 +234,11 @@ impl SpotStage {
         let spots = self.scratch.spots();
         let (a, b) = (&spots[joined], &spots[joined + 1]);
         let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
-        let press = |spot: &Spot| spot.amplitude * spot.radius_m * spot.radius_m;
-        let alike = press(a) < MOST_UNLIKE * press(b) && press(b) < MOST_UNLIKE * press(a);
+        let rule = self.rule();
+        let alike = press(a) < rule.most_unlike * press(b) && press(b) < rule.most_unlike * press(a);
         let is_better = beyond_noise(&outcome) <= LEFT_BY_TWO * beyond_noise(single);
-        let are_two =
-            apart_m >= LEAST_APART * self.half_width_m && apart_m >= LEAST_APART_RADII * (a.radius_m + b.radius_m);
+        let are_two = apart_m >= rule.least_apart * self.half_width_m
+            && apart_m >= rule.least_apart_radii * (a.radius_m + b.radius_m);
         if !(is_better && are_two && alike && self.is_believed(a) && self.is_believed(b)) {
             return None;
         }
@@ -261,6 +276,12 @@ impl SpotStage {
         own <= FAR * self.half_width_m
             || own <= allowed * self.half_width_m && self.starts_m.iter().all(|start| own <= moved(*start))
     }
+}
+
+/// What an image that is wider than the spot shows of it: amplitude times area, up to a factor. Radius and amplitude
+/// alone trade with each other.
+fn press(spot: &Spot) -> f64 {
+    spot.amplitude * spot.radius_m * spot.radius_m
 }
 
 /// Whitened energy that a fit leaves beyond the noise's own.

@@ -11,7 +11,7 @@ use dermis_touch::{
 use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
-use crate::stages::placement::Placement;
+use crate::stages::placement::{Placement, SecondTouch};
 use crate::stages::refinement::Refinement;
 
 /// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
@@ -161,6 +161,14 @@ impl TouchStage {
                 self.is_placed = true;
                 // The calibration has judged the whole frame; the image's threshold has nothing to add.
                 only.strength = ContactStrength::Strong;
+                let second = placement.second.map(|SecondTouch { position_m, share }| Contact {
+                    centroid_m: position_m,
+                    amplitude: share * only.amplitude,
+                    volume: share * only.volume,
+                    load: None,
+                    ..*only
+                });
+                self.contacts.extend(second);
             }
         }
         Ok(())

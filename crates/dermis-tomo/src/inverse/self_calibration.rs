@@ -8,21 +8,19 @@
 //! right up to one common sign. Then each frame is located by its matched filter, `max_g <wT(g), wD> / (|wT(g)| |wD|)`,
 //! and the weights follow from what the templates leave unexplained: `w^-2 = mean (D - a T)^2 + floor`.
 
+mod batch;
+mod pair;
 mod templates;
 
+pub use batch::LEAST_CALIBRATION_FRAMES;
 pub use templates::TouchTemplates;
 
-use faer::{Mat, MatRef, Side};
+use batch::{Batch, Norms, Peak, channel_scale, check_not_infinite, row_rms, scale_rows, sign, synchronised_signs};
+use faer::{Mat, MatRef};
 use templates::square_distance;
 
 use super::check::positive;
 use super::{InverseError, Weighting, check_finite};
-
-/// Fewest frames to calibrate on. With 20 position errors are about a third larger than with hundreds; with 10 they
-/// can double.
-pub const LEAST_CALIBRATION_FRAMES: usize = 20;
-
-const SIGN_ITERATIONS: usize = 30;
 
 /// What a touch does to the skin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,6 +79,25 @@ pub struct MatchedTouch {
     pub score: f64,
     /// Strength in units of a typical calibration frame: the factor of the template, all channels at unit RMS.
     pub amplitude: f64,
+}
+
+/// Two touches of one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MatchedPair {
+    /// Centroids of the best explanations, metres, the stronger first.
+    pub positions_m: [[f64; 2]; 2],
+    /// Strengths in units of a typical calibration frame.
+    pub amplitudes: [f64; 2],
+    /// What the two leave of the frame's weighted energy, 0 to 1; a single touch leaves `1 - score^2`.
+    pub left: f64,
+}
+
+/// What pairs of touches are looked for with: places all over the skin, and how alike their templates are.
+#[derive(Clone, Debug)]
+pub struct PairSearch {
+    apart_m: f64,
+    coarse: Vec<usize>,
+    grams: Mat<f64>,
 }
 
 /// A calibrated skin: what to do with its channels, and a matched filter that locates single touches.
@@ -297,10 +314,10 @@ impl SelfCalibration {
     }
 
     /// Turns the scores of a frame into probabilities of the places, one touch being somewhere and every place as
-    /// likely before: `p ~ (1 - c^2 + f)^(-n / 2)`, c the score where it is positive, f the noise floor that every model
-    /// is believed to have, n the number of independent numbers that the calibration frames' residuals are worth (the
-    /// participation ratio of their covariance). With f = 0 this is the likelihood of Gaussian residuals whose size and
-    /// whose touch's strength are unknown.
+    /// likely before: `p ~ (1 - c^2 + f)^(-n / 2)`, c the score where it is positive, f the noise floor that every
+    /// model is believed to have, n the number of independent numbers that the calibration frames' residuals are worth
+    /// (the participation ratio of their covariance). With f = 0 this is the likelihood of Gaussian residuals whose
+    /// size and whose touch's strength are unknown.
     pub fn probabilities(&self, scores: &[f64], probabilities: &mut Vec<f64>) {
         let unexplained = |score: f64| 1.0 - score.clamp(0.0, 1.0).powi(2) + self.options.noise_floor;
         let log = |score: f64| -0.5 * self.independent * unexplained(score).ln();
@@ -394,128 +411,6 @@ impl SelfCalibration {
     pub fn places_m(&self) -> &[[f64; 2]] {
         &self.places_m
     }
-}
-
-struct Peak {
-    place: usize,
-    score: f64,
-    amplitude: f64,
-}
-
-impl Peak {
-    fn of(scores: &Mat<f64>, norms: &Norms, frame: usize) -> Self {
-        let column = scores.col(frame);
-        let better = |best: usize, place: usize| if column[place] > column[best] { place } else { best };
-        let place = (0..column.nrows()).fold(0, better);
-        let template = norms.place(place, frame);
-        let amplitude = if template > 0.0 { column[place] * norms.frame[frame] / template } else { 0.0 };
-        Self { place, score: column[place], amplitude }
-    }
-}
-
-struct Norms {
-    /// Squared norms of the weighted templates, places x frames, or one column for all frames.
-    template: Mat<f64>,
-    /// Norms of the weighted frames.
-    frame: Vec<f64>,
-}
-
-impl Norms {
-    fn place(&self, place: usize, frame: usize) -> f64 {
-        self.template[(place, if self.template.ncols() == 1 { 0 } else { frame })].max(0.0).sqrt()
-    }
-}
-
-/// Scaled frames as columns.
-struct Batch {
-    /// Channels x frames, 0 where missing.
-    values: Mat<f64>,
-    /// Channels x frames, 1 or 0.
-    present: Mat<f64>,
-    complete: bool,
-}
-
-impl Batch {
-    fn new<F: AsRef<[f64]>>(frames: &[F], scale: &[f64]) -> Self {
-        let value = |channel: usize, frame: usize| frames[frame].as_ref()[channel];
-        let present = Mat::from_fn(scale.len(), frames.len(), |c, f| f64::from(!value(c, f).is_nan()));
-        let usable = |c: usize, f: usize| scale[c] > 0.0 && present[(c, f)] > 0.0;
-        let values =
-            Mat::from_fn(scale.len(), frames.len(), |c, f| if usable(c, f) { value(c, f) / scale[c] } else { 0.0 });
-        let complete = present.col_iter().all(|column| column.iter().all(|&p| p > 0.0));
-        Self { values, present, complete }
-    }
-}
-
-fn sign(value: f64) -> f64 {
-    if value < 0.0 { -1.0 } else { 1.0 }
-}
-
-fn check_not_infinite(frame: &[f64]) -> Result<(), InverseError> {
-    match frame.iter().position(|value| value.is_infinite()) {
-        Some(index) => {
-            let (what, expected) = ("channel", "finite, or NaN where missing");
-            Err(InverseError::Value { what, index: Some(index), value: frame[index], expected })
-        }
-        None => Ok(()),
-    }
-}
-
-/// RMS of each channel over the frames that have it; checks the frames.
-fn channel_scale(frames: &[Vec<f64>], channels: usize) -> Result<Vec<f64>, InverseError> {
-    let (mut sums, mut counts, mut useful) = (vec![0.0; channels], vec![0usize; channels], 0);
-    for frame in frames {
-        if frame.len() != channels {
-            let (what, got) = ("channels of a calibration frame", frame.len());
-            return Err(InverseError::Size { what, expected: channels, got });
-        }
-        check_not_infinite(frame)?;
-        useful += usize::from(frame.iter().any(|value| value.abs() > 0.0));
-        for (channel, value) in frame.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
-            sums[channel] += value * value;
-            counts[channel] += 1;
-        }
-    }
-    if useful < LEAST_CALIBRATION_FRAMES {
-        return Err(InverseError::TooFewFrames { needed: LEAST_CALIBRATION_FRAMES, useful, given: frames.len() });
-    }
-    Ok(sums.iter().zip(&counts).map(|(sum, &count)| (sum / count.max(1) as f64).sqrt()).collect())
-}
-
-fn row_rms(matrix: MatRef<'_, f64>) -> Vec<f64> {
-    let square = |row: faer::RowRef<'_, f64>| row.iter().map(|v| v * v).sum::<f64>();
-    matrix.row_iter().map(|row| (square(row) / matrix.ncols() as f64).sqrt()).collect()
-}
-
-fn scale_rows(matrix: MatRef<'_, f64>, factors: &[f64]) -> Mat<f64> {
-    Mat::from_fn(matrix.nrows(), matrix.ncols(), |row, column| factors[row] * matrix[(row, column)])
-}
-
-/// Signs by which the templates (channels x places) agree best with the second moments of the data (channels x frames).
-fn synchronised_signs(
-    templates: MatRef<'_, f64>,
-    data: MatRef<'_, f64>,
-    voltages: &[f64],
-) -> Result<Vec<f64>, InverseError> {
-    let (observed, modelled) = (data * data.transpose(), templates * templates.transpose());
-    let entries = data.ncols() as f64 * templates.ncols() as f64;
-    let agreement = Mat::from_fn(observed.nrows(), observed.ncols(), |row, column| {
-        let (low, high) = (row.max(column), row.min(column));
-        if row == column { 0.0 } else { observed[(low, high)] * modelled[(low, high)] / entries }
-    });
-    let decomposition = agreement.self_adjoint_eigen(Side::Lower).map_err(|_| InverseError::Singular {
-        what: "the agreement of channels (its eigenvectors were not found)",
-        hint: "look for channels of vastly different scale",
-    })?;
-    // Eigenvalues ascend.
-    let leading = decomposition.U().col(agreement.ncols() - 1);
-    let mut signs: Vec<f64> = leading.iter().map(|&component| sign(component)).collect();
-    for _ in 0..SIGN_ITERATIONS {
-        let next = &agreement * faer::ColRef::from_slice(&signs);
-        signs = next.iter().map(|&component| sign(component)).collect();
-    }
-    let common = sign(signs.iter().zip(voltages).map(|(s, v)| s * v.abs()).sum());
-    Ok(signs.into_iter().map(|s| common * s).collect())
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
 //! The mesh itself: nodes, elements, their measures (area or volume), and electrodes as parts of the mesh.
 //! Every mesh is validated when it is made, so that what uses it later need not check again.
 
-use std::collections::HashMap;
+mod error;
 
-use thiserror::Error;
+pub use error::MeshError;
+
+use std::collections::HashMap;
 
 /// What a mesh is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,112 +29,6 @@ impl CellKind {
     pub fn nodes_per_face(self) -> usize {
         self.nodes_per_element() - 1
     }
-}
-
-/// Why a mesh, or an electrode on it, was refused.
-#[derive(Clone, Debug, Error, PartialEq)]
-#[non_exhaustive]
-pub enum MeshError {
-    /// A list's length does not fit.
-    #[error("{what}: expected {expected}, got {got}")]
-    Count {
-        /// What was counted.
-        what: &'static str,
-        /// What was expected, in words or a number.
-        expected: String,
-        /// What was found.
-        got: usize,
-    },
-    /// A coordinate is NaN or infinite.
-    #[error("node {node}: coordinate {value} is not finite")]
-    NotFinite {
-        /// Node index.
-        node: usize,
-        /// The offending value.
-        value: f64,
-    },
-    /// An element or face names a node that does not exist.
-    #[error("{what} {index} names node {node}, but there are only {node_count} nodes")]
-    NodeOutOfRange {
-        /// `element` or `electrode`.
-        what: &'static str,
-        /// Its index.
-        index: usize,
-        /// The node named.
-        node: usize,
-        /// How many nodes there are.
-        node_count: usize,
-    },
-    /// An element has (almost) no area or volume.
-    #[error("element {element} is degenerate: measure {measure:e} (m^2 or m^3) where the mean is {mean:e}")]
-    Degenerate {
-        /// Element index.
-        element: usize,
-        /// Its area or volume.
-        measure: f64,
-        /// Mean area or volume.
-        mean: f64,
-    },
-    /// Elements overlap: a face is shared by more than two of them.
-    #[error("face {nodes:?} is shared by {count} elements; at most 2 can meet there")]
-    Overlapping {
-        /// The nodes of the face.
-        nodes: Vec<u32>,
-        /// How many elements share it.
-        count: usize,
-    },
-    /// Two elements that share a face lie on the same side of it.
-    #[error("elements {first} and {second} fold over each other at face {nodes:?}: one of them is inverted")]
-    Folded {
-        /// One element.
-        first: usize,
-        /// The other.
-        second: usize,
-        /// The shared face.
-        nodes: Vec<u32>,
-    },
-    /// The mesh falls into parts that no current can pass between.
-    #[error("the mesh is disconnected: {parts} parts; node {node} cannot be reached from node {from}")]
-    Disconnected {
-        /// Number of parts.
-        parts: usize,
-        /// A node of another part.
-        node: usize,
-        /// The node the search began at.
-        from: usize,
-    },
-    /// A node belongs to no element.
-    #[error("node {node} belongs to no element")]
-    Orphan {
-        /// Node index.
-        node: usize,
-    },
-    /// An electrode does not fit the mesh or its neighbours.
-    #[error("electrode {electrode}: {reason}")]
-    Electrode {
-        /// Electrode index, zero-based.
-        electrode: usize,
-        /// What is wrong, with the value.
-        reason: String,
-    },
-    /// The shape itself makes no sense.
-    #[error("{field}: {value} is not {expected}")]
-    Shape {
-        /// Which parameter.
-        field: &'static str,
-        /// Its value.
-        value: String,
-        /// What was expected.
-        expected: String,
-    },
-    /// Text that should hold a mesh does not.
-    #[error("line {line}: {reason}")]
-    Parse {
-        /// One-based line number.
-        line: usize,
-        /// What was found and what was expected.
-        reason: String,
-    },
 }
 
 /// How an electrode touches the mesh.
@@ -524,52 +420,4 @@ pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn square() -> (Vec<[f64; 3]>, Vec<u32>) {
-        (vec![[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0., 1., 0.]], vec![0, 1, 2, 0, 2, 3])
-    }
-
-    #[test]
-    fn measures_and_faces_of_a_square() {
-        let (nodes, elements) = square();
-        let mesh = Mesh::new(CellKind::Triangle, nodes, elements).unwrap();
-        assert_eq!(mesh.measures(), &[0.5, 0.5]);
-        assert_eq!(mesh.boundary_faces().len(), 4);
-        assert_eq!(mesh.neighbours(), vec![[0, 1]]);
-    }
-
-    #[test]
-    fn folded_elements_are_refused() {
-        let (mut nodes, elements) = square();
-        nodes[3] = [0.9, 0.1, 0.];
-        let error = Mesh::new(CellKind::Triangle, nodes, elements).unwrap_err();
-        assert!(matches!(error, MeshError::Folded { .. }), "{error}");
-    }
-
-    #[test]
-    fn bad_meshes_name_the_offender() {
-        let (nodes, _) = square();
-        let with = |elements: Vec<u32>| Mesh::new(CellKind::Triangle, nodes.clone(), elements).unwrap_err();
-        assert!(matches!(with(vec![0, 1]), MeshError::Count { got: 2, .. }));
-        assert!(matches!(with(vec![0, 1, 9]), MeshError::NodeOutOfRange { node: 9, .. }));
-        assert!(matches!(with(vec![0, 1, 1]), MeshError::Degenerate { element: 0, .. }));
-        assert!(matches!(with(vec![0, 1, 2]), MeshError::Orphan { node: 3 }));
-        let mut two = nodes.clone();
-        two.extend([[5., 0., 0.], [6., 0., 0.], [5., 1., 0.]]);
-        let error = Mesh::new(CellKind::Triangle, two, vec![0, 1, 2, 0, 2, 3, 4, 5, 6]).unwrap_err();
-        assert!(matches!(error, MeshError::Disconnected { parts: 2, .. }), "{error}");
-    }
-
-    #[test]
-    fn electrodes_that_overlap_are_refused() {
-        let (nodes, elements) = square();
-        let mesh = Mesh::new(CellKind::Triangle, nodes, elements).unwrap();
-        let on = |faces: Vec<Vec<u32>>| Electrode { contact: Contact::Faces(faces), contact_impedance: 0.1 };
-        assert!(ElectrodedMesh::new(mesh.clone(), vec![on(vec![vec![0, 1]]), on(vec![vec![2, 3]])]).is_ok());
-        let error = ElectrodedMesh::new(mesh.clone(), vec![on(vec![vec![0, 1]]), on(vec![vec![1, 0]])]).unwrap_err();
-        assert_eq!(error.to_string(), "electrode 1: overlaps electrode 0");
-        assert!(ElectrodedMesh::new(mesh, vec![on(vec![vec![1, 3]])]).is_err());
-    }
-}
+mod tests;

@@ -2,191 +2,21 @@
 //! element size wanted at every place, `h(x) = min(h0, min_e(h_e + g d(x, e)))` with `d` the distance to electrode `e`.
 //! Everything that could make refinement fail (crossings, overlaps, parts off the domain) is refused here.
 
+mod features;
+mod size_field;
+
+pub(super) use features::{Border, Features, Sizes, Span};
+pub(super) use size_field::SizeField;
+
 use super::core::MeshError;
 use super::plane::{self, Point, contains, distance, lerp, sides, to_segment};
 use super::shapes::{Outline, check_coordinate, check_length};
+use size_field::size_field;
 
-/// Growth of the element size per unit distance from an electrode.
-const GRADING: f64 = 0.35;
 /// More elements than this are refused before any work is done.
 const MOST_ELEMENTS: f64 = 4e6;
-/// Edges along a line inside, and what an edge at its ends, where fields of a slit are singular, is as a share of it.
-const LINE_EDGES: f64 = 10.0;
-const LINE_END: f64 = 3e-3;
 /// Fewest edges of a disc's rim.
 const LEAST_RIM_EDGES: f64 = 24.0;
-
-/// A stretch of the rim, metres along it counter-clockwise; `end > start`, and `end` may pass the perimeter.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Span {
-    pub start: f64,
-    pub end: f64,
-}
-
-impl Span {
-    /// True where `position` lies between the ends, round the rim.
-    pub fn holds(&self, position: f64, perimeter: f64) -> bool {
-        (position - self.start).rem_euclid(perimeter) < self.end - self.start
-    }
-}
-
-/// What a mesh must conform to. Indices in errors are those of the lists here, through the `_owner` lists.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Features {
-    pub spans: Vec<Span>,
-    pub span_owner: Vec<usize>,
-    pub rim_points: Vec<f64>,
-    pub rim_point_owner: Vec<usize>,
-    pub pads: Vec<Vec<Point>>,
-    pub pad_owner: Vec<usize>,
-    pub points: Vec<Point>,
-    pub point_owner: Vec<usize>,
-    /// Lines inside that edges follow.
-    pub lines: Vec<[Point; 2]>,
-}
-
-/// Wanted sizes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sizes {
-    pub base: f64,
-    pub electrode: f64,
-    pub least_segments: usize,
-}
-
-/// The rim as a curve.
-pub(super) enum Border {
-    Circle { radius: f64 },
-    Polygon { vertices: Vec<Point>, starts: Vec<f64>, perimeter: f64 },
-}
-
-impl Border {
-    pub fn new(outline: &Outline) -> Self {
-        if let Outline::Disc { radius_m } = outline {
-            return Border::Circle { radius: *radius_m };
-        }
-        let vertices = outline.rim_vertices();
-        let mut perimeter = 0.0;
-        let mut starts = Vec::with_capacity(vertices.len());
-        for [a, b] in sides(&vertices) {
-            starts.push(perimeter);
-            perimeter += distance(a, b);
-        }
-        Border::Polygon { vertices, starts, perimeter }
-    }
-
-    pub fn perimeter(&self) -> f64 {
-        match self {
-            Border::Circle { radius } => std::f64::consts::TAU * radius,
-            Border::Polygon { perimeter, .. } => *perimeter,
-        }
-    }
-
-    pub fn at(&self, position: f64) -> Point {
-        let position = position.rem_euclid(self.perimeter());
-        match self {
-            Border::Circle { radius } => {
-                let (sine, cosine) = (position / radius).sin_cos();
-                [radius * cosine, radius * sine]
-            }
-            Border::Polygon { vertices, starts, .. } => {
-                let side = starts.partition_point(|&start| start <= position).max(1) - 1;
-                let (a, b) = (vertices[side], vertices[(side + 1) % vertices.len()]);
-                lerp(a, b, ((position - starts[side]) / distance(a, b)).min(1.0))
-            }
-        }
-    }
-
-    /// Distance to the rim, and the nearest position on it.
-    pub fn project(&self, p: Point) -> (f64, f64) {
-        match self {
-            Border::Circle { radius } => {
-                let position = radius * p[1].atan2(p[0]);
-                ((radius - p[0].hypot(p[1])).abs(), position.rem_euclid(self.perimeter()))
-            }
-            Border::Polygon { vertices, starts, perimeter } => {
-                let mut best = (f64::INFINITY, 0.0);
-                for (side, [a, b]) in sides(vertices).enumerate() {
-                    let (gap, t) = to_segment(p, a, b);
-                    if gap < best.0 {
-                        best = (gap, starts[side] + t * distance(a, b));
-                    }
-                }
-                (best.0, best.1.rem_euclid(*perimeter))
-            }
-        }
-    }
-
-    fn corners(&self) -> &[f64] {
-        match self {
-            Border::Circle { .. } => &[],
-            Border::Polygon { starts, .. } => starts,
-        }
-    }
-}
-
-/// Where elements must be small.
-struct Source {
-    segments: Vec<[Point; 2]>,
-    low: Point,
-    high: Point,
-    size: f64,
-}
-
-impl Source {
-    fn new(segments: Vec<[Point; 2]>, size: f64) -> Self {
-        let ends: Vec<Point> = segments.iter().flatten().copied().collect();
-        let (low, high) = plane::bounds(&ends);
-        Self { segments, low, high, size }
-    }
-
-    fn length(&self) -> f64 {
-        self.segments.iter().map(|[a, b]| distance(*a, *b)).sum()
-    }
-}
-
-/// The element size wanted at every place.
-pub(super) struct SizeField {
-    pub base: f64,
-    sources: Vec<Source>,
-}
-
-impl SizeField {
-    pub fn at(&self, p: Point) -> f64 {
-        let mut size = self.base;
-        for source in &self.sources {
-            let beside = |axis: usize| (source.low[axis] - p[axis]).max(p[axis] - source.high[axis]).max(0.0);
-            if source.size + GRADING * beside(0).hypot(beside(1)) >= size {
-                continue;
-            }
-            for [a, b] in &source.segments {
-                size = size.min(source.size + GRADING * to_segment(p, *a, *b).0);
-            }
-        }
-        size
-    }
-
-    pub fn smallest(&self) -> f64 {
-        self.sources.iter().map(|source| source.size).fold(self.base, f64::min)
-    }
-
-    /// Boxes outside which every wanted size is at least `size`.
-    pub fn finer_than(&self, size: f64) -> impl Iterator<Item = (Point, Point)> + '_ {
-        self.sources.iter().filter(move |source| source.size < size).map(move |source| {
-            let reach = (size - source.size) / GRADING;
-            ([source.low[0] - reach, source.low[1] - reach], [source.high[0] + reach, source.high[1] + reach])
-        })
-    }
-
-    /// Roughly how many elements the field asks for: the integral of `4 / (sqrt(3) h^2)`.
-    fn expected_elements(&self, area: f64) -> f64 {
-        let near = |source: &Source| {
-            let ratio = (self.base / source.size).max(1.0);
-            2.0 * source.length() / (GRADING * source.size) * (1.0 - 1.0 / ratio)
-                + std::f64::consts::TAU * ratio.ln() / (GRADING * GRADING)
-        };
-        2.31 * (area / (self.base * self.base) + self.sources.iter().map(near).sum::<f64>())
-    }
-}
 
 /// The planar straight-line graph.
 pub(super) struct Layout {
@@ -511,34 +341,6 @@ impl Layout {
         }
         Ok(())
     }
-}
-
-fn size_field(border: &Border, features: &Features, sizes: Sizes) -> SizeField {
-    let electrode = sizes.electrode.min(sizes.base);
-    let mut sources = Vec::new();
-    for span in &features.spans {
-        let length = span.end - span.start;
-        let pieces = match border {
-            Border::Circle { radius } => (length / radius / 0.1).ceil().max(1.0) as usize,
-            Border::Polygon { vertices, .. } => 4 * vertices.len(),
-        };
-        let at = |k: usize| border.at(span.start + length * k as f64 / pieces as f64);
-        let segments = (0..pieces).map(|k| [at(k), at(k + 1)]).collect();
-        sources.push(Source::new(segments, electrode.min(length / sizes.least_segments.max(1) as f64)));
-    }
-    for pad in &features.pads {
-        let shortest = sides(pad).map(|[a, b]| distance(a, b)).fold(f64::INFINITY, f64::min);
-        let feature = if pad.len() == 4 { shortest / 2.0 } else { shortest };
-        sources.push(Source::new(sides(pad).collect(), electrode.min(feature)));
-    }
-    let rim_points = features.rim_points.iter().map(|&s| border.at(s));
-    sources.extend(features.points.iter().copied().chain(rim_points).map(|p| Source::new(vec![[p, p]], electrode)));
-    for &[a, b] in &features.lines {
-        let length = distance(a, b);
-        sources.push(Source::new(vec![[a, b]], length / LINE_EDGES));
-        sources.extend([a, b].map(|end| Source::new(vec![[end, end]], LINE_END * length)));
-    }
-    SizeField { base: sizes.base, sources }
 }
 
 /// Divides a curve of the given length (parameter 0 to 1) so that its steps follow the size field: parameters of the

@@ -121,6 +121,10 @@ fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_
     let head = RecordingHead::of(stream.pipeline.prepared(), Layout::Channels { count: rest.len() }, "test");
     stream.recording = Some(LiveRecording::start(&path, &head, &stream.pipeline, 0.0).unwrap());
     stream.run(&rest, 40);
+    // Smoother images than the skin file's, which stay so when the circuit has been found.
+    let by_file = stream.pipeline.hyperparameter().unwrap();
+    stream.recording.as_ref().unwrap().hyperparameter(1.5 * by_file);
+    stream.pipeline.set_hyperparameter(1.5 * by_file).unwrap();
     let press = |stream: &mut Stream, frames: &[Vec<f64>]| -> Vec<Option<[f64; 2]>> {
         let of_one = |frame: &Vec<f64>| {
             let place = stream.run(frame, 5);
@@ -139,6 +143,11 @@ fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_
     assert!(news.is_new && news.fit.score > news.fit.score_before + 0.05 && news.fit.is_trusted(), "{news:?}");
     assert!(matches!(stream.pipeline.prepared().skin.backend.circuit, Some(CircuitChoice::Known(_))));
     assert!(after.0 == tested.len() && after.1 < 0.6 * before.1 && after.1 < 5.0 && after.2 < 10.0);
+    let (lambda, by_rule) = (stream.pipeline.hyperparameter().unwrap(), stream.pipeline.rule_hyperparameter().unwrap());
+    assert!(
+        (lambda / by_rule - 1.5).abs() < 1e-9 && (by_rule / by_file - 1.0).abs() > 0.01,
+        "{lambda} {by_rule} {by_file}"
+    );
 
     let end = stream.recording.take().unwrap().finish();
     assert_eq!((end.lost, end.error), (0, None));

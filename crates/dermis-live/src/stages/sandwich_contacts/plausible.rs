@@ -7,7 +7,7 @@ pub(super) const BELIEVED: f64 = 2.0;
 /// Patches larger than this, relative to half the shorter side, are several that are taken for one.
 const LARGEST: f64 = 0.5;
 /// Patches whose middles are nearer than this, relative to the sum of their radii, are one.
-const APART: f64 = 1.3;
+const APART: f64 = 1.0;
 /// Patches that leave more than this share of a frame do not explain it.
 const EXPLAINED: f64 = 0.3;
 

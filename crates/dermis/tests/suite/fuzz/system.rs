@@ -28,11 +28,11 @@ use super::steps::{Spoilt, Step};
 
 /// A recording that is told to end has ended within so long, also on a machine that does much else.
 const ENDED_WITHIN: Duration = Duration::from_secs(60);
-/// The budget counts the largest things only; the rest of a running system, bytes.
+/// The budget is that of a start; queues, recording and page of a running system, bytes.
 const BESIDES: f64 = 100e6;
 /// A second operator may be in the making beside the one in use, and an allocator that keeps a heap for each thread
-/// may hold as much again.
-const KEPT: f64 = 3.0;
+/// may hold some of what was freed.
+const KEPT: f64 = 2.0;
 /// Image messages: header before the values, bytes.
 const IMAGE_HEADER: usize = 32;
 

@@ -1,0 +1,126 @@
+//! What is said of a calibration by pokes and of a force calibration.
+
+use std::io::Write;
+
+use dermis::live::calibration::{Calibration, LoadQuantity};
+use dermis::skin::Skin;
+use dermis_touch::force::ForceCalibration;
+use dermis_touch::locator::{Accuracy, PriorUse};
+
+use crate::commands::listed;
+
+/// From so many standard errors on, a session drifts.
+const DRIFT_Z: f64 = 3.0;
+
+pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std::io::Result<()> {
+    let (report, review) = (calibration.leave_one_out(), calibration.review());
+    writeln!(out, "pokes: {}", calibration.pokes())?;
+    if review.repeated > 0 {
+        writeln!(out, "pokes that repeat another one exactly, left out: {}", review.repeated)?;
+    }
+    if !review.dead_channels.is_empty() {
+        writeln!(
+            out,
+            "channels that read the same in every poke: {}",
+            listed(review.dead_channels.iter().map(|c| *c as usize))
+        )?;
+    }
+    if !review.unsound_channels.is_empty() {
+        writeln!(
+            out,
+            "channels that jump while nothing touches the skin, left out: {}",
+            listed(review.unsound_channels.iter().map(|c| *c as usize))
+        )?;
+    }
+    writeln!(
+        out,
+        "leave-one-out error: median {:.2} mm, 90th percentile {:.2} mm",
+        report.median_error_m * 1e3,
+        report.p90_error_m * 1e3
+    )?;
+    writeln!(
+        out,
+        "within one predicted sigma: {:.0} % in x, {:.0} % in y",
+        100.0 * report.coverage[0],
+        100.0 * report.coverage[1]
+    )?;
+    if let (Some(quantity), Some(error)) = (calibration.load_quantity(), report.load_error) {
+        let name = match quantity {
+            LoadQuantity::DepthM => "depth",
+            LoadQuantity::ForceN => "force",
+        };
+        writeln!(out, "{name}: read within {:.0} % (one sigma)", 100.0 * error)?;
+    }
+    if calibration.has_silent_loads() {
+        writeln!(out, "depth or force of the pokes: not read, frames do not grow with it")?;
+    }
+    if let Some(drift) = review.drift {
+        let mm = |accuracy: Accuracy| format!("{:.2} mm", 1e3 * accuracy.median_m);
+        let verdict = if drift.z > DRIFT_Z { "signatures drift" } else { "no drift seen" };
+        writeln!(
+            out,
+            "time: {verdict}; the first half locates the second within {}, every other poke the rest within {} (median)",
+            mm(drift.later),
+            mm(drift.interleaved)
+        )?;
+    }
+    Ok(())
+}
+
+/// Which parts of the locator are used, and what physics and sister skins brought.
+pub(super) fn print_experts(
+    skin: &Skin,
+    calibration: &Calibration,
+    differences: bool,
+    no_physics: bool,
+    out: &mut dyn Write,
+) -> std::io::Result<()> {
+    let Some(report) = calibration.experts() else { return Ok(()) };
+    if calibration.correction().is_some() {
+        writeln!(out, "touches are placed by the skin's model, corrected by the pokes; by pokes alone:")?;
+    }
+    let expert = |used: bool, a: &Accuracy| {
+        let used = if used { "used" } else { "not used" };
+        format!("median {:.2} mm, 90th percentile {:.2} mm, {used}", 1e3 * a.median_m, 1e3 * a.p90_m)
+    };
+    writeln!(out, "  from place to frame (Gaussian process): {}", expert(report.forward_used, &report.forward))?;
+    writeln!(out, "  from frame to place (kernel regression): {}", expert(report.inverse_used, &report.inverse))?;
+    let brought = |part: PriorUse| {
+        let used = if part.used { "used" } else { "left out" };
+        format!("{used}; left-out pokes are predicted {:+.3} better with it (mean log density)", part.gain)
+    };
+    match report.physics {
+        Some(part) => writeln!(out, "physics of the skin file: {}", brought(part))?,
+        None if no_physics => writeln!(out, "physics of the skin file: left out, as asked for")?,
+        None if !skin.backend.wiring.is_known() => writeln!(out, "physics: none, the wiring is unknown")?,
+        None if differences => writeln!(out, "physics of the skin file: not tried")?,
+        None => {}
+    }
+    for (what, part) in [("map of the sister skin", report.sister_map), ("its noise", report.sister_covariance)] {
+        if let Some(part) = part {
+            writeln!(out, "{what}: {}", brought(part))?;
+        }
+    }
+    if !report.doubtful.is_empty() {
+        let fate = if report.doubtful_left_out { "left out" } else { "kept" };
+        writeln!(
+            out,
+            "pokes that the others contradict, {fate}: {} (is their position written down right?)",
+            listed(report.doubtful.iter().copied())
+        )?;
+    }
+    Ok(())
+}
+
+pub(super) fn print_forces(calibration: &ForceCalibration, presses: usize, out: &mut dyn Write) -> std::io::Result<()> {
+    let [least, most] = calibration.valid_force_n;
+    let range = most - least;
+    writeln!(out, "presses seen: {} of {presses}", calibration.samples)?;
+    writeln!(out, "force: {least:.4} to {most:.4} N on {:.1} mm^2", 1e6 * calibration.scope.indenter_area_m2)?;
+    let share = 100.0 * calibration.residual_n / range;
+    writeln!(out, "residual: {:.4} N rms, {share:.1} % of the range", calibration.residual_n)?;
+    match calibration.saturation_signal {
+        Some(signal) => writeln!(out, "saturated from {:.4} N on", calibration.curve.force_n(signal)),
+        None => writeln!(out, "no saturation within the range"),
+    }
+}

@@ -1,0 +1,70 @@
+//! What pokes measured: frames and baselines or their differences, and the difference data made of them.
+
+use dermis_touch::health::RestScatter;
+
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::{Reference, check_frames};
+
+/// What a skin measured when it was poked, channels in the protocol's order.
+#[derive(Clone, Copy, Debug)]
+pub enum PokeFrames<'a> {
+    /// Frames of the pressed skin, one a poke, and of the untouched skin: as many, each poke's own, or some for all.
+    Readings {
+        /// Of the untouched skin.
+        baselines: &'a [Vec<f64>],
+        /// Of the pressed skin.
+        frames: &'a [Vec<f64>],
+    },
+    /// Differences of both, one a poke.
+    Differences(&'a [Vec<f64>]),
+}
+
+impl PokeFrames<'_> {
+    /// How the channels rest, where each poke has a baseline of its own and there are enough.
+    pub(super) fn rest_scatter(&self) -> Option<RestScatter> {
+        match self {
+            PokeFrames::Readings { baselines, frames } if baselines.len() == frames.len() => RestScatter::of(baselines),
+            _ => None,
+        }
+    }
+}
+
+/// The reference of the pokes and their difference data.
+pub(crate) fn differences_of(
+    prepared: &Prepared,
+    measured: PokeFrames<'_>,
+) -> Result<(Reference, Vec<Vec<f64>>), Error> {
+    match measured {
+        PokeFrames::Differences(frames) => {
+            let reference = Reference::of_differences(prepared, frames)?;
+            let differences = frames.iter().map(|frame| reference.difference(frame, None)).collect();
+            Ok((reference, differences))
+        }
+        PokeFrames::Readings { baselines, frames } => {
+            check_frames("poke", frames, prepared.channels())?;
+            let reference = Reference::of(prepared, baselines)?;
+            let paired = baselines.len() == frames.len() && frames.len() > 1;
+            let own = |index: usize| paired.then(|| baselines[index].as_slice());
+            let differences = frames.iter().enumerate().map(|(i, frame)| reference.difference(frame, own(i))).collect();
+            Ok((reference, differences))
+        }
+    }
+}
+
+/// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.
+pub fn set_channels(frames: &mut [Vec<f64>], channels: &[u32], value: f64) {
+    for &channel in channels {
+        frames.iter_mut().for_each(|frame| frame[channel as usize] = value);
+    }
+}
+
+/// A frame in which channels that read nothing in any poke change by nothing.
+pub(super) fn without_silence(frame: &[f64], dead_channels: &[u32]) -> Vec<f64> {
+    let mut frame = frame.to_vec();
+    for &channel in dead_channels {
+        let value = &mut frame[channel as usize];
+        *value = if value.is_finite() { *value } else { 0.0 };
+    }
+    frame
+}

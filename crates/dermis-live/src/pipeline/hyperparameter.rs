@@ -1,0 +1,71 @@
+//! Images at another lambda: its operator is made beside the stream, and taken up when its time has come.
+
+use dermis_tomo::inverse::check_hyperparameter;
+
+use super::Pipeline;
+use super::state::State;
+use crate::Error;
+use crate::reconstructor::Reconstructor;
+
+/// An operator for another lambda is in use so much later, nanoseconds of the frames' time: several times what it takes
+/// to make one on one slow core.
+const OPERATOR_READY_NS: u64 = 300_000_000;
+
+impl Pipeline {
+    /// Asks for images at another lambda. Its operator is made beside the stream and is in use from 0.3 seconds of the
+    /// frames' time on; of several that are asked for meanwhile, the last is made next. One that cannot be made, for a
+    /// lambda that is too small, is said in the log, and the one before stays. Before the first baseline, the lambda is
+    /// kept for it; once a circuit has been found, it stays as many times the lambda of the skin file's rule.
+    ///
+    /// # Errors
+    /// A lambda that is not positive and finite.
+    pub fn set_hyperparameter(&mut self, lambda: f64) -> Result<(), Error> {
+        // Before the start it is only kept: what is wrong with it has to be said now.
+        check_hyperparameter(lambda)?;
+        self.choices.hyperparameter = Some(lambda);
+        if self.operators.making.is_some() {
+            self.operators.next = Some(lambda);
+        } else if self.hyperparameter().is_some_and(|in_use| in_use != lambda) {
+            self.make_operator(lambda);
+        }
+        Ok(())
+    }
+
+    /// Begins to make the operator at another lambda.
+    pub(super) fn make_operator(&mut self, lambda: f64) {
+        let State::Running(running) = &self.state else { return };
+        let work = running.reconstructor.imager.work_out(lambda);
+        let due_ns = self.timing.clock.time_ns().saturating_add(OPERATOR_READY_NS);
+        self.operators.making = Some(lambda);
+        self.operators.coming.begin(due_ns, move |_| Some(work()));
+    }
+
+    /// Takes up an operator that was made, if its time has come.
+    pub(super) fn take_up_operator(&mut self, time_ns: u64) -> Result<(), Error> {
+        let Some(made) = self.operators.coming.take(time_ns) else { return Ok(()) };
+        let lambda = self.operators.making.take().unwrap_or(f64::NAN);
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        let Reconstructor { imager, touches, .. } = &mut running.reconstructor;
+        match made.and_then(|operator| imager.replace_operator(operator, &running.reference.noise)) {
+            Ok(()) => {
+                touches.set_noise(imager.noise_image());
+                if let Some(damage) = &mut self.damage {
+                    damage.set_noise(imager.noise_image());
+                }
+                if let Some(levels) = &mut self.levels {
+                    levels.set_noise(imager.noise_image());
+                }
+                self.compare_with_reference()?;
+            }
+            Err(error) => {
+                let in_use = imager.hyperparameter();
+                tracing::warn!("the hyperparameter {lambda:.3e} cannot be used ({error}); going on with {in_use:.3e}");
+                self.choices.hyperparameter = Some(in_use);
+            }
+        }
+        if let Some(next) = self.operators.next.take().filter(|next| Some(*next) != self.hyperparameter()) {
+            self.make_operator(next);
+        }
+        Ok(())
+    }
+}
