@@ -1,6 +1,7 @@
-//! What dermis makes of measurements that others published: the work behind `dermis evidence`. Each set of measured data
-//! has a file that runs the public path on it (skin file, [`reconstruct`](mod@crate::reconstruct), calibration, pipeline)
-//! and says what was known, what was tuned on these data, what a plain method makes of them and what is published.
+//! What dermis makes of measurements that others published: the work behind `dermis evidence`. Each set of measured
+//! data has a file that runs the public path on it (skin file, [`reconstruct`](mod@crate::reconstruct), calibration,
+//! pipeline) and says what was known, what was tuned on these data, what a plain method makes of them and what is
+//! published.
 //!
 //! ```no_run
 //! use dermis_lab::evidence::{Extent, SETS};

@@ -1,7 +1,7 @@
-//! Quadratic functions in a box: the minimum of `t'Ht/2 - b't` over `0 <= t <= limit` with H positive definite. Unknowns
-//! are free or on a bound; all that are on the wrong side change over at once, or one at a time where that does not lead
-//! on (block principal pivoting: Judice and Pires, Computers and Operations Research 21, 1994, 587). Few unknowns are
-//! free under a touch, and few changes lead from the last frame's to this one's.
+//! Quadratic functions in a box: the minimum of `t'Ht/2 - b't` over `0 <= t <= limit` with H positive definite.
+//! Unknowns are free or on a bound; all that are on the wrong side change over at once, or one at a time where that
+//! does not lead on (block principal pivoting: Judice and Pires, Computers and Operations Research 21, 1994, 587). Few
+//! unknowns are free under a touch, and few changes lead from the last frame's to this one's.
 
 use faer::linalg::solvers::Llt;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;

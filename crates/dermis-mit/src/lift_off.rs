@@ -1,8 +1,9 @@
 //! Lift-off of known bodies from readings of coils, their heights over these: what moves under a touch are bodies at
 //! known places, so their travel toward the coils is solved for directly instead of an image. Minimises
 //! `sum ((d - f(t))/s)^2 + sum (t/p)^2 + 2 sum t/e` over travels `0 <= t <= limit` by Gauss-Newton steps
-//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box (`in_box`); f are changes of magnitudes of mutual inductances, s their standard deviations, p and e
-//! those of a Gaussian and an exponential prior; the latter makes few bodies move.
+//! ([`dermis_tomo::least_squares`]), each a least-squares problem in that box (`in_box`); f are changes of magnitudes
+//! of mutual inductances, s their standard deviations, p and e those of a Gaussian and an exponential prior; the latter
+//! makes few bodies move.
 
 use dermis_tomo::least_squares::{
     Acceptance, Control, NormalEquations, Outcome, Params, Problem, Scratch, Tolerances, Trial, minimise,

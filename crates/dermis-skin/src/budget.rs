@@ -19,8 +19,8 @@ const MOST_SECONDS: f64 = 1800.0;
 const OPERATIONS_PER_S: f64 = 4e9;
 /// Bytes of the program itself with what it always has in memory.
 const PROGRAM: f64 = 24e6;
-/// Jacobians that are in memory at once: itself, weighted and merged, with the prior applied to it, the operator and what
-/// it is made from, and the responses that touches are fitted with.
+/// Jacobians that are in memory at once: itself, weighted and merged, with the prior applied to it, the operator and
+/// what it is made from, and the responses that touches are fitted with.
 const JACOBIANS: f64 = 8.0;
 /// Matrices of the inverse problem's unknowns that are in memory at once.
 const SYSTEMS: f64 = 3.0;

@@ -253,9 +253,9 @@ impl SpdStructure {
         result
     }
 
-    /// What is given of the inverse between these unknowns: its lower triangle in single precision, column by column (n,
-    /// n - 1, ... values), in an order of its own, which is returned first: numbers of the unknowns given. In the order
-    /// of elimination neither substitution looks at what comes before, and no part is made twice.
+    /// What is given of the inverse between these unknowns: its lower triangle in single precision, column by column
+    /// (n, n - 1, ... values), in an order of its own, which is returned first: numbers of the unknowns given. In the
+    /// order of elimination neither substitution looks at what comes before, and no part is made twice.
     pub fn inverse_triangle(&self, factor: &SpdFactor, unknowns: &[usize]) -> (Vec<usize>, Vec<f32>) {
         let count = unknowns.len();
         let mut order: Vec<usize> = (0..count).collect();

@@ -1,7 +1,7 @@
 //! Where a touch may be, when presses at two places far apart explain a frame about equally well.
 //!
-//! Probabilities over places are cut into modes by a watershed from their peaks; modes whose saddle is more than half as
-//! high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two
+//! Probabilities over places are cut into modes by a watershed from their peaks; modes whose saddle is more than half
+//! as high as the lower peak, that lie nearer than a separation, or that overlap, are one. The odds between the two
 //! heaviest modes are followed over the frames of a press: their logarithm is averaged, over all frames of the press
 //! first and over the last half second later. Averaged, not added: what a model has wrong at a place is wrong in every
 //! frame of a press.
@@ -388,8 +388,8 @@ mod tests {
         let (one, other) = ([0.021, 0.013], [-0.03, -0.011]);
         let (first, second) = modes.find(&bells(&places, &[(other, 0.3, 0.005), (one, 0.7, 0.004)])).unwrap();
         let second = second.unwrap();
-        // What lies below a thousandth of the higher peak belongs to neither: 0.4 % of the lower bell at its edge, which
-        // are 2.4 % of its variance.
+        // What lies below a thousandth of the higher peak belongs to neither: 0.4 % of the lower bell at its edge,
+        // which are 2.4 % of its variance.
         assert!((first.probability - 0.7).abs() < 2e-3 && (second.probability - 0.3).abs() < 2e-3, "{first:?}");
         assert!(distance(first.position_m, one) < 1e-4 && distance(second.position_m, other) < 1e-4, "{second:?}");
         let expected = [0.004_f64, 0.005].map(|sigma| sigma.powi(2) + STEP_M.powi(2) / 12.0);

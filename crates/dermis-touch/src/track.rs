@@ -13,6 +13,10 @@ use crate::kalman::{Mat2, Vec2, add, norm, plus_diagonal, scale, sub};
 use crate::touch::{Observation, Touch, TouchEvent, TouchPhase};
 use crate::tracker_params::TrackerParams;
 
+/// The contact of two touches that have merged makes the way from one's place to the other's longer by this factor at
+/// most, and by its own radius.
+const DETOUR: f64 = 1.2;
+
 /// Follows contacts over frames.
 #[derive(Debug, Clone)]
 pub struct Tracker {
@@ -305,7 +309,8 @@ impl Tracker {
     }
 
     /// A touch that lost its contact where another has one is taken to have merged with that one, if both were seen in
-    /// one frame of the last 64: contacts that come in turns are of presses one after the other.
+    /// one frame of the last 64, and the contact is where that of both would be: contacts that come in turns, or jump
+    /// elsewhere, are of presses one after the other.
     fn merge_vanished(&mut self, time_ns: u64) {
         for index in 0..self.blobs.len() {
             let from = self.blobs[index];
@@ -323,6 +328,7 @@ impl Tracker {
                         && blob.seen & from.seen != 0
                         && blob.sign == from.sign
                         && distance(other) <= params.merge_radii * blob.contact.radius_m()
+                        && may_be_of_both(blob, &from, params)
                         && self.has_riders(blob.key)
                 })
                 .min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
@@ -411,6 +417,16 @@ impl Tracker {
         self.next_key += 1;
         self.next_key
     }
+}
+
+/// Whether the contact of `host` in this frame may be that of both, `from` having none: it lies about between the
+/// places where the two should be. Of contacts that have been there without `from` for a frame or more, that is
+/// decided.
+fn may_be_of_both(host: &Blob, from: &Blob, params: &TrackerParams) -> bool {
+    let was_there_alone = from.missed > 1 && host.seen & 2 != 0;
+    let (at, own, other) = (params.position.of(&host.contact), host.predicted.0, from.predicted.0);
+    let way = norm(sub(at, own)) + norm(sub(at, other));
+    !was_there_alone && way <= DETOUR * norm(sub(own, other)) + host.contact.radius_m()
 }
 
 /// Of noise and of what the model has wrong.

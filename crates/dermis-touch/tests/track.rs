@@ -206,6 +206,21 @@ fn presses_one_after_the_other_never_merge() {
 }
 
 #[test]
+fn a_contact_that_jumps_beside_two_touches_is_one_of_them_alone() {
+    let mut tracker = tracker();
+    for frame in 0..10 {
+        step(&mut tracker, frame, &[(-3.0, 0.0), (3.0, 0.0)]);
+    }
+    // Between them it would be both; here one has gone on, or is pressed anew, and the other has been let go.
+    for frame in 10..40 {
+        step(&mut tracker, frame, &[(3.0, 10.0)]);
+        let merged = tracker.touches().iter().any(|touch| touch.observation == Observation::Merged);
+        assert!(!merged, "frame {frame}: {:?}", tracker.touches());
+    }
+    assert_eq!(tracker.touches().len(), 1, "{:?}", tracker.touches());
+}
+
+#[test]
 fn flicker_at_the_threshold_holds_one_identity() {
     let geometry = square();
     let mut finder = ContactFinder::new(geometry, ContactParams::default()).unwrap();

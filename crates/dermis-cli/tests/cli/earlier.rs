@@ -26,8 +26,8 @@ fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
             assert_eq!((&now["sequence"], &now["time_s"]), (&then["sequence"], &then["time_s"]), "{skin}");
             let touches = |line: &Value| line["touches"].as_array().cloned().unwrap_or_default();
             assert_eq!(touches(now).len(), touches(then).len(), "{skin}: {now} {then}");
-            // Sigmas hold the model's error by now. Priors leave nothing out beyond six correlation lengths any more, by
-            // which images differ by 2e-8 and fits end elsewhere, by some 1e-5 mm; everything else is the same.
+            // Sigmas hold the model's error by now. Priors leave nothing out beyond six correlation lengths any more,
+            // by which images differ by 2e-8 and fits end elsewhere, by some 1e-5 mm; everything else is the same.
             for (now, then) in touches(now).iter().zip(&touches(then)) {
                 for key in ["id", "phase", "area_mm2"] {
                     assert_eq!(now[key], then[key], "{skin}, {key}");

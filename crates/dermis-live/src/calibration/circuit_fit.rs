@@ -4,8 +4,8 @@ use dermis_skin::Circuit;
 
 /// Below this score the model is doubted: another circuit, another order or another layout.
 pub const TRUSTED_SCORE: f64 = 0.75;
-/// A circuit that reads other lines must be less likely by this, nats a reading. On a measured skin, draws of 20 presses
-/// tell them apart by 0.07 to 0.11, and choose well.
+/// A circuit that reads other lines must be less likely by this, nats a reading. On a measured skin, draws of 20
+/// presses tell them apart by 0.07 to 0.11, and choose well.
 pub const CLEAR_BY: f64 = 0.03;
 
 /// What was found.

@@ -1,7 +1,7 @@
 //! Finds what a readout does to the potentials (loads of its lines, what a reading is made of) from frames of unknown
 //! touches. Circuits are ranked by the likelihood of the frames as single touches at their best places, once each
-//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part. What is told of a circuit
-//! is its score, the median correlation of frames with the best of its touch templates.
+//! channel's scale, sign and weight have been found ([`SelfCalibration`]): no label takes part. What is told of a
+//! circuit is its score, the median correlation of frames with the best of its touch templates.
 //!
 //! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear,
 //! `J = sum_ab I_a K_b J_ab`, with J_ab of one unit current from electrode 0 to a, read between 0 and b. The J_ab are

@@ -10,12 +10,13 @@ use crate::stages::placement::{Placement, SecondTouch};
 /// Below this correlation with the best place's signature, a frame is doubted to be a single touch.
 const LEAST_SCORE: f64 = 0.5;
 
-/// A frame of which the best place leaves more than this share of what it typically leaves is looked at for two touches.
+/// A frame of which the best place leaves more than this share of what it typically leaves is looked at for two
+/// touches.
 const LEAST_LEFT: f64 = 0.7;
-/// Two touches are believed where they leave at most this share of what the best place leaves, and the weaker presses at
-/// least this share as hard. Single presses leave 0.70 of it or more on the measured gel (475 frames), and on its twin at
-/// least 0.66 where the weaker of two would press this hard (240); two presses 0.1 to 0.5, and up to 0.7 where the
-/// channels were weighed by frames of two presses alone.
+/// Two touches are believed where they leave at most this share of what the best place leaves, and the weaker presses
+/// at least this share as hard. Single presses leave 0.70 of it or more on the measured gel (475 frames), and on its
+/// twin at least 0.66 where the weaker of two would press this hard (240); two presses 0.1 to 0.5, and up to 0.7 where
+/// the channels were weighed by frames of two presses alone.
 const LEFT_BY_TWO: f64 = 0.6;
 const LEAST_ALIKE: f64 = 0.4;
 /// They are so many times as far apart as two explanations of a frame at least: a press wider than the templates looks

@@ -1,5 +1,5 @@
-//! Goes on with the readout's circuit that was found beside the stream. Until one explains the presses better, images are
-//! those of an ideal voltmeter.
+//! Goes on with the readout's circuit that was found beside the stream. Until one explains the presses better, images
+//! are those of an ideal voltmeter.
 
 use super::state::State;
 use super::{DamageStage, LevelStage, Operators, Pipeline};

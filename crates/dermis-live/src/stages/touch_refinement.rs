@@ -30,8 +30,8 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
-/// A frame of which a fit leaves more than so many times the noise's energy may hold two touches that the image shows as
-/// one.
+/// A frame of which a fit leaves more than so many times the noise's energy may hold two touches that the image shows
+/// as one.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
@@ -65,8 +65,8 @@ struct PartingRule {
 /// each), two a quarter of the longer side apart that the image joins 0.0038 or more.
 const SMOOTH: PartingRule =
     PartingRule { unexplained: 0.003, least_apart: 0.3, least_apart_radii: 1.0, most_unlike: 10.0 };
-/// A patch that conducts as a whole is no spot: one touch leaves 0.007 to 0.07, two that are joined 0.02 to 0.3 (twins of
-/// discs of 64 patches), and only what two spots come to tells them apart.
+/// A patch that conducts as a whole is no spot: one touch leaves 0.007 to 0.07, two that are joined 0.02 to 0.3 (twins
+/// of discs of 64 patches), and only what two spots come to tells them apart.
 const PATCHES: PartingRule =
     PartingRule { unexplained: 0.015, least_apart: 0.36, least_apart_radii: 1.2, most_unlike: 4.0 };
 

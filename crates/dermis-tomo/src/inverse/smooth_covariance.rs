@@ -1,6 +1,6 @@
-//! Covariances of smooth images: Gaussian correlations between places, scaled. On a lattice (pixels) they are the product
-//! of one correlation along x and one along y, so that nothing as large as the square of the pixels is stored or
-//! multiplied by.
+//! Covariances of smooth images: Gaussian correlations between places, scaled. On a lattice (pixels) they are the
+//! product of one correlation along x and one along y, so that nothing as large as the square of the pixels is stored
+//! or multiplied by.
 
 use faer::linalg::matmul::matmul;
 use faer::reborrow::Reborrow;

@@ -63,8 +63,8 @@ pub struct ContactSheet {
     edge_m: f64,
     /// Nodes x nodes, ohm.
     pub(super) green: Green,
-    /// Fields x nodes: potentials for the stimulations, volts, then for those measuring patterns that are no multiple of
-    /// one, ohm. A pair that both drives and measures is worked on once.
+    /// Fields x nodes: potentials for the stimulations, volts, then for those measuring patterns that are no multiple
+    /// of one, ohm. A pair that both drives and measures is worked on once.
     pub(super) fields: Mat<f64>,
     pub(super) stimulations: usize,
     /// Of each measuring pattern its field, and by how much that has to be multiplied.
