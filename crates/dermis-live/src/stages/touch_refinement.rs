@@ -36,7 +36,7 @@ const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
 /// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
-/// left,
+/// left, and as [`PartingRule`] says.
 const LEFT_BY_TWO: f64 = 0.3;
 /// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half
 /// the shorter side.
@@ -49,7 +49,7 @@ const MOST_DRAWN_BACK: usize = 4;
 const MOST_JOINED: usize = 3;
 const FRAMES_TO_NEXT_LOOK: u32 = 8;
 
-/// When two touches are looked for in place of one, and what makes them two.
+/// When two touches are looked for in place of one, and what makes them two beside [`LEFT_BY_TWO`].
 #[derive(Clone, Copy, Debug)]
 struct PartingRule {
     /// One spot for each contact leaves more than this share of the frame's energy beyond the noise.
