@@ -2,8 +2,9 @@
 //! ([`Calibration`]), or by all that the running skin does without a calibration, refinement included, corrected by the
 //! pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
 
+use dermis_skin::budget::Budget;
 use dermis_touch::ContactStrength;
-use dermis_touch::locator::SeenPoke;
+use dermis_touch::locator::{FusedOptions, SeenPoke};
 
 use crate::Error;
 use crate::calibration::{
@@ -24,13 +25,15 @@ const APART_NS: u64 = 1_000_000_000;
 /// [`CalibrationOptions::physics`] allows that and the skin's wiring is known.
 ///
 /// # Errors
-/// As [`Calibration::fit_with`].
+/// More memory or time than may be used; as [`Calibration::fit_with`].
 pub fn calibrate(
     prepared: &Prepared,
     measured: PokeFrames<'_>,
     pokes: &Pokes,
     options: &CalibrationOptions<'_>,
 ) -> Result<Calibration, Error> {
+    let landmarks = FusedOptions::default().landmarks;
+    Budget::of_pokes(&prepared.skin, pokes.positions_m.len(), landmarks).check(&prepared.skin, "its calibration")?;
     let mut calibration = Calibration::fit_with(prepared, measured, pokes, options)?;
     let backend = &prepared.skin.backend;
     if options.physics && backend.wiring.is_known() && backend.circuit.is_none() {

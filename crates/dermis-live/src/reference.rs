@@ -3,7 +3,7 @@
 
 use dermis_tomo::eit::OrderReport;
 
-use dermis_skin::{GainMatch, Reads};
+use dermis_skin::{GainMatch, Modality, Reads};
 
 use crate::Error;
 use crate::frame_noise::noise_of_frames;
@@ -17,6 +17,10 @@ const ASSUMED_OF_DIFFERENCES: f64 = 0.01;
 const LEAST_OF_ASSUMED: f64 = 0.02;
 /// A channel whose model voltage is below this share of the largest is not matched by itself.
 const SMALLEST_SHARE: f64 = 1e-6;
+/// Standard deviation of channels' gains about the common one: current that spreads in depth makes 0.5 to 1.3 of it.
+const GAIN_SPREAD: f64 = 0.3;
+/// Error of the model at rest, as a share of its largest voltage, on twins of 32 narrow electrodes.
+const MODEL_ERROR: f64 = 0.002;
 
 /// Where the noise of channels comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -196,6 +200,9 @@ fn match_gain(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> 
             got: "zeros, or nothing but missing values".into(),
         });
     }
+    // Voltages between electrodes cross zero, where the model's error is larger than they are: for coils they fall off,
+    // and behind a readout's circuit they cross elsewhere.
+    let crosses_zero = prepared.skin.modality == Modality::Eit && prepared.skin.backend.circuit.is_none();
     Ok(match prepared.skin.imaging.gain {
         GainMatch::Global => channels.map(|channel| global * sign(channel)).collect(),
         GainMatch::GlobalWithOffset => {
@@ -215,10 +222,20 @@ fn match_gain(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> 
             .map(|channel| {
                 let factor = model[channel] / baseline[channel];
                 let usable = factor.is_finite() && model[channel].abs() > SMALLEST_SHARE * largest;
-                if usable { factor } else { global * sign(channel) }
+                let common = global * sign(channel);
+                let own = if crosses_zero { believed(model[channel].abs() / largest) } else { 1.0 };
+                if usable { common + own * (factor - common) } else { common }
             })
             .collect(),
     })
+}
+
+/// How much a channel's own gain counts against the common one, where the model has this share of its largest voltage
+/// there: gains spread about the common one, and the model is off by a share of its largest voltage (the mean of the
+/// posterior, both being normal).
+fn believed(share_of_largest: f64) -> f64 {
+    let off = MODEL_ERROR / share_of_largest;
+    GAIN_SPREAD * GAIN_SPREAD / (GAIN_SPREAD * GAIN_SPREAD + off * off)
 }
 
 /// Refuses a table of frames that has none, or one of another length than `channels`; `what` names them in the error.

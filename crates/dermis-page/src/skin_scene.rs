@@ -7,6 +7,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::{Bend, Layer};
 use dermis_tomo::mesh::{Contact, Outline};
+use dermis_twin::from_skin::usual_travel_share;
 use dermis_twin::{PressRange, TypicalPress};
 
 use crate::scene::{ElectrodeView, GridView, PressLimits, Scene};
@@ -45,17 +46,23 @@ pub fn scene(prepared: &Prepared, press: Option<PressRange>) -> Scene {
         channel_unit: "V".into(),
         image_quantity: prepared.skin.modality.image_quantity().into(),
         image_unit: String::new(),
-        range_hint: Some([0.0, 2.0 * typical.unwrap_or(USUAL_AMPLITUDE)]),
+        range_hint: Some(range_about(2.0 * typical.unwrap_or(USUAL_AMPLITUDE), prepared.skin.touch.both_signs)),
         hyperparameter_range: [lambda * 1e-2, lambda * 1e2],
         press: press.map_or_else(PressLimits::default, limits),
     }
 }
 
+/// Colours from zero up; of skins that know changes of both signs, on both sides of it.
+fn range_about(most: f32, both_signs: bool) -> [f32; 2] {
+    if both_signs { [-most, most] } else { [0.0, most] }
+}
+
 /// Peak of the image under the press that the skin is made for, by its twin; `None` where that is not to be told.
 fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
-    // The fields of coils would be worked out twice, and the page would come a second later or more.
-    if prepared.skin.frontend.coils.is_some() {
-        return None;
+    // The fields of coils would be worked out twice, and the page would come a second later or more; their images are
+    // shares of the elements' travel, which mechanics alone tells. No colour is beyond the full travel.
+    if let Some(share) = usual_travel_share(&prepared.skin) {
+        return Some(share.min(0.5) as f32).filter(|share| *share > LEAST_AMPLITUDE);
     }
     let TypicalPress { rest_v, pressed_v } = TypicalPress::of(&prepared.skin).ok()??;
     let layout = Layout::Channels { count: rest_v.len() };
@@ -71,8 +78,9 @@ fn typical_amplitude(prepared: &Prepared) -> Option<f32> {
     let difference: Vec<f64> = scaled.map(|((pressed, rest), scale)| (pressed - rest) * scale).collect();
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     imager.image(&difference, &mut image).ok()?;
+    let height = |value: &f32| if prepared.skin.touch.both_signs { value.abs() } else { *value };
     // NaN, outside the skin, is no number to fold by.
-    let peak = image.iter().fold(0.0, |most: f32, value| most.max(*value));
+    let peak = image.iter().map(height).fold(0.0, f32::max);
     (peak > LEAST_AMPLITUDE).then_some(peak)
 }
 

@@ -7,7 +7,7 @@ use dermis_page::scene;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
 
-/// Peak of the live image under the twin's initial press in the middle.
+/// Largest magnitude of the live image under the twin's initial press in the middle.
 fn pressed_peak(name: &str) -> (f32, [f32; 2]) {
     let skin = Skin::open(name).expect("a built-in skin");
     let mut kit = TwinKit::of(&skin).expect("it has a twin");
@@ -27,14 +27,23 @@ fn pressed_peak(name: &str) -> (f32, [f32; 2]) {
         kit.twin.step(now_ns as f64 * 1e-9, &mut values).expect("a frame");
         frame.refill(n, HostStamp { monotonic_ns: now_ns, wall_ns: 0 }, &values, kit.twin.instrument().imaginary_v());
         let output = pipeline.process(&frame, now_ns).expect("a frame");
-        peak = output.image.iter().copied().fold(f32::NAN, f32::max);
+        peak = output.image.iter().map(|value| value.abs()).fold(f32::NAN, f32::max);
     }
     (peak, hint)
 }
 
 #[test]
+fn colours_of_both_signs_are_on_both_sides_of_zero() {
+    let (peak, [low, high]) = pressed_peak("pyeidors-tank");
+    println!("{peak} of {low} to {high}");
+    assert!(low == -high && (0.35..=0.65).contains(&(peak / high)), "{peak} of {low} to {high}");
+}
+
+#[test]
 fn the_press_that_a_skin_is_made_for_fills_half_the_range() {
-    for name in ["healing-square", "ionic-disc", "ionic-square", "piezo-square"] {
+    for name in
+        ["healing-square", "ionic-disc", "ionic-square", "piezo-square", "sciospec-tank", "em-8", "em-16-square"]
+    {
         let (peak, [low, high]) = pressed_peak(name);
         let share = peak / high;
         println!("{name}: {peak} of {high}");

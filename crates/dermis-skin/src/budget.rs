@@ -1,6 +1,6 @@
 //! What a skin will cost before anything of it is built: bytes and operations worked out from the sizes in its file,
 //! what drives them, and the key to change. The counts are upper estimates, made to hold for what `dermis run` needs at
-//! its start: one to two times of it (measured on all built-in skins, and on some with grids of 16 to 160).
+//! its start: 0.9 to 2 times of it (measured on all built-in skins, and on some with grids of 16 to 160).
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -30,6 +30,12 @@ const INTERACTIONS: f64 = 2.2;
 const FIELDS: f64 = 8.0;
 /// Bytes of a number in double precision.
 const NUMBER: f64 = 8.0;
+/// Matrices of examples x examples, or of landmarks x landmarks, that are in memory at once while a calibration is fitted.
+const CORRELATIONS: f64 = 12.0;
+/// Of landmarks x examples, in single precision.
+const TO_LANDMARKS: f64 = 1.5;
+/// Copies of the pokes' frames, in double precision.
+const POKE_FRAMES: f64 = 4.0;
 /// Bytes of a triangle and its share of the nodes: mesh, matrix, factor.
 const TRIANGLE: f64 = 600.0;
 /// Triangles that an electrode brings besides those of the sheet.
@@ -138,8 +144,7 @@ fn is_dense(prior: &PriorChoice, is_flat: bool) -> bool {
 
 /// Whether touches are fitted as spots of conductivity, which takes the interactions of all pixels with each other.
 fn fits_spots(skin: &Skin) -> bool {
-    let is_sheet = skin.modality == Modality::Eit && !matches!(skin.frontend.layer, Layer::Sandwich(_));
-    is_sheet && skin.touch.refine && skin.backend.circuit.is_none()
+    skin.refines_touches() && !matches!(skin.frontend.layer, Layer::Sandwich(_))
 }
 
 impl Budget {
@@ -205,6 +210,27 @@ impl Budget {
             costs.push(fields_cost(triangles, electrodes.max(drives), electrodes));
         }
         Self::sum(0.0, costs)
+    }
+
+    /// Of fitting a calibration to so many pokes, of which at most so many are landmarks: beside what imaging takes, 1
+    /// to 1.5 times what was measured with 1,500 to 12,000 pokes of 192 channels.
+    pub fn of_pokes(skin: &Skin, pokes: usize, landmarks: usize) -> Self {
+        let Sizes { channels, .. } = Sizes::of(skin);
+        let (all, judged) = (pokes as f64, pokes.min(landmarks) as f64);
+        let beyond = if all > judged { TO_LANDMARKS * 0.5 * NUMBER * all * judged } else { 0.0 };
+        let fit = Cost {
+            bytes: CORRELATIONS * NUMBER * judged * judged + beyond,
+            operations: 2.0 * all * judged * judged,
+            driver: format!("the correlations of {pokes} pokes"),
+            change: format!("{pokes} pokes: take fewer, as every second one"),
+        };
+        let frames = Cost {
+            bytes: POKE_FRAMES * NUMBER * all * channels,
+            operations: all * channels * channels,
+            driver: format!("{pokes} frames of {channels:.0} channels"),
+            change: format!("{pokes} pokes: take fewer, as every second one"),
+        };
+        Self::sum(0.0, vec![fit, frames])
     }
 
     fn sum(always: f64, costs: Vec<Cost>) -> Self {
@@ -355,6 +381,17 @@ mod tests {
         // Without them the same grid is a matter of the operator alone: smooth priors of a flat skin are small.
         skin.touch.refine = false;
         assert!(Budget::of_imaging(&skin).bytes < 0.02 * budget.bytes);
+    }
+
+    #[test]
+    fn pokes_are_paid_for_by_their_landmarks() {
+        let skin = Skin::open("ionic-disc").unwrap();
+        let [exact, many] = [3000, 12_000].map(|pokes| Budget::of_pokes(&skin, pokes, 3000));
+        // Measured, beside 150 MB of the skin itself: 680 and 940 MB.
+        assert!((680e6..1100e6).contains(&exact.bytes), "{exact}");
+        assert!((940e6..1500e6).contains(&many.bytes) && many.seconds < 120.0, "{many}");
+        let endless = Budget::of_pokes(&skin, 1_000_000_000, 3000);
+        assert!(refusal(&endless) && endless.change.contains("1000000000 pokes"), "{endless:?}");
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use crate::error::Error;
 
+/// Metres in a millimetre.
+pub(crate) const MM: f64 = 1e-3;
 /// Longest length that a skin file may hold, millimetres: ten metres.
 pub(crate) const MOST_MM: f64 = 1e4;
 /// Shortest one: a micrometre.

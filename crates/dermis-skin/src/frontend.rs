@@ -8,12 +8,11 @@ use dermis_tomo::mesh::{Outline, Surface};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check::{Checker, MOST_MM};
+use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 use crate::magnetic::{Coils, Elements};
 
-const MM: f64 = 1e-3;
 /// More vertices of an outline than any drawing needs.
 const MOST_VERTICES: usize = 2000;
 

@@ -5,11 +5,10 @@ use dermis_tomo::mesh::{ElectrodeShape, Outline};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check::{Checker, MOST_MM};
+use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::pair::Pair;
 
-const MM: f64 = 1e-3;
 /// Most elements of a skin.
 const MOST_ELEMENTS: usize = 1024;
 /// Most coils of a skin.

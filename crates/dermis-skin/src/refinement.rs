@@ -69,7 +69,8 @@ mod tests {
 
     fn skin(refinement: &str) -> Result<Skin, Error> {
         let text = crate::builtin_text("golfball-tank").unwrap();
-        Skin::parse(&format!("{text}\nrefinement = {refinement}\n"), "made.toml")
+        let with_it = text.replace("[imaging]\n", &format!("[imaging]\nrefinement = {refinement}\n"));
+        Skin::parse(&with_it, "made.toml")
     }
 
     #[test]

@@ -167,6 +167,12 @@ impl Skin {
         Ok(self)
     }
 
+    /// Whether touches are placed by the forward model, unless a calibration places them: the file asks for it, and no
+    /// readout's circuit stands between model and readings.
+    pub fn refines_touches(&self) -> bool {
+        self.touch.refine && self.backend.circuit.is_none()
+    }
+
     /// The skin as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).unwrap_or_default()

@@ -37,6 +37,9 @@ pub struct TouchSettings {
     pub contact_s_per_m2: f64,
     /// Refine touches by fitting place, amplitude and radius to the forward model.
     pub refine: bool,
+    /// Of sheets, liquids and patches: the largest share of a frame that a fit may leave beyond the noise; where it
+    /// leaves more, touches stay as the image has them. 1: any fit is taken.
+    pub most_unexplained: f64,
     /// Of elements over coils: contacts whose elements are no farther apart than so many cells are one press that moves
     /// several elements, placed by their forces; 0: every element that moves is a touch of its own.
     pub join_cells: f64,
@@ -59,6 +62,7 @@ impl Default for TouchSettings {
             position_floor_mm: 2.0,
             model_error_mm: None,
             refine: false,
+            most_unexplained: 1.0,
             join_cells: 0.0,
             drift_time_constant_s: 60.0,
         }
@@ -82,6 +86,7 @@ impl TouchSettings {
             checker.within("touch.model_error_mm", error, 0.0, 1e4)?;
         }
         checker.within("touch.contact_s_per_m2", self.contact_s_per_m2, 1e-6, 1e9)?;
+        checker.within("touch.most_unexplained", self.most_unexplained, 0.0, 1.0)?;
         checker.within("touch.join_cells", self.join_cells, 0.0, 100.0)?;
         checker.within("touch.drift_time_constant_s", self.drift_time_constant_s, 0.0, 1e9)
     }

@@ -50,6 +50,8 @@ pub(crate) struct Rider {
 pub(crate) struct Merge {
     pub since_ns: u64,
     pub frames: u32,
+    /// Frames in a row in which the contact was that of one touch.
+    pub single_frames: u32,
     pub offset: Vec2,
     pub velocity: Vec2,
 }
@@ -136,7 +138,13 @@ pub(crate) fn merge_blobs(riders: &mut [Rider], from: &Blob, onto: &mut Blob, ti
         let offset = rider.merge.map_or([0.0; 2], |merge| merge.offset_at(time_ns, memory));
         let drift = rider.merge.map_or([0.0; 2], |merge| merge.velocity_at(time_ns, memory));
         // Absolute here; made relative to the mean below, once that is known.
-        let merge = Merge { since_ns: time_ns, frames: 0, offset: add(base.0, offset), velocity: add(base.1, drift) };
+        let merge = Merge {
+            since_ns: time_ns,
+            frames: 0,
+            single_frames: 0,
+            offset: add(base.0, offset),
+            velocity: add(base.1, drift),
+        };
         position_sum = add(position_sum, merge.offset);
         velocity_sum = add(velocity_sum, merge.velocity);
         count += 1.0;

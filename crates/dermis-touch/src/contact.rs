@@ -230,6 +230,9 @@ pub struct Contact {
     pub load: Option<TouchLoad>,
     /// Where else it may be, where a calibration cannot tell; the finder has none.
     pub other_place: Option<PlaceHypothesis>,
+    /// A fit has found that one touch makes it, and no more.
+    #[serde(default)]
+    pub is_single: bool,
 }
 
 impl Contact {
@@ -237,6 +240,20 @@ impl Contact {
         match self.sign {
             ContactSign::Positive => 0,
             ContactSign::Negative => 1,
+        }
+    }
+
+    /// One of several touches that the image shows as this contact: at a place of its own, with a share of the strength.
+    #[must_use]
+    pub fn share_at(&self, position_m: [f64; 2], share: f64) -> Self {
+        Self {
+            peak_m: position_m,
+            centroid_m: position_m,
+            amplitude: share * self.amplitude,
+            peak_value: share * self.peak_value,
+            volume: share * self.volume,
+            significance: share * self.significance,
+            ..*self
         }
     }
 

@@ -269,6 +269,7 @@ impl<L: Lattice> FinderOn<L> {
             model_variance_m2: 0.0,
             load: None,
             other_place: None,
+            is_single: false,
         }
     }
 

@@ -287,7 +287,8 @@ impl Tracker {
             let Some(host) = self.nearest_new_blob(expected) else { continue };
             let host_offset = sub(self.blobs[host].filter.position, expected);
             let key = self.blobs[host].key;
-            let merge = |offset: Vec2| Merge { since_ns: time_ns, frames: 0, offset, velocity: [0.0; 2] };
+            let merge =
+                |offset: Vec2| Merge { since_ns: time_ns, frames: 0, single_frames: 0, offset, velocity: [0.0; 2] };
             for rider in self.riders.iter_mut().filter(|rider| rider.blob == key && rider.merge.is_none()) {
                 rider.merge = Some(merge(scale(host_offset, 0.5)));
             }
@@ -400,9 +401,16 @@ impl Tracker {
     fn expire_merges(&mut self) {
         for index in 0..self.riders.len() {
             let key = self.riders[index].blob;
+            let blob = self.blobs.iter().find(|blob| blob.key == key);
             let Some(merge) = self.riders[index].merge.as_mut() else { continue };
             merge.frames += 1;
-            let expired = merge.frames > self.params.max_merged_frames;
+            match blob.filter(|blob| blob.missed == 0) {
+                Some(blob) if blob.contact.is_single => merge.single_frames += 1,
+                Some(_) => merge.single_frames = 0,
+                None => {}
+            }
+            let expired = merge.frames > self.params.max_merged_frames
+                || merge.single_frames > self.params.max_merged_single_frames;
             // Riders stand by id: an earlier one of the same blob began earlier.
             if expired && self.riders[..index].iter().any(|rider| rider.blob == key) {
                 self.riders[index].touch.phase = TouchPhase::End;

@@ -38,6 +38,8 @@ pub struct TrackerParams {
     pub max_missed_frames: u32,
     /// Touches stay merged for at most so many frames; then only the one that began first goes on.
     pub max_merged_frames: u32,
+    /// And for at most so many frames in a row in which their contact is known to be that of one touch.
+    pub max_merged_single_frames: u32,
     /// Gate on the Mahalanobis distance of a contact from a touch's prediction. Above 0.
     pub gate_sigma: f64,
     /// Gate on their distance in metres. Above 0.
@@ -68,6 +70,7 @@ impl Default for TrackerParams {
             min_age_frames: 2,
             max_missed_frames: 3,
             max_merged_frames: 50,
+            max_merged_single_frames: 6,
             gate_sigma: 4.0,
             gate_max_m: 0.04,
             merge_radii: 1.5,

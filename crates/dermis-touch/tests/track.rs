@@ -171,6 +171,24 @@ fn touches_that_meet_and_rest_come_out_where_they_went_in() {
 }
 
 #[test]
+fn a_merge_in_a_contact_that_is_known_to_be_of_one_touch_ends_soon() {
+    let mut tracker = tracker();
+    for frame in 0..10 {
+        let gap = 12.0 - frame as f64;
+        step(&mut tracker, frame, &[(-gap, 0.0), (gap, 0.0)]);
+    }
+    let mut touches = Vec::new();
+    for frame in 10..30 {
+        // In one frame of ten it is not known.
+        let contact = Contact { is_single: frame % 10 != 5, ..contact(0.0, 0.0, ContactStrength::Strong) };
+        feed(&mut tracker, frame, &[contact]);
+        touches.push(tracker.touches().len());
+    }
+    // Told in frames 16 to 22, the seventh in a row; those before the gap were five.
+    assert_eq!(touches.iter().position(|count| *count == 1), Some(12), "{touches:?}");
+}
+
+#[test]
 fn a_merge_that_never_parts_ends_the_younger_touch() {
     let mut tracker = tracker();
     for frame in 0..10 {

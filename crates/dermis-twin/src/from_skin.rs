@@ -28,7 +28,7 @@ use crate::twin::{Frontend, Twin, TwinOptions};
 
 pub use electronics::{instrument_options, resting_voltage_v};
 pub use history::{timed_faults, timed_treatments, treatment_of};
-pub use press::{PressRange, demonstration, press_range};
+pub use press::{PressRange, demonstration, press_range, usual_travel_share};
 
 const MM: f64 = 1e-3;
 /// Seed where the file gives none.

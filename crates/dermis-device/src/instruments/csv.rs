@@ -66,37 +66,12 @@ pub fn read_numbers(path: &Path) -> Result<NumberTable, DeviceError> {
 /// [`DeviceError::Foreign`] if it is no text, [`DeviceError::Ragged`] or [`DeviceError::Cell`] with the line,
 /// [`DeviceError::Empty`] without a row of numbers.
 pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
-    let mut refused = |_| false;
-    parse_cells(content, file, &mut refused)
+    parse_cells(content, file, None)
 }
 
-/// As [`parse`]. `imaginary` gets every imaginary part, in the order of the cells, where any cell is complex; else it
-/// stays empty.
-fn parse_complex(content: &[u8], file: &Path, imaginary: &mut Vec<f64>) -> Result<NumberTable, DeviceError> {
-    let mut keep = |part: ImaginaryPart| {
-        imaginary.resize(part.cell, 0.0);
-        imaginary.push(part.value);
-        true
-    };
-    let table = parse_cells(content, file, &mut keep)?;
-    if !imaginary.is_empty() {
-        imaginary.resize(table.values.len(), 0.0);
-    }
-    Ok(table)
-}
-
-/// Of a complex cell, numbered from 0 over all rows.
-struct ImaginaryPart {
-    cell: usize,
-    value: f64,
-}
-
-/// The real parts; `keep` says whether complex cells are welcome.
-fn parse_cells(
-    content: &[u8],
-    file: &Path,
-    keep: &mut dyn FnMut(ImaginaryPart) -> bool,
-) -> Result<NumberTable, DeviceError> {
+/// As [`parse`]. Where complex cells are welcome, `imaginary` gets the imaginary part of every cell up to the last complex
+/// one; without any it stays empty.
+fn parse_cells(content: &[u8], file: &Path, mut imaginary: Option<&mut Vec<f64>>) -> Result<NumberTable, DeviceError> {
     let mut lines = lines(text_of(content, file, EXPECTED)?).peekable();
     let empty = || DeviceError::Empty { file: file.to_owned() };
     let &(_, first) = lines.peek().ok_or_else(empty)?;
@@ -121,12 +96,15 @@ fn parse_cells(
                 found: shorten(cell),
                 expected,
             };
-            let value = match number(cell) {
-                Ok(value) => value,
-                Err(expected) => match complex(cell) {
-                    Some([real, value]) if keep(ImaginaryPart { cell: values.len(), value }) => real,
-                    _ => return Err(fail(expected)),
-                },
+            let value = match (number(cell), &mut imaginary) {
+                (Ok(value), _) => value,
+                (Err(expected), None) => return Err(fail(expected)),
+                (Err(expected), Some(imaginary)) => {
+                    let [real, part] = complex(cell).ok_or_else(|| fail(expected))?;
+                    imaginary.resize(values.len(), 0.0);
+                    imaginary.push(part);
+                    real
+                }
             };
             values.push(value);
         }
@@ -150,7 +128,7 @@ const FRAME_COLUMNS: [&str; 5] = ["time_s", "sequence", "device_time_ns", "host_
 /// As [`parse`]; [`DeviceError::Count`] where real and imaginary parts are not equally many.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     let mut imaginary = Vec::new();
-    let table = parse_complex(content, file, &mut imaginary)?;
+    let table = parse_cells(content, file, Some(&mut imaginary))?;
     let named = |index: usize| table.header.as_ref().and_then(|header| header.get(index)).map(String::as_str);
     let is_frame_column = |index: &usize| named(*index).is_some_and(|name| FRAME_COLUMNS.contains(&name));
     // A table of one column has readings, whatever it is called.
@@ -169,6 +147,7 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
     if in_two {
         frames = frames.with_imaginary(part(&table.values, true))?;
     } else if !imaginary.is_empty() {
+        imaginary.resize(table.values.len(), 0.0);
         frames = frames.with_imaginary(part(&imaginary, false))?;
     }
     let column = |name: &str| (0..first).find(|&index| named(index) == Some(name)).map(|index| table.column(index));

@@ -1,6 +1,6 @@
 //! The matched filter that places touches of a skin calibrated without labels.
 
-use dermis_tomo::inverse::{PairSearch, SelfCalibration};
+use dermis_tomo::inverse::{MatchedPair, PairSearch, SelfCalibration};
 use dermis_touch::{PlaceHypotheses, PlaceModes};
 
 use crate::Error;
@@ -94,37 +94,42 @@ impl MatchedFinder {
         let Some(touch) = self.calibration.locate_with_scores(&self.relative, &mut self.scores)? else {
             return Ok(None);
         };
-        self.calibration.probabilities(&self.scores, &mut self.probabilities);
-        let told = self.hypotheses.follow(time_ns, &self.probabilities);
-        let left = 1.0 - touch.score * touch.score;
-        if left > LEAST_LEFT * (1.0 - self.calibration.score().powi(2))
-            && let Some(pair) = self.calibration.locate_pair(&self.relative, &self.pairs)?
-            && pair.left <= LEFT_BY_TWO * left
-            && pair.amplitudes[1] >= LEAST_ALIKE * pair.amplitudes[0]
-        {
-            self.forget();
-            let [position_m, other_m] = pair.positions_m;
-            let second = SecondTouch { position_m: other_m, share: pair.amplitudes[1] / pair.amplitudes[0] };
-            return Ok(Some(Placement {
-                position_m,
-                covariance_m2: [[self.variance_m2, 0.0], [0.0, self.variance_m2]],
-                amplitude: None,
-                load: None,
-                doubtful: false,
-                other_place: None,
-                second: Some(second),
-            }));
-        }
-        let elsewhere = told.filter(|told| !self.hypotheses.are_one(told.leading.position_m, touch.position_m));
-        Ok(Some(Placement {
-            position_m: elsewhere.map_or(touch.position_m, |told| told.leading.position_m),
+        let placed = Placement {
+            position_m: touch.position_m,
             covariance_m2: [[self.variance_m2, 0.0], [0.0, self.variance_m2]],
             amplitude: None,
             load: None,
             doubtful: touch.score < LEAST_SCORE,
-            other_place: told.and_then(|told| told.other),
+            other_place: None,
             second: None,
+        };
+        if let Some(MatchedPair { positions_m, amplitudes, .. }) = self.pair(touch.score)? {
+            self.forget();
+            let [position_m, other_m] = positions_m;
+            let second = Some(SecondTouch { position_m: other_m, share: amplitudes[1] / amplitudes[0] });
+            return Ok(Some(Placement { position_m, second, doubtful: false, ..placed }));
+        }
+        self.calibration.probabilities(&self.scores, &mut self.probabilities);
+        let told = self.hypotheses.follow(time_ns, &self.probabilities);
+        let elsewhere = told.filter(|told| !self.hypotheses.are_one(told.leading.position_m, touch.position_m));
+        Ok(Some(Placement {
+            position_m: elsewhere.map_or(touch.position_m, |told| told.leading.position_m),
+            other_place: told.and_then(|told| told.other),
+            ..placed
         }))
+    }
+
+    /// The two touches of the frame at hand, whose best place has this score, where two are believed.
+    fn pair(&self, score: f64) -> Result<Option<MatchedPair>, Error> {
+        let [left, typical] = [score, self.calibration.score()].map(|score| 1.0 - score * score);
+        if left <= LEAST_LEFT * typical {
+            return Ok(None);
+        }
+        let pair = self.calibration.locate_pair(&self.relative, &self.pairs)?;
+        let is_believed = |pair: &MatchedPair| {
+            pair.left <= LEFT_BY_TWO * left && pair.amplitudes[1] >= LEAST_ALIKE * pair.amplitudes[0]
+        };
+        Ok(pair.filter(is_believed))
     }
 }
 

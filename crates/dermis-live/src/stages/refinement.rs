@@ -40,11 +40,10 @@ impl Refinement {
         Self::by(By::Nothing)
     }
 
-    /// Whether touches of a skin are refined: where its file asks for it and the model's own Jacobian places them,
-    /// neither a calibration nor a readout circuit.
+    /// Whether touches of a skin are refined: [`dermis_skin::Skin::refines_touches`], and no calibration places them.
     pub fn is_wanted(prepared: &Prepared, calibration: Option<&Calibration>) -> bool {
         let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
-        prepared.skin.touch.refine && !by_pokes && prepared.skin.backend.circuit.is_none()
+        prepared.skin.refines_touches() && !by_pokes
     }
 
     /// Whether contacts are refined at all.
@@ -148,6 +147,11 @@ impl Refinement {
             By::Spots { stage: None, .. } | By::Nothing => {}
         }
         Ok(())
+    }
+
+    /// What fitted contacts of a sandwich explain of the last frame (model volts); `None` where none are believed.
+    pub(crate) fn explained(&self) -> Option<&[f64]> {
+        self.patches().and_then(PatchStage::explained)
     }
 
     /// Frames that have waited for what touches are fitted on.

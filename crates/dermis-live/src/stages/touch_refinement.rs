@@ -7,7 +7,7 @@ use dermis_skin::Layer;
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use dermis_tomo::mesh::PixelGrid;
-use dermis_touch::Contact;
+use dermis_touch::{Contact, ContactSign, ContactStrength};
 use faer::Mat;
 
 use crate::Error;
@@ -30,11 +30,18 @@ const FARTHEST: f64 = 0.5;
 const EXPLAINED: f64 = 0.05;
 /// A fit that is less certain of the place than this, by the same measure, is not believed either.
 const LEAST_CERTAIN: f64 = 0.1;
+/// Of two touches in place of one, which explain what one does not, less is asked: where, they may be less certain.
+const LEAST_CERTAIN_OF_TWO: f64 = 0.2;
 /// A frame of which a fit leaves more than so many times the noise's energy may hold two touches that the image shows
 /// as one.
 const UNEXPLAINED_BY_NOISE: f64 = 2.0;
 /// Spots nearer to each other than this share of half the shorter side are one, as contacts of an image are.
 const MEETING: f64 = 0.1;
+/// Two touches have radii within this factor: a wider spot makes up for what one spot cannot explain.
+const MOST_UNLIKE_RADII: f64 = 3.0;
+/// A spot below this share of the strongest (amplitude times area) is a lobe of the image, where the fit explains the
+/// frame.
+const LOBE: f64 = 0.2;
 /// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
 /// left, and as [`PartingRule`] says.
 const LEFT_BY_TWO: f64 = 0.3;
@@ -88,6 +95,10 @@ pub(crate) struct SpotStage {
     is_unhurried: bool,
     /// Whether a touch is a smooth spot; a patch that conducts as a whole is none.
     are_smooth: bool,
+    /// The largest share of a frame that a fit may leave beyond the noise.
+    most_unexplained: f64,
+    /// The contacts as the image has them.
+    seen: Vec<Contact>,
     grid: PixelGrid,
     inside: Vec<bool>,
     half_width_m: f64,
@@ -106,6 +117,8 @@ impl SpotStage {
             wait: 0,
             is_unhurried: false,
             are_smooth: matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_)),
+            most_unexplained: prepared.skin.touch.most_unexplained,
+            seen: Vec::with_capacity(MOST_SPOTS),
             grid: *prepared.map.grid(),
             inside: prepared.map.inside_mask(),
             half_width_m: prepared.half_width_m(),
@@ -114,23 +127,58 @@ impl SpotStage {
     }
 
     /// Gives the strongest contacts, all of which are fitted together, the places of their spots. Contacts whose spot
-    /// is not believed, and all of a frame that cannot be fitted, stay as the image has them. A contact that two spots
-    /// explain and one does not becomes two. Allocates nothing once `contacts` has grown to size.
+    /// is not believed, and all of a frame that cannot be fitted, or of which the fit leaves more than
+    /// `touch.most_unexplained`, stay as the image has them. A contact that two spots explain and one does not becomes
+    /// two. Allocates nothing once `contacts` has grown to size.
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
+        self.seen.clear();
+        self.seen.extend_from_slice(contacts);
+        if !self.place(difference, contacts).is_some_and(|left| left <= self.most_unexplained) {
+            contacts.clear();
+            contacts.extend_from_slice(&self.seen);
+        } else if self.most_unexplained < 1.0 {
+            self.drop_lobes(contacts);
+        }
+        contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+    }
+
+    /// Removes what the image shows beside the touches that explain the frame: contacts whose spots have the other sign,
+    /// are far weaker than the strongest, or were not needed to explain it. Where a touch begins, the strongest does.
+    fn drop_lobes(&self, contacts: &mut Vec<Contact>) {
+        let press_of = |contact: &Contact, spot: &Spot| match contact.sign.factor() * spot.amplitude > 0.0 {
+            true => press(spot),
+            false => 0.0,
+        };
+        let presses = contacts.iter().zip(&self.spots).map(|(contact, spot)| press_of(contact, spot));
+        let Some((strongest, most)) = presses.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else { return };
+        if most == 0.0 {
+            return;
+        }
+        if contacts.iter().any(|contact| contact.strength == ContactStrength::Strong) {
+            contacts[strongest].strength = ContactStrength::Strong;
+        }
+        let mut spots = self.spots.iter();
+        contacts.retain(|contact| spots.next().is_some_and(|spot| press_of(contact, spot) >= LOBE * most));
+    }
+
+    /// As [`SpotStage::refine`]. The share of the frame that the fit leaves beyond the noise; `None` where the frame
+    /// cannot be fitted.
+    fn place(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) -> Option<f64> {
         let count = contacts.len().min(MOST_SPOTS);
         self.starts_m.clear();
         self.starts_m.extend(contacts[..count].iter().map(|contact| contact.centroid_m));
         // A frame that is not all finite numbers, or a contact at the very rim: nothing to fit.
-        let Ok(mut outcome) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
+        let mut outcome = self.model.fit(difference, &self.starts_m, &mut self.scratch).ok()?;
         while let Some(weaker) = self.meeting() {
             contacts.remove(weaker);
             self.starts_m.remove(weaker);
-            let Ok(fewer) = self.model.fit(difference, &self.starts_m, &mut self.scratch) else { return };
-            outcome = fewer;
+            outcome = self.model.fit(difference, &self.starts_m, &mut self.scratch).ok()?;
         }
         self.spots.clear();
         self.spots.extend_from_slice(self.scratch.spots());
-        if let Some((joined, better)) = self.part(difference, &outcome) {
+        let parted = self.part(difference, contacts, &outcome);
+        let is_parted = parted.is_some();
+        if let Some((joined, better)) = parted {
             outcome = better;
             std::mem::swap(&mut self.spots, &mut self.parted);
             let two = [self.spots[joined], self.spots[joined + 1]];
@@ -140,19 +188,22 @@ impl SpotStage {
             self.starts_m[joined] = two[0].position_m;
             let largest = press(&two[0]).max(press(&two[1]));
             for (contact, spot) in contacts[joined..joined + 2].iter_mut().zip(two) {
-                share_of(contact, press(&spot) / largest, spot.position_m);
+                *contact = contact.share_at(spot.position_m, press(&spot) / largest);
             }
         }
         let explained = outcome.residual <= EXPLAINED * outcome.energy;
+        let is_single = !self.leaves_another(&outcome);
+        let certain = if is_parted { LEAST_CERTAIN_OF_TWO } else { LEAST_CERTAIN };
         for (k, (contact, spot)) in contacts.iter_mut().zip(&self.spots).enumerate() {
-            if self.is_believed(spot) && self.is_near(k, spot.position_m, explained) {
+            if self.is_believed(spot, contact.sign, certain) && self.is_near(k, spot.position_m, explained) {
                 let c = &spot.covariance;
                 contact.centroid_m = spot.position_m;
                 contact.covariance_m2 = [[c[0][0], c[0][1]], [c[1][0], c[1][1]]];
                 contact.radius_m = Some(spot.radius_m);
+                contact.is_single = is_single;
             }
         }
-        contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+        Some((beyond_noise(&outcome) / outcome.energy).min(1.0))
     }
 
     /// The weaker of two contacts whose spots have met in one place: lobes of one touch in the image.
@@ -165,6 +216,11 @@ impl SpotStage {
 
     fn rule(&self) -> PartingRule {
         if self.are_smooth { SMOOTH } else { PATCHES }
+    }
+
+    /// Whether a fit leaves so much that there may be one touch more.
+    fn leaves_another(&self, outcome: &FitOutcome) -> bool {
+        outcome.residual > UNEXPLAINED_BY_NOISE && beyond_noise(outcome) > self.rule().unexplained * outcome.energy
     }
 
     /// From now on each frame is looked at for touches that the image shows as one.
@@ -180,11 +236,9 @@ impl SpotStage {
     /// Which contact is two touches, and the fit that says so, whose spots are then in `parted`: a frame that one spot
     /// for each contact leaves unexplained is fitted with one more, from several starts about each of the strongest
     /// contacts.
-    fn part(&mut self, difference: &[f64], single: &FitOutcome) -> Option<(usize, FitOutcome)> {
+    fn part(&mut self, difference: &[f64], contacts: &[Contact], single: &FitOutcome) -> Option<(usize, FitOutcome)> {
         let last = self.last_parted_m.take();
-        let suspect =
-            single.residual > UNEXPLAINED_BY_NOISE && beyond_noise(single) > self.rule().unexplained * single.energy;
-        if !suspect || self.starts_m.len() >= MOST_SPOTS {
+        if !self.leaves_another(single) || self.starts_m.len() >= MOST_SPOTS {
             self.wait = 0;
             return None;
         }
@@ -193,7 +247,7 @@ impl SpotStage {
             let away = |start: &[f64; 2]| (start[0] - middle[0]).hypot(start[1] - middle[1]);
             let nearest = self.starts_m.iter().enumerate().min_by(|a, b| away(a.1).total_cmp(&away(b.1)));
             let joined = nearest.map_or(0, |(k, _)| k);
-            if let Some(outcome) = self.try_two(difference, joined, last, single) {
+            if let Some(outcome) = self.try_two(difference, (joined, contacts[joined].sign), last, single) {
                 return Some((joined, outcome));
             }
         }
@@ -208,7 +262,7 @@ impl SpotStage {
                 let reach = LOOKED_FOR_AT * self.half_width_m;
                 let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
                 let two = [[dx, dy], [-dx, -dy]].map(|offset| self.drawn_back([x, y], offset));
-                if let Some(outcome) = self.try_two(difference, joined, two, single) {
+                if let Some(outcome) = self.try_two(difference, (joined, contacts[joined].sign), two, single) {
                     return Some((joined, outcome));
                 }
             }
@@ -217,11 +271,11 @@ impl SpotStage {
         None
     }
 
-    /// A fit with two spots in place of one, where it is believed.
+    /// A fit with two spots in place of one of this sign, where it is believed.
     fn try_two(
         &mut self,
         difference: &[f64],
-        joined: usize,
+        (joined, sign): (usize, ContactSign),
         two_m: [[f64; 2]; 2],
         single: &FitOutcome,
     ) -> Option<FitOutcome> {
@@ -235,11 +289,14 @@ impl SpotStage {
         let (a, b) = (&spots[joined], &spots[joined + 1]);
         let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
         let rule = self.rule();
-        let alike = press(a) < rule.most_unlike * press(b) && press(b) < rule.most_unlike * press(a);
+        let within = |factor: f64, [a, b]: [f64; 2]| a < factor * b && b < factor * a;
+        let alike =
+            within(rule.most_unlike, [press(a), press(b)]) && within(MOST_UNLIKE_RADII, [a.radius_m, b.radius_m]);
+        let certain = if self.leaves_another(&outcome) { LEAST_CERTAIN } else { LEAST_CERTAIN_OF_TWO };
         let is_better = beyond_noise(&outcome) <= LEFT_BY_TWO * beyond_noise(single);
         let are_two = apart_m >= rule.least_apart * self.half_width_m
             && apart_m >= rule.least_apart_radii * (a.radius_m + b.radius_m);
-        if !(is_better && are_two && alike && self.is_believed(a) && self.is_believed(b)) {
+        if !(is_better && are_two && alike && [a, b].iter().all(|spot| self.is_believed(spot, sign, certain))) {
             return None;
         }
         self.parted.clear();
@@ -262,9 +319,11 @@ impl SpotStage {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
     }
 
-    fn is_believed(&self, spot: &Spot) -> bool {
+    fn is_believed(&self, spot: &Spot, sign: ContactSign, least_certain: f64) -> bool {
         let variance = spot.covariance[0][0] + spot.covariance[1][1];
-        spot.amplitude > 0.0 && variance.sqrt() <= LEAST_CERTAIN * self.half_width_m && self.is_inside(spot.position_m)
+        sign.factor() * spot.amplitude > 0.0
+            && variance.sqrt() <= least_certain * self.half_width_m
+            && self.is_inside(spot.position_m)
     }
 
     /// Whether a spot is where the image has its contact. Channels that are left out draw the image's peak to one side:
@@ -278,25 +337,15 @@ impl SpotStage {
     }
 }
 
-/// What an image that is wider than the spot shows of it: amplitude times area, up to a factor. Radius and amplitude
+/// What an image that is wider than the spot shows of it: magnitude times area, up to a factor. Radius and amplitude
 /// alone trade with each other.
 fn press(spot: &Spot) -> f64 {
-    spot.amplitude * spot.radius_m * spot.radius_m
+    spot.amplitude.abs() * spot.radius_m * spot.radius_m
 }
 
 /// Whitened energy that a fit leaves beyond the noise's own.
 fn beyond_noise(outcome: &FitOutcome) -> f64 {
     (outcome.residual - 1.0).max(0.0)
-}
-
-/// Makes a contact one of the touches that the image shows together.
-fn share_of(contact: &mut Contact, share: f64, position_m: [f64; 2]) {
-    contact.peak_m = position_m;
-    contact.centroid_m = position_m;
-    contact.amplitude *= share;
-    contact.peak_value *= share;
-    contact.volume *= share;
-    contact.significance *= share;
 }
 
 /// The tabulated responses to spots at these channel deviations (volts).

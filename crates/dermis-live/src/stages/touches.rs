@@ -29,24 +29,40 @@ const REFINED_PATCHES: f64 = 0.022;
 /// Presses on elements over coils, in cells, beside what the centroid of their forces misses.
 const ELEMENTS_CELLS: f64 = 0.07;
 
-/// Standard deviation of each coordinate of a touch by what the model has wrong, metres.
-fn model_error_m(prepared: &Prepared) -> f64 {
-    let skin = &prepared.skin;
-    if let Some(error_mm) = skin.touch.model_error_mm {
-        return 1e-3 * error_mm;
-    }
-    let share = match &skin.frontend.layer {
-        Layer::Elements(_) => {
-            let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
-            return cell_m.map_or(BY_IMAGE * prepared.half_width_m(), |[x, y]| ELEMENTS_CELLS * x.max(y));
+/// Variance of each coordinate of a touch by what the model has wrong, square metres.
+#[derive(Debug)]
+struct ModelVariance {
+    /// Of touches that the image alone places.
+    by_image_m2: f64,
+    /// Of those that a fit has placed.
+    refined_m2: f64,
+}
+
+impl ModelVariance {
+    fn of(prepared: &Prepared) -> Self {
+        let (skin, half_width_m) = (&prepared.skin, prepared.half_width_m());
+        let both = |error_m: f64| Self { by_image_m2: error_m.powi(2), refined_m2: error_m.powi(2) };
+        if let Some(error_mm) = skin.touch.model_error_mm {
+            return both(1e-3 * error_mm);
         }
-        _ if !Refinement::is_wanted(prepared, None) => BY_IMAGE,
-        Layer::Sandwich(_) => REFINED_SANDWICH,
-        Layer::Sheet(_) => REFINED_SHEET,
-        Layer::Liquid(_) => REFINED_LIQUID,
-        Layer::Patches(_) => REFINED_PATCHES,
-    };
-    share * prepared.half_width_m()
+        let refined = match &skin.frontend.layer {
+            Layer::Elements(_) => {
+                let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
+                return both(cell_m.map_or(BY_IMAGE * half_width_m, |[x, y]| ELEMENTS_CELLS * x.max(y)));
+            }
+            _ if !Refinement::is_wanted(prepared, None) => return both(BY_IMAGE * half_width_m),
+            Layer::Sandwich(_) => REFINED_SANDWICH,
+            Layer::Sheet(_) => REFINED_SHEET,
+            Layer::Liquid(_) => REFINED_LIQUID,
+            Layer::Patches(_) => REFINED_PATCHES,
+        };
+        Self { refined_m2: (refined * half_width_m).powi(2), ..both(BY_IMAGE * half_width_m) }
+    }
+
+    /// Only fits know a radius.
+    fn of_contact(&self, contact: &Contact) -> f64 {
+        if contact.radius_m.is_some() { self.refined_m2 } else { self.by_image_m2 }
+    }
 }
 
 /// Contact finder and tracker of a skin, with their memory.
@@ -63,7 +79,7 @@ pub struct TouchStage {
     /// Contacts of a smaller amplitude in the next image are none.
     floor: f64,
     /// Variance of each coordinate by what the model has wrong, m^2.
-    model_variance_m2: f64,
+    model_variance: ModelVariance,
     /// A calibration has placed the contacts of this frame, and their sigmas hold the model's error.
     is_placed: bool,
 }
@@ -104,7 +120,7 @@ impl TouchStage {
             forces: None,
             floor: 0.0,
             is_placed: false,
-            model_variance_m2: model_error_m(prepared).powi(2),
+            model_variance: ModelVariance::of(prepared),
         })
     }
 
@@ -132,9 +148,9 @@ impl TouchStage {
         self.track_contacts(time_ns)
     }
 
-    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, and how
-    /// strong, where it knows: it takes the place of the image's contacts, whose strongest lends its area and, where it
-    /// does not, its amplitude.
+    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, or the two
+    /// of it, and how strong, where it knows: it takes the place of the image's contacts, whose strongest lends its area
+    /// and, where it does not, its amplitude.
     ///
     /// # Errors
     /// An image of another size.
@@ -161,13 +177,7 @@ impl TouchStage {
                 self.is_placed = true;
                 // The calibration has judged the whole frame; the image's threshold has nothing to add.
                 only.strength = ContactStrength::Strong;
-                let second = placement.second.map(|SecondTouch { position_m, share }| Contact {
-                    centroid_m: position_m,
-                    amplitude: share * only.amplitude,
-                    volume: share * only.volume,
-                    load: None,
-                    ..*only
-                });
+                let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
                 self.contacts.extend(second);
             }
         }
@@ -200,7 +210,8 @@ impl TouchStage {
     /// A time before the last one.
     pub fn track_contacts(&mut self, time_ns: u64) -> Result<(), Error> {
         if !self.is_placed {
-            self.contacts.iter_mut().for_each(|contact| contact.model_variance_m2 = self.model_variance_m2);
+            let model_variance = &self.model_variance;
+            self.contacts.iter_mut().for_each(|c| c.model_variance_m2 = model_variance.of_contact(c));
         }
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {
@@ -250,6 +261,7 @@ impl TouchStage {
             model_variance_m2: 0.0,
             load: None,
             other_place: None,
+            is_single: false,
         })
     }
 

@@ -4,11 +4,10 @@ use dermis_tomo::mesh::{Direction, ElectrodeShape, Outline, square_to_disc};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::check::{Checker, MOST_MM};
+use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::pair::Pair;
 
-const MM: f64 = 1e-3;
 /// More electrodes than any multiplexer has are a typing error.
 const MOST_ELECTRODES: usize = 1024;
 

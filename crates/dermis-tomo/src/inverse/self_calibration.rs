@@ -249,13 +249,9 @@ impl SelfCalibration {
         (0..scores.ncols()).map(|frame| Peak::of(&scores, &norms, frame)).collect()
     }
 
-    /// Scores, places x frames. A channel that a frame lacks counts in neither norm.
+    /// Scores, places x frames.
     fn score_batch(&self, batch: &Batch) -> (Mat<f64>, Norms) {
-        let weighted = scale_rows(batch.values.as_ref(), &self.weights);
-        let mut scores = &self.filter * &weighted;
-        let square_norm = |column: faer::ColRef<'_, f64>| column.iter().map(|v| v * v).sum::<f64>();
-        let template = if batch.complete { self.filter_norms.clone() } else { &self.filter_squares * &batch.present };
-        let norms = Norms { template, frame: weighted.col_iter().map(|column| square_norm(column).sqrt()).collect() };
+        let (mut scores, norms) = self.products(batch);
         for frame in 0..scores.ncols() {
             for place in 0..scores.nrows() {
                 let both = norms.place(place, frame) * norms.frame[frame];
@@ -263,6 +259,16 @@ impl SelfCalibration {
             }
         }
         (scores, norms)
+    }
+
+    /// Products of the weighted templates and frames, places x frames, and the norms of both. A channel that a frame
+    /// lacks counts in neither norm.
+    fn products(&self, batch: &Batch) -> (Mat<f64>, Norms) {
+        let weighted = scale_rows(batch.values.as_ref(), &self.weights);
+        let square_norm = |column: faer::ColRef<'_, f64>| column.iter().map(|v| v * v).sum::<f64>();
+        let template = if batch.complete { self.filter_norms.clone() } else { &self.filter_squares * &batch.present };
+        let frame = weighted.col_iter().map(|column| square_norm(column).sqrt()).collect();
+        (&self.filter * &weighted, Norms { template, frame })
     }
 
     fn single(&self, frame: &[f64]) -> Result<Batch, InverseError> {

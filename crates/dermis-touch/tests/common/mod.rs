@@ -83,6 +83,7 @@ pub fn contact(x_mm: f64, y_mm: f64, strength: ContactStrength) -> Contact {
         model_variance_m2: 0.0,
         load: None,
         other_place: None,
+        is_single: false,
     }
 }
 

@@ -91,6 +91,16 @@ fn denting_pa(layer: &LiquidLayer, radius_m: f64, shorter_m: f64) -> f64 {
     0.25 * depth_m * (membrane + weight)
 }
 
+/// The share of its travel by which the press at which sliders begin moves an element, about; `None` without elements.
+pub fn usual_travel_share(skin: &Skin) -> Option<f64> {
+    let (Layer::Elements(layer), Some(elements)) = (&skin.frontend.layer, &skin.frontend.elements) else { return None };
+    let PressRange { initial_radius_m: radius_m, initial_pressure_pa: pressure_pa, .. } = press_range(skin);
+    // A wider disc presses other elements.
+    let [width_m, height_m] = elements.cell_m();
+    let of_cell = (width_m * height_m / (PI * radius_m * radius_m)).min(1.0);
+    Some((0.5 * of_cell * pressure_pa / moving_pa(layer, elements, radius_m)).clamp(0.0, 1.0))
+}
+
 /// Pressure under a disc over one element that moves it by half of its travel.
 fn moving_pa(layer: &ElementsLayer, elements: &Elements, radius_m: f64) -> f64 {
     0.58 * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m)

@@ -18,19 +18,13 @@ pub(super) fn print_pokes(calibration: &Calibration, out: &mut dyn Write) -> std
     if review.repeated > 0 {
         writeln!(out, "pokes that repeat another one exactly, left out: {}", review.repeated)?;
     }
-    if !review.dead_channels.is_empty() {
-        writeln!(
-            out,
-            "channels that read the same in every poke: {}",
-            listed(review.dead_channels.iter().map(|c| *c as usize))
-        )?;
-    }
-    if !review.unsound_channels.is_empty() {
-        writeln!(
-            out,
-            "channels that jump while nothing touches the skin, left out: {}",
-            listed(review.unsound_channels.iter().map(|c| *c as usize))
-        )?;
+    for (what, channels) in [
+        ("channels that read the same in every poke", &review.dead_channels),
+        ("channels that jump while nothing touches the skin, left out", &review.unsound_channels),
+    ] {
+        if !channels.is_empty() {
+            writeln!(out, "{what}: {}", listed(channels.iter().map(|c| *c as usize)))?;
+        }
     }
     writeln!(
         out,

@@ -322,6 +322,7 @@ impl PatchStage {
                 model_variance_m2: 0.0,
                 load: None,
                 other_place: None,
+                is_single: true,
             }
         }));
         contacts.retain(|contact| contact.amplitude >= self.rule.smallest_amplitude);
@@ -330,6 +331,11 @@ impl PatchStage {
         self.gathered.fitted_ns = Some(time_ns);
         self.followed.explained.clear();
         self.followed.explained.extend(self.whitened.change.iter().zip(&self.left).map(|(change, left)| change - left));
+    }
+
+    /// What the contacts that are shown explain of the last frame (model volts); `None` where none are.
+    pub(crate) fn explained(&self) -> Option<&[f64]> {
+        (!self.followed.shown.is_empty()).then_some(&self.followed.explained[..])
     }
 
     /// Goes on from the patches of the frame before; false where these do not explain this one.

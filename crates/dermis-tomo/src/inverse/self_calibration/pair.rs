@@ -1,7 +1,5 @@
 //! Two touches in one frame: the two templates that explain it together.
 
-use std::borrow::Cow;
-
 use faer::Mat;
 
 use super::batch::Batch;
@@ -23,9 +21,8 @@ struct Explained {
     energy: f64,
 }
 
-/// A frame and the templates, weighted, without the channels that the frame lacks.
-struct Projected<'a> {
-    filter: Cow<'a, Mat<f64>>,
+/// A frame beside the templates of all places, weighted, without the channels that the frame lacks.
+struct Projected {
     /// Products of the frame with every template, and the squared norms of these.
     products: Vec<f64>,
     squares: Vec<f64>,
@@ -33,11 +30,7 @@ struct Projected<'a> {
     energy: f64,
 }
 
-impl Projected<'_> {
-    fn gram(&self, a: usize, b: usize) -> f64 {
-        self.filter.row(a) * self.filter.row(b).transpose()
-    }
-
+impl Projected {
     /// What two templates explain together, both pressing; `gram` is their product.
     fn explained(&self, [a, b]: [usize; 2], gram: f64) -> Option<Explained> {
         let (p, q, m, n) = (self.products[a], self.products[b], self.squares[a], self.squares[b]);
@@ -55,7 +48,7 @@ impl SelfCalibration {
     /// What [`SelfCalibration::locate_pair`] looks for two touches at least `apart_m` from each other with.
     pub fn pair_search(&self, apart_m: f64) -> PairSearch {
         let coarse = self.coarse_places(COARSE * apart_m);
-        let grams = grams(&self.filter, &coarse);
+        let grams = self.grams(&coarse, None);
         PairSearch { apart_m, coarse, grams }
     }
 
@@ -66,38 +59,33 @@ impl SelfCalibration {
     /// As [`SelfCalibration::scores`].
     pub fn locate_pair(&self, frame: &[f64], search: &PairSearch) -> Result<Option<MatchedPair>, InverseError> {
         let batch = self.single(frame)?;
-        let projected = self.projected(&batch);
+        let (products, norms) = self.products(&batch);
+        let projected = Projected {
+            products: products.col(0).iter().copied().collect(),
+            squares: norms.template.col(0).iter().copied().collect(),
+            energy: norms.frame[0] * norms.frame[0],
+        };
         if projected.energy == 0.0 {
             return Ok(None);
         }
         let PairSearch { apart_m, coarse, .. } = search;
         let are_apart = |a: usize, b: usize| square_distance(self.places_m[a], self.places_m[b]) >= apart_m * apart_m;
-        let grams = match batch.complete {
-            true => Cow::Borrowed(&search.grams),
-            false => Cow::Owned(grams(&projected.filter, coarse)),
-        };
-        let mut best: Option<Explained> = None;
-        let better = |best: &mut Option<Explained>, found: Option<Explained>| {
-            if let Some(found) = found.filter(|found| best.is_none_or(|best| found.energy > best.energy)) {
-                *best = Some(found);
-            }
-        };
-        for (k, &a) in coarse.iter().enumerate() {
-            for (l, &b) in coarse[..k].iter().enumerate().filter(|(_, b)| are_apart(a, **b)) {
-                better(&mut best, projected.explained([a, b], grams[(k, l)]));
-            }
-        }
-        let Some(mut best) = best else { return Ok(None) };
+        let without = (!batch.complete).then_some(&batch);
+        let incomplete = without.map(|_| self.grams(coarse, without));
+        let grams = incomplete.as_ref().unwrap_or(&search.grams);
+        let pairs = (0..coarse.len()).flat_map(|k| (0..k).map(move |l| (k, l)));
+        let pairs = pairs.filter(|&(k, l)| are_apart(coarse[k], coarse[l]));
+        let explained = pairs.filter_map(|(k, l)| projected.explained([coarse[k], coarse[l]], grams[(k, l)]));
+        let Some(mut best) = explained.max_by(by_energy) else { return Ok(None) };
         for round in 0..ROUNDS {
             let kept = best.places[round % 2];
-            for place in (0..self.places_m.len()).filter(|&place| are_apart(place, kept)) {
-                let pair = if round % 2 == 0 { [kept, place] } else { [place, kept] };
-                let mut found = Some(best);
-                better(&mut found, projected.explained(pair, projected.gram(place, kept)));
-                best = found.unwrap_or(best);
-            }
+            let grams = self.grams_with(kept, without);
+            let places = (0..self.places_m.len()).filter(|&place| are_apart(place, kept));
+            let pair = |place: usize| if round % 2 == 0 { [kept, place] } else { [place, kept] };
+            let found = places.filter_map(|place| projected.explained(pair(place), grams[(place, 0)]));
+            best = found.chain([best]).max_by(by_energy).unwrap_or(best);
         }
-        let mut positions_m = [0, 1].map(|index| self.centroid_beside(&projected, &best, index));
+        let mut positions_m = [0, 1].map(|index| self.centroid_beside(&projected, &best, index, without));
         let mut amplitudes = best.amplitudes;
         if amplitudes[1] > amplitudes[0] {
             positions_m.swap(0, 1);
@@ -107,16 +95,20 @@ impl SelfCalibration {
         Ok(Some(MatchedPair { positions_m, amplitudes, left }))
     }
 
-    fn projected(&self, batch: &Batch) -> Projected<'_> {
-        let weighted: Vec<f64> = (0..self.weights.len()).map(|c| self.weights[c] * batch.values[(c, 0)]).collect();
-        let present = |place: usize, c: usize| if batch.present[(c, 0)] > 0.0 { self.filter[(place, c)] } else { 0.0 };
-        let filter = match batch.complete {
-            true => Cow::Borrowed(&self.filter),
-            false => Cow::Owned(Mat::from_fn(self.filter.nrows(), self.filter.ncols(), present)),
-        };
-        let products = filter.row_iter().map(|row| row.iter().zip(&weighted).map(|(f, d)| f * d).sum()).collect();
-        let squares = filter.row_iter().map(|row| row.iter().map(|f| f * f).sum()).collect();
-        Projected { filter, products, squares, energy: weighted.iter().map(|d| d * d).sum() }
+    /// Weighted templates of some places, channels x places, without the channels that a frame lacks, where one is given.
+    fn templates_of(&self, places: &[usize], without: Option<&Batch>) -> Mat<f64> {
+        let present = |c: usize| without.map_or(1.0, |batch| batch.present[(c, 0)]);
+        Mat::from_fn(self.filter.ncols(), places.len(), |c, k| present(c) * self.filter[(places[k], c)])
+    }
+
+    /// Products of the templates of these places with each other.
+    fn grams(&self, places: &[usize], without: Option<&Batch>) -> Mat<f64> {
+        self.templates_of(places, None).transpose() * self.templates_of(places, without)
+    }
+
+    /// Products of the templates of all places with one: one column.
+    fn grams_with(&self, place: usize, without: Option<&Batch>) -> Mat<f64> {
+        &self.filter * self.templates_of(&[place], without)
     }
 
     /// Places at least so far apart, all over the skin.
@@ -131,24 +123,24 @@ impl SelfCalibration {
     }
 
     /// The centroid of one of two places by what others beside it would explain, the other place staying.
-    fn centroid_beside(&self, projected: &Projected, best: &Explained, index: usize) -> [f64; 2] {
+    fn centroid_beside(
+        &self,
+        projected: &Projected,
+        best: &Explained,
+        index: usize,
+        without: Option<&Batch>,
+    ) -> [f64; 2] {
         let (moving, kept) = (best.places[index], best.places[1 - index]);
-        let reach = self.options.centroid_radius_m.powi(2);
-        let scores: Vec<f64> = (0..self.places_m.len())
-            .map(|place| {
-                if square_distance(self.places_m[place], self.places_m[moving]) >= reach {
-                    return 0.0;
-                }
-                let found = projected.explained([place, kept], projected.gram(place, kept));
-                found.map_or(0.0, |found| (found.energy / projected.energy).max(0.0).sqrt())
-            })
-            .collect();
+        let grams = self.grams_with(kept, without);
+        let score = |place: usize| {
+            let found = projected.explained([place, kept], grams[(place, 0)]);
+            found.map_or(0.0, |found| (found.energy / projected.energy).max(0.0).sqrt())
+        };
+        let scores: Vec<f64> = (0..self.places_m.len()).map(score).collect();
         self.centroid(&scores, moving)
     }
 }
 
-/// Products of the templates of these places with each other.
-fn grams(filter: &Mat<f64>, places: &[usize]) -> Mat<f64> {
-    let rows = Mat::from_fn(places.len(), filter.ncols(), |k, c| filter[(places[k], c)]);
-    &rows * rows.transpose()
+fn by_energy(a: &Explained, b: &Explained) -> std::cmp::Ordering {
+    a.energy.total_cmp(&b.energy)
 }
