@@ -4,13 +4,15 @@
 mod built_in;
 mod classes;
 mod classifier;
+mod contact_image;
 mod fingerprint;
 mod masks;
 mod network_input;
 
-pub use built_in::built_in;
+pub use built_in::{built_in, built_in_for_recordings};
 pub use classes::{CLASSES, Classes, UNLIKE};
 pub use classifier::{Classifier, Seen};
+pub use contact_image::draw_discs;
 pub use fingerprint::imaging_sha256;
 pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
 pub use network_input::{BATCH, FirstStep, InputImage};

@@ -94,7 +94,7 @@ impl Reconstructor {
     /// The stream was interrupted before the next frame: see [`TouchStage::interrupt`].
     pub fn interrupt(&mut self, time_ns: u64) {
         self.forget_places();
-        self.refinement.forget();
+        self.refinement.interrupt();
         self.touches.interrupt(time_ns);
     }
 

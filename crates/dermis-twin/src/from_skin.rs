@@ -256,12 +256,14 @@ fn memory(memory: Option<dermis_skin::Memory>) -> Option<Memory> {
     memory.map(|memory| Memory { share: memory.share, time_constant_s: memory.time_constant_s })
 }
 
-fn contact(law: &dermis_skin::ContactLaw) -> ContactLaw {
-    ContactLaw {
-        threshold_pa: law.threshold_kpa * 1e3,
-        reference_pa: law.reference_kpa * 1e3,
-        exponent: law.exponent,
-        saturation_s_per_m2: law.saturation_s_per_m2,
+impl From<&dermis_skin::ContactLaw> for ContactLaw {
+    fn from(law: &dermis_skin::ContactLaw) -> Self {
+        Self {
+            threshold_pa: law.threshold_kpa * 1e3,
+            reference_pa: law.reference_kpa * 1e3,
+            exponent: law.exponent,
+            saturation_s_per_m2: law.saturation_s_per_m2,
+        }
     }
 }
 
@@ -310,7 +312,7 @@ fn sandwich_options(skin: &Skin, layer: &SandwichLayer, sheet: Sheetlike) -> San
         element_size_m: sheet.sizes.element_m,
         electrode_element_size_m: sheet.sizes.electrode_m,
         cover: cover(layer.smoothing_mm),
-        contact: contact(&layer.contact),
+        contact: ContactLaw::from(&layer.contact),
         memory: memory(layer.memory),
         healing,
     }
@@ -332,7 +334,7 @@ fn patches(layer: &PatchesLayer, sheet: Sheetlike) -> PatchedOptions {
             cells_per_side: layer.cells_per_side,
         },
         cover: cover(layer.smoothing_mm),
-        contact: contact(&layer.contact),
+        contact: ContactLaw::from(&layer.contact),
         memory: memory(layer.memory),
     }
 }

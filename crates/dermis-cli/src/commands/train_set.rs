@@ -40,7 +40,7 @@ pub struct Arguments {
     /// What scenes are made of; by the skin's layer where left out.
     #[arg(long, value_enum)]
     scenes: Option<Scenes>,
-    /// What the network is shown: image, image*FACTOR (on lambda), coverage; commas between.
+    /// What the network is shown: image, image*FACTOR (on lambda), refined, contacts, left, coverage; commas between.
     #[arg(long, value_name = "IMAGES", value_delimiter = ',', default_value = "image")]
     inputs: Vec<InputImage>,
     /// Most electrodes lost; give the input coverage too.

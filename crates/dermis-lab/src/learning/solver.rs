@@ -2,23 +2,26 @@
 //! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches
 //! are joined through the shortcut, which no change of the sheet's conductivity can imitate.
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
+use dermis_twin::from_skin::press_range;
+use dermis_twin::mechanics::ContactLaw;
 use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
 use rand::Rng;
 use rand::rngs::StdRng;
 
 use crate::Error;
-use dermis_skin::Skin;
+use dermis_skin::{Layer, SandwichLayer, Skin};
 
-/// Contact conductance of the faintest and the firmest touch, S/m^2: with a sheet of 5 mS current turns into the
-/// shortcut within 13 and 1.3 mm.
-const CONTACT_S_PER_M2: [f64; 2] = [30.0, 3000.0];
-/// Width over which a touch fades at its rim, metres, and the exponent with which it does: pressure spreads on its way
-/// through the layers, and contact follows it by a power law.
-const FADE_M: [f64; 2] = [0.5e-3, 4e-3];
-const FADE_EXPONENT: [f64; 2] = [1.0, 2.5];
+/// The lightest and the hardest touch, as shares of the pressure that the skin is made for.
+const PRESSURES: [f64; 2] = [0.1, 2.5];
+/// What the contact law of a sample strays by from the skin file's: factors up to this on its pressures, on its
+/// saturation and on the length over which pressure spreads; and on its exponent.
+const LAW_FACTOR: f64 = 2.0;
+const EXPONENT_FACTOR: f64 = 1.3;
 /// Width of a cut as a share of the stroke that it is labelled with, and the decades by which it conducts less.
 const CUT_WIDTH: [f64; 2] = [0.02, 0.3];
 const CUT_DECADES: f64 = 3.0;
@@ -36,14 +39,18 @@ pub(super) enum Solver {
         protocol: Protocol,
         triangles: Vec<[[f64; 2]; 3]>,
         conductance_s: f64,
+        touching: Touching,
     },
 }
 
 impl Solver {
-    /// Whether scenes on a skin are solved with a shortcut sheet: in sandwiches with pads.
-    pub(super) fn is_sandwich(skin: &Skin, body: &ElectrodedMesh) -> bool {
+    /// The layer whose scenes are solved with a shortcut sheet: that of sandwiches with pads.
+    fn sandwich<'a>(skin: &'a Skin, body: &ElectrodedMesh) -> Option<&'a SandwichLayer> {
         let pads = body.electrodes.iter().all(|electrode| matches!(electrode.contact, Contact::Area(_)));
-        matches!(skin.frontend.layer, dermis_skin::Layer::Sandwich(_)) && pads
+        match &skin.frontend.layer {
+            Layer::Sandwich(layer) if pads => Some(layer),
+            _ => None,
+        }
     }
 
     /// Prepares the body.
@@ -52,11 +59,11 @@ impl Solver {
     /// A body that cannot be solved.
     pub(super) fn new(skin: &Skin, body: &ElectrodedMesh, protocol: &Protocol) -> Result<Self, Error> {
         let conductance_s = skin.sheet_conductance_s();
-        if !Self::is_sandwich(skin, body) {
+        let Some(layer) = Self::sandwich(skin, body) else {
             let model = ForwardModel::new(body.clone(), protocol.clone())?;
             let elements = Elements::new(&model.body().mesh);
             return Ok(Self::OneSheet { model: Box::new(model), elements, conductance_s });
-        }
+        };
         let sheets =
             TwoSheets::new(body, conductance_s, Shortcut::Equipotential).map_err(dermis_twin::TwinError::from)?;
         let positions = sheets.positions_m();
@@ -64,7 +71,12 @@ impl Solver {
         let triangles = body.mesh.elements().map(corners).collect();
         let paths = SlitPaths::new(body).map_err(dermis_twin::TwinError::from)?;
         let (sheets, paths, protocol) = (Box::new(sheets), Box::new(paths), protocol.clone());
-        Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s })
+        let touching = Touching {
+            pressure_pa: press_range(skin).initial_pressure_pa,
+            contact: ContactLaw::from(&layer.contact),
+            spread_m: 1e-3 * layer.smoothing_mm,
+        };
+        Ok(Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s, touching })
     }
 
     /// Voltages of the protocol's channels. How firm touches are and how wide cuts gape is drawn where the scene leaves
@@ -77,9 +89,9 @@ impl Solver {
             Self::OneSheet { model, elements, conductance_s } => {
                 Ok(model.voltages(&elements.conductivity(scene, *conductance_s))?)
             }
-            Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s } => {
+            Self::TwoSheets { sheets, paths, protocol, triangles, conductance_s, touching } => {
                 let (slits, sensing) = damaged(scene, paths, triangles, *conductance_s, random);
-                let contact = contact(scene, sheets.positions_m(), random);
+                let contact = touching.strayed(random).contact_s_per_m2(scene, sheets.positions_m());
                 sheets.set_sensing_elements(&sensing).map_err(dermis_twin::TwinError::from)?;
                 sheets.set_slit_paths(&slits).map_err(dermis_twin::TwinError::from)?;
                 let impedance = sheets.impedance(&contact).map_err(dermis_twin::TwinError::from)?;
@@ -137,25 +149,52 @@ fn damaged(
     (slits, triangles.iter().map(of_triangle).collect())
 }
 
-/// Contact conductance at each node, S/m^2: that of a touch in its middle, falling to nothing at its rim.
-fn contact(scene: &Scene, positions_m: &[[f64; 2]], random: &mut StdRng) -> Vec<f64> {
-    let mut contact = vec![0.0; positions_m.len()];
-    for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class == RAISED) {
-        let [least, most] = FACTORS.map(|factor| (factor - 1.0).ln());
-        let along = (((inclusion.factor - 1.0).ln() - least) / (most - least)).clamp(0.0, 1.0);
-        let firm = CONTACT_S_PER_M2[0] * (CONTACT_S_PER_M2[1] / CONTACT_S_PER_M2[0]).powf(along);
-        let fade_m = random.random_range(FADE_M[0]..FADE_M[1]);
-        let exponent = random.random_range(FADE_EXPONENT[0]..FADE_EXPONENT[1]);
-        let (low, high) = inclusion.figure.bounds();
-        for (g, p) in contact.iter_mut().zip(positions_m) {
-            if (0..2).all(|axis| p[axis] > low[axis] - fade_m && p[axis] < high[axis] + fade_m) {
-                // Half of the pressure at the rim itself.
-                let share = (0.5 + inclusion.figure.depth_m(*p) / fade_m).clamp(0.0, 1.0);
-                *g += firm * (share * share * (3.0 - 2.0 * share)).powf(exponent);
-            }
+/// How touches close the gap of a sandwich.
+#[derive(Clone, Copy)]
+pub(super) struct Touching {
+    /// That the skin is made for.
+    pressure_pa: f64,
+    contact: ContactLaw,
+    /// Standard deviation of the Gaussian by which pressure spreads on its way to the gap.
+    spread_m: f64,
+}
+
+impl Touching {
+    /// That of another skin of the kind.
+    fn strayed(&self, random: &mut StdRng) -> Self {
+        let mut factor = |most: f64| most.powf(random.random_range(-1.0..1.0));
+        Self {
+            pressure_pa: self.pressure_pa,
+            contact: ContactLaw {
+                threshold_pa: self.contact.threshold_pa * factor(LAW_FACTOR),
+                reference_pa: self.contact.reference_pa * factor(LAW_FACTOR),
+                exponent: self.contact.exponent * factor(EXPONENT_FACTOR),
+                saturation_s_per_m2: self.contact.saturation_s_per_m2 * factor(LAW_FACTOR),
+            },
+            spread_m: self.spread_m * factor(LAW_FACTOR),
         }
     }
-    contact
+
+    /// Contact conductance at each node, S/m^2.
+    fn contact_s_per_m2(&self, scene: &Scene, positions_m: &[[f64; 2]]) -> Vec<f64> {
+        /// Standard deviations beyond which pressure is none.
+        const REACH: f64 = 4.0;
+        let mut pressure_pa = vec![0.0; positions_m.len()];
+        for inclusion in scene.inclusions.iter().filter(|inclusion| inclusion.class == RAISED) {
+            let [least, most] = FACTORS.map(|factor| (factor - 1.0).ln());
+            let along = (((inclusion.factor - 1.0).ln() - least) / (most - least)).clamp(0.0, 1.0);
+            let middle_pa = self.pressure_pa * PRESSURES[0] * (PRESSURES[1] / PRESSURES[0]).powf(along);
+            let (low, high) = inclusion.figure.bounds();
+            let margin = REACH * self.spread_m;
+            for (pressure, p) in pressure_pa.iter_mut().zip(positions_m) {
+                if (0..2).all(|axis| p[axis] > low[axis] - margin && p[axis] < high[axis] + margin) {
+                    let depth = inclusion.figure.depth_m(*p) / self.spread_m;
+                    *pressure += middle_pa * 0.5 * libm::erfc(-depth * FRAC_1_SQRT_2);
+                }
+            }
+        }
+        pressure_pa.iter().map(|pressure| self.contact.conductance_s_per_m2(*pressure)).collect()
+    }
 }
 
 /// Where elements are asked for their conductivity.

@@ -5,6 +5,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use super::contact_image::ContactImage;
 use crate::Error;
 use crate::imager::{Imager, Refiner};
 use crate::prepare::Prepared;
@@ -14,7 +15,8 @@ use crate::reference::Reference;
 const FLOOR: f64 = 0.02;
 const SHARE: f64 = 0.1;
 
-/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined` or `coverage`.
+/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined`, `contacts`, `left`
+/// or `coverage`.
 ///
 /// ```
 /// use dermis_live::network::InputImage;
@@ -30,6 +32,10 @@ pub enum InputImage {
     /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some
     /// tenths of a second, so that a network that is shown it labels recordings, not live frames.
     Refined,
+    /// The touches that the forward model fits (`touch.refine`), as discs: the share of each pixel that they cover.
+    Contacts,
+    /// The linear image of what these touches leave of the frame, of a sandwich: cuts, and what is no touch.
+    Left,
     /// Sensitivity of the channels that are there relative to that of all: 1 where nothing is lost, 0 where nothing is
     /// left.
     Coverage,
@@ -41,6 +47,8 @@ impl fmt::Display for InputImage {
             InputImage::Step(1.0) => out.write_str("image"),
             InputImage::Step(factor) => write!(out, "image*{factor}"),
             InputImage::Refined => out.write_str("refined"),
+            InputImage::Contacts => out.write_str("contacts"),
+            InputImage::Left => out.write_str("left"),
             InputImage::Coverage => out.write_str("coverage"),
         }
     }
@@ -53,12 +61,14 @@ impl FromStr for InputImage {
         let factor = match text.split_once('*') {
             _ if text == "coverage" => return Ok(InputImage::Coverage),
             _ if text == "refined" => return Ok(InputImage::Refined),
+            _ if text == "contacts" => return Ok(InputImage::Contacts),
+            _ if text == "left" => return Ok(InputImage::Left),
             None if text == "image" => Some(1.0),
             Some(("image", factor)) => factor.parse().ok().filter(|f: &f64| *f > 0.0 && f.is_finite()),
             _ => None,
         };
-        let refused =
-            || format!("{text:?}: expected image, image*FACTOR with a positive factor on lambda, refined, or coverage");
+        let known = "image, image*FACTOR with a positive factor on lambda, refined, contacts, left, or coverage";
+        let refused = || format!("{text:?}: expected {known}");
         factor.map(InputImage::Step).ok_or_else(refused)
     }
 }
@@ -67,6 +77,8 @@ impl FromStr for InputImage {
 #[derive(Debug)]
 pub struct FirstStep {
     sources: Vec<Source>,
+    /// The fitted touches, where they or what they leave are shown.
+    fitted: Option<Box<ContactImage>>,
     pixels: usize,
     /// `W_m J_mp^2`, channels x inside pixels, and its sums over channels.
     sensitivity: Vec<f32>,
@@ -80,6 +92,8 @@ pub struct FirstStep {
 enum Source {
     Imager(Box<Imager>),
     Refiner(Box<Refiner>),
+    Contacts,
+    Left,
     Coverage,
 }
 
@@ -97,6 +111,8 @@ impl FirstStep {
             sources.push(match image {
                 InputImage::Coverage => Source::Coverage,
                 InputImage::Refined => Source::Refiner(Box::new(refiner(prepared, reference)?)),
+                InputImage::Contacts => Source::Contacts,
+                InputImage::Left => Source::Left,
                 InputImage::Step(factor) => {
                     let mut imager = Imager::new(prepared, reference, &[])?;
                     if *factor != 1.0 {
@@ -106,6 +122,8 @@ impl FirstStep {
                 }
             });
         }
+        let fitted = sources.iter().any(|source| matches!(source, Source::Contacts | Source::Left));
+        let fitted = fitted.then(|| ContactImage::new(prepared)).transpose()?.map(Box::new);
         let covered = sources.iter().any(|source| matches!(source, Source::Coverage));
         let sensitivity = if covered { sensitivity(prepared) } else { Vec::new() };
         let inside = prepared.map.inside_pixels().to_vec();
@@ -117,7 +135,7 @@ impl FirstStep {
         let absent = vec![false; prepared.channels()];
         let mut coverage = vec![0.0; pixels];
         inside.iter().for_each(|&pixel| coverage[pixel as usize] = 1.0);
-        Ok(Self { sources, pixels, sensitivity, whole, inside, absent, coverage })
+        Ok(Self { sources, fitted, pixels, sensitivity, whole, inside, absent, coverage })
     }
 
     /// Number of input images.
@@ -173,10 +191,15 @@ impl FirstStep {
     /// The other images of a frame, and all cleared outside the skin.
     fn image(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
         self.update_coverage(difference);
+        if let Some(fitted) = &mut self.fitted {
+            fitted.fit(difference)?;
+        }
         for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
             match source {
                 Source::Coverage => image.copy_from_slice(&self.coverage),
                 Source::Imager(imager) => imager.image(difference, image)?,
+                Source::Contacts => self.fitted.iter().for_each(|fitted| fitted.draw(image)),
+                Source::Left => self.fitted.iter_mut().try_for_each(|fitted| fitted.draw_left(image))?,
                 Source::Refiner(_) => {}
             }
             image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);

@@ -164,6 +164,14 @@ impl Refinement {
         matches!(&self.by, By::Patches(patches) if patches.is_seeking())
     }
 
+    /// Frames are missing before the next: what touches the skin is sought anew, and the baseline is as old as it was.
+    pub(crate) fn interrupt(&mut self) {
+        match &mut self.by {
+            By::Patches(patches) => patches.let_go(),
+            By::Spots { .. } | By::Nothing => self.forget(),
+        }
+    }
+
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
         match &mut self.by {

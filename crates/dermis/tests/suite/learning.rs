@@ -3,6 +3,7 @@
 
 use dermis::lab::learning::segment::{Method, Segmenter};
 use dermis::lab::learning::train_set::{Jitter, SimulatedFrames, TrainSetRequest, simulate};
+use dermis::lab::twin_bench::Rig;
 use dermis::live::network::{
     CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image,
 };
@@ -233,6 +234,40 @@ fn live_classes_are_those_of_the_network_until_a_frame_is_unlike_the_training_se
         assert_eq!(classes.of_class(*label).unwrap()[pixel], 1.0);
     }
     assert!(Classifier::new(&prepared, &made_up(&["coverage"])).unwrap_err().to_string().contains("an image among"));
+}
+
+#[test]
+fn fitted_touches_are_an_input_of_sandwiches_that_refine_them() {
+    let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
+    let reference = Reference::of(&prepared, std::slice::from_ref(&prepared.voltages)).unwrap();
+    let inputs = [InputImage::Step(1.0), InputImage::Contacts, InputImage::Left];
+    let mut first = FirstStep::new(&prepared, &reference, &inputs).unwrap();
+    let mut rig = Rig::new("healing-square").unwrap();
+    let press = Indenter::disc([0.012, -0.017], 0.01, 80e3);
+    rig.frames(&[], 2).unwrap();
+    let frame = rig.mean_frame(&[press], 1).unwrap();
+    let difference = rig.reference().difference(&frame, None);
+    let grid = *prepared.map.grid();
+    let mut images = vec![0.0; 3 * grid.len()];
+    first.images_of(&difference, &mut images).unwrap();
+    let [image, contacts, left] = [0, 1, 2].map(|k| &images[k * grid.len()..(k + 1) * grid.len()]);
+    // The disc that presses is 314 mm^2, and the fit's centre is its own.
+    let covered: f64 = contacts.iter().map(|share| f64::from(*share)).sum();
+    let area_mm2 = covered * (1e3 * grid.pixel_m).powi(2);
+    assert!((220.0..420.0).contains(&area_mm2), "{area_mm2} mm^2");
+    let mean = |axis: usize| {
+        let sum: f64 = (0..grid.len()).map(|pixel| f64::from(contacts[pixel]) * grid.centre_m(pixel)[axis]).sum();
+        sum / covered
+    };
+    assert!((mean(0) - 0.012).hypot(mean(1) + 0.017) < 0.5e-3, "{} {}", mean(0), mean(1));
+    let energy = |image: &[f32]| image.iter().map(|value| f64::from(value * value)).sum::<f64>();
+    assert!(energy(left) < 0.05 * energy(image), "{} of {}", energy(left), energy(image));
+
+    let mut plain = prepared.skin.clone();
+    plain.touch.refine = false;
+    let prepared = Prepared::new(plain).unwrap();
+    let error = FirstStep::new(&prepared, &reference, &inputs).unwrap_err().to_string();
+    assert!(error.contains("contacts") && error.contains("touch.refine"), "{error}");
 }
 
 #[test]

@@ -9,7 +9,7 @@ use dermis_twin::mechanics::{Indenter, Load, Shape};
 use crate::Error;
 use crate::report::{Kind, Row};
 use crate::twin_bench::Rig;
-use dermis_live::network::{Classes, Classifier, built_in};
+use dermis_live::network::{Classes, Classifier, built_in_for_recordings, draw_discs};
 
 pub(super) const SKIN: &str = "healing-square";
 /// Pressure of all touches, pascal.
@@ -68,7 +68,7 @@ impl Bench {
     pub(super) fn new() -> Result<Self, Error> {
         let rig = Rig::new(SKIN)?;
         let prepared = rig.prepared();
-        let model = built_in(SKIN)?;
+        let model = built_in_for_recordings(SKIN)?;
         let classifier =
             model.map(|model| Classifier::with_reference(prepared, rig.reference(), &model)).transpose()?;
         let grid = prepared.map.grid();
@@ -115,21 +115,9 @@ impl Bench {
 
     /// Share of each pixel that lies in any of these discs (centre, radius); NaN outside the skin.
     fn discs(&self, discs: &[([f64; 2], f64)]) -> Vec<f64> {
-        /// Points a pixel's side.
-        const POINTS: usize = 8;
-        let grid = self.grid();
-        let inside = |x: f64, y: f64| discs.iter().any(|(at, radius)| (x - at[0]).hypot(y - at[1]) <= *radius);
-        let mut image = vec![f64::NAN; grid.len()];
-        for &pixel in self.rig.prepared().map.inside_pixels() {
-            let (column, row) = ((pixel as usize % grid.columns) as f64, (pixel as usize / grid.columns) as f64);
-            let step = |k: usize| (k as f64 + 0.5) / POINTS as f64;
-            let points = (0..POINTS).flat_map(|r| (0..POINTS).map(move |c| (step(r), step(c))));
-            let hits = points.filter(|(r, c)| {
-                inside(grid.left_m + (column + c) * grid.pixel_m, grid.top_m - (row + r) * grid.pixel_m)
-            });
-            image[pixel as usize] = hits.count() as f64 / (POINTS * POINTS) as f64;
-        }
-        image
+        let mut covered = vec![f32::NAN; self.grid().len()];
+        draw_discs(self.grid(), self.rig.prepared().map.inside_pixels(), discs, &mut covered);
+        covered.into_iter().map(f64::from).collect()
     }
 
     /// What the indenters cover.

@@ -204,10 +204,11 @@ impl PatchStage {
     /// The next frame has nothing to do with the last.
     pub(crate) fn forget(&mut self) {
         self.let_go();
+        self.touched_ns = None;
     }
 
     /// Nothing is followed any more, and the next search need not wait.
-    fn let_go(&mut self) {
+    pub(crate) fn let_go(&mut self) {
         self.followed.fits.clear();
         self.followed.shown.clear();
         self.gathered.count = 0;
@@ -230,7 +231,7 @@ impl PatchStage {
     ) -> Result<(), Error> {
         if self.sheets.take_up(time_ns)? {
             self.sheets_used += 1;
-            self.forget();
+            self.let_go();
         }
         self.refine_contacts(time_ns, difference, lowest, contacts);
         Ok(())
@@ -302,6 +303,7 @@ impl PatchStage {
         contacts.clear();
         let area = |radius_m: f64| PI * radius_m * radius_m;
         let unit = self.options.radius_m * self.options.radius_m;
+        let factor = self.whitened.covariance_factor(self.followed.misfit);
         let fits = self.followed.fits.iter().filter(|fit| self.rule.is_touch(fit, strongest));
         contacts.extend(fits.map(|fit| {
             let (patch, c) = (&fit.patch, &fit.covariance);
@@ -313,7 +315,7 @@ impl PatchStage {
                 area_m2: area(patch.radius_m),
                 amplitude,
                 volume: amplitude * area(patch.radius_m),
-                covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
+                covariance_m2: [0, 1].map(|row| [0, 1].map(|column| factor * c[row][column])),
                 significance: significance * self.rule.effect_m2(patch) / strongest,
                 sign: ContactSign::Positive,
                 strength,
@@ -421,7 +423,7 @@ impl PatchStage {
         let opposite: Vec<f64> = change.iter().map(|value| if value.is_finite() { -value } else { 0.0 }).collect();
         let mut whitened = Whitened::default();
         self.channels.weigh(&opposite, &mut whitened);
-        let Whitened { change, deviation } = &whitened;
+        let Whitened { change, deviation, .. } = &whitened;
         let present = || change.iter().zip(deviation).filter(|(change, _)| change.is_finite());
         let energy =
             present().map(|(change, sigma)| (change / sigma).powi(2)).sum::<f64>() / present().count().max(1) as f64;

@@ -3,6 +3,9 @@
 /// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
 const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
+/// The usual square of the model's error over that: touches of one to three presses at random on twins of sandwiches are
+/// off by so much.
+const USUAL_MODEL_SHARE: f64 = 0.07;
 
 /// The change of the channels in one frame, with its deviations.
 #[derive(Debug, Default)]
@@ -11,6 +14,17 @@ pub(super) struct Whitened {
     pub change: Vec<f64>,
     /// Standard deviations, model volts.
     pub deviation: Vec<f64>,
+    /// The share of the noise in their squares, on average.
+    pub noise_share: f64,
+}
+
+impl Whitened {
+    /// What a fit's covariance is multiplied by, where the fit leaves this misfit (the mean square over the deviations).
+    /// The deviations hold a model error that is not to be trusted below it, so that fits are not refused; on a sound
+    /// skin it is smaller, and what the fit leaves says where it is not.
+    pub fn covariance_factor(&self, misfit: f64) -> f64 {
+        misfit.max(self.noise_share + USUAL_MODEL_SHARE * (1.0 - self.noise_share))
+    }
 }
 
 /// What frames are weighed by.
@@ -44,12 +58,14 @@ impl Channels {
 
     /// The change of the channels and its deviations, for difference data that are all finite.
     pub fn weigh(&self, difference: &[f64], whitened: &mut Whitened) {
-        let Whitened { change, deviation } = whitened;
+        let Whitened { change, deviation, noise_share } = whitened;
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
         deviation.clear();
         deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
             (noise * noise + (SHARE * change).powi(2) + FLOOR * FLOOR * square).sqrt().max(f64::MIN_POSITIVE)
         }));
+        let shares = self.noise.iter().zip(&*deviation).map(|(noise, deviation)| (noise / deviation).powi(2));
+        *noise_share = shares.sum::<f64>() / difference.len() as f64;
         change.clear();
         change.extend(difference.iter().zip(&self.absent).map(|(v, absent)| if *absent { f64::NAN } else { *v }));
     }
