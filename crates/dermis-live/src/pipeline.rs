@@ -272,9 +272,6 @@ impl Pipeline {
             }
         }
         reconstructor.image(difference, image)?;
-        if let Some(classes) = &mut self.classes {
-            classes.classify(at.1, time_ns, difference)?;
-        }
         let imaged = Instant::now();
         self.timing.latencies.image.record(imaged - conditioned);
         let placement = reconstructor.place(time_ns, difference)?;
@@ -287,6 +284,9 @@ impl Pipeline {
         }
         reconstructor.follow_touches(time_ns, image, placement)?;
         self.timing.latencies.touches.record(imaged.elapsed());
+        if let Some(classes) = &mut self.classes {
+            classes.classify(at.1, time_ns, &reconstructor.fitted(difference))?;
+        }
         Ok(Seen { touched: reconstructor.is_loaded(), believed: true })
     }
 

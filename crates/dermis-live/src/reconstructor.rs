@@ -4,6 +4,7 @@ use crate::Error;
 use crate::calibration::PlacementFinder;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
+use crate::stages::classes::FittedFrame;
 use crate::stages::element_contacts::ElementContacts;
 use crate::stages::placement::Placement;
 use crate::stages::refinement::Refinement;
@@ -74,6 +75,12 @@ impl Reconstructor {
             self.touches.correct_contacts(correction, placement.and_then(|placement| placement.load));
         }
         self.touches.track_contacts(time_ns)
+    }
+
+    /// The frame at hand (model volts, `NaN` where missing) with what was fitted to it.
+    pub(crate) fn fitted<'a>(&'a self, difference: &'a [f64]) -> FittedFrame<'a> {
+        let explained = self.refinement.explained();
+        FittedFrame { difference, filled: self.imager.filled(), contacts: self.touches.contacts(), explained }
     }
 
     /// Goes on without these channels, at this noise of the others (model volts); with an empty list with all channels.

@@ -48,9 +48,13 @@ fn row_of(touch: &Touch) -> TouchRow {
     (touch.id, phase_name(touch.phase), values)
 }
 
-/// The row of a recorded touch; recordings keep no other places.
+/// The row of a recorded touch.
 pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
     let ([x, y], [sx, sy]) = (touch.position_m, touch.sigma_m);
+    let (other_mm, other_probability) = match touch.other_place {
+        Some(other) => (other.position_m.map(|v| 1e3 * v), other.probability),
+        None => ([f64::NAN; 2], 0.0),
+    };
     let values = [
         1e3 * x,
         1e3 * y,
@@ -60,9 +64,9 @@ pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
         1e3 * sx,
         1e3 * sy,
         1e3 * touch.radius_m,
-        f64::NAN,
-        f64::NAN,
-        f64::NAN,
+        other_mm[0],
+        other_mm[1],
+        other_probability,
     ];
     (touch.id, phase_name(touch.phase), values)
 }

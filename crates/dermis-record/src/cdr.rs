@@ -130,6 +130,11 @@ impl<'a> CdrReader<'a> {
     }
 
     /// A sequence's length, no more than could follow at `least` bytes each.
+    /// Whether all bytes have been read.
+    pub(super) fn is_at_end(&self) -> bool {
+        self.at >= self.bytes.len()
+    }
+
     pub(super) fn length(&mut self, least: usize) -> Option<usize> {
         let length = usize::try_from(self.u32()?).ok()?;
         (length.checked_mul(least)? <= self.bytes.len() - self.at).then_some(length)

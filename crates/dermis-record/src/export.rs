@@ -200,6 +200,9 @@ fn columns<R: Read + Seek>(recording: &Recording<R>, table: Table, complex: bool
             ("force_n", Kind::Number),
             ("force_range", Kind::Text),
             ("radius_mm", Kind::Number),
+            ("other_x_mm", Kind::Number),
+            ("other_y_mm", Kind::Number),
+            ("other_probability", Kind::Number),
         ],
         Table::Baselines => &[
             ("wall_ns", Kind::Count),
@@ -244,6 +247,10 @@ fn frame_cells(frame: &Frame, cells: &mut Vec<Cell>) {
 
 fn touch_rows(entry: &TouchesEntry) -> impl Iterator<Item = Vec<Cell>> + '_ {
     entry.touches.iter().map(|touch| {
+        let (other_m, probability) = match touch.other_place {
+            Some(other) => (other.position_m, other.probability),
+            None => ([f64::NAN; 2], 0.0),
+        };
         vec![
             Cell::Count(entry.sequence),
             Cell::Count(entry.time_ns),
@@ -258,6 +265,9 @@ fn touch_rows(entry: &TouchesEntry) -> impl Iterator<Item = Vec<Cell>> + '_ {
             Cell::Number(touch.force_n),
             Cell::Text(touch.force_range.clone()),
             Cell::Number(1e3 * touch.radius_m),
+            Cell::Number(1e3 * other_m[0]),
+            Cell::Number(1e3 * other_m[1]),
+            Cell::Number(probability),
         ]
     })
 }

@@ -84,7 +84,7 @@ pub use export::{Exported, Table, TableFormat, export};
 pub use frames::{is_recording, read_frames};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
-pub use messages::{BaselineEntry, EventEntry, TouchEntry, TouchesEntry};
+pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};
 pub use queue::{RecorderHandle, RecorderStatus, RecordingStop};
 pub use reader::{Damage, Entry, LostFrames, Recording};
 pub use recover::{Recovered, recover};

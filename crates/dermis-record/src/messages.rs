@@ -56,6 +56,19 @@ pub struct TouchEntry {
     pub force_range: String,
     /// Fitted radius, metres; NaN where none was fitted.
     pub radius_m: f64,
+    /// Where the touch may be instead, where that is in doubt.
+    pub other_place: Option<OtherPlaceEntry>,
+}
+
+/// Where a touch may be instead, as recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OtherPlaceEntry {
+    /// Position, metres.
+    pub position_m: [f64; 2],
+    /// Standard deviations of the position if the touch is there, metres.
+    pub sigma_m: [f64; 2],
+    /// Probability that it is, 0 to 1.
+    pub probability: f64,
 }
 
 /// Something that happened, as recorded.
@@ -142,12 +155,30 @@ pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touc
         cdr.string(touch.force.map_or("", |force| force.range()));
         cdr.f64(touch.radius_m.unwrap_or(f64::NAN));
     }
+    let others = || touches.iter().chain(ended()).filter_map(|touch| Some((touch.id, touch.other_place?)));
+    cdr.length(others().count());
+    for (id, other) in others() {
+        cdr.u64(id);
+        cdr.f64(other.position_m[0]);
+        cdr.f64(other.position_m[1]);
+        cdr.f64(other.covariance_m2[0][0].sqrt());
+        cdr.f64(other.covariance_m2[1][1].sqrt());
+        cdr.f64(other.probability);
+    }
 }
 
 pub(super) fn read_touches(bytes: &[u8]) -> Option<TouchesEntry> {
     let mut cdr = CdrReader::new(bytes)?;
     let (sequence, time_ns) = (cdr.u64()?, cdr.u64()?);
-    let touches = (0..cdr.length(1)?).map(|_| read_touch(&mut cdr)).collect::<Option<_>>()?;
+    let mut touches = (0..cdr.length(1)?).map(|_| read_touch(&mut cdr)).collect::<Option<Vec<_>>>()?;
+    // Recordings made before touches had other places end here.
+    let others = if cdr.is_at_end() { 0 } else { cdr.length(1)? };
+    for _ in 0..others {
+        let id = cdr.u64()?;
+        let (position_m, sigma_m) = ([cdr.f64()?, cdr.f64()?], [cdr.f64()?, cdr.f64()?]);
+        let other = OtherPlaceEntry { position_m, sigma_m, probability: cdr.f64()? };
+        touches.iter_mut().find(|touch| touch.id == id)?.other_place = Some(other);
+    }
     Some(TouchesEntry { sequence, time_ns, touches })
 }
 
@@ -165,6 +196,7 @@ fn read_touch(cdr: &mut CdrReader<'_>) -> Option<TouchEntry> {
         force_n: cdr.f64()?,
         force_range: cdr.string()?.to_owned(),
         radius_m: cdr.f64()?,
+        other_place: None,
     })
 }
 
@@ -216,6 +248,7 @@ pub(super) fn phase_name(phase: TouchPhase) -> &'static str {
 mod tests {
     use super::*;
     use crate::sink::testing::touch;
+    use dermis_touch::PlaceHypothesis;
     use proptest::prelude::*;
 
     /// The frame without its readings, and these as bits, NaN among them.
@@ -265,7 +298,9 @@ mod tests {
 
     #[test]
     fn touches_come_back_with_those_that_ended() {
-        let touches = [touch(1, TouchPhase::Begin, 3.0, -4.0)];
+        let mut touches = [touch(1, TouchPhase::Begin, 3.0, -4.0)];
+        let covariance_m2 = [[4e-6, 0.0], [0.0, 9e-6]];
+        touches[0].other_place = Some(PlaceHypothesis { position_m: [-3e-3, 4e-3], covariance_m2, probability: 0.25 });
         let events = [TouchEvent::End(touch(2, TouchPhase::End, 5.0, 6.0)), TouchEvent::Begin(touches[0])];
         let mut bytes = Vec::new();
         write_touches(&mut bytes, 7, 9, &touches, &events);
@@ -275,7 +310,15 @@ mod tests {
         assert_eq!((first.id, first.phase, first.position_m), (1, TouchPhase::Begin, [3e-3, -4e-3]));
         assert_eq!((first.sigma_m, first.area_m2, first.force_range.as_str()), ([0.5e-3, 0.25e-3], 1e-4, ""));
         assert!(first.force_n.is_nan() && first.radius_m.is_nan());
+        let other = OtherPlaceEntry { position_m: [-3e-3, 4e-3], sigma_m: [2e-3, 3e-3], probability: 0.25 };
+        assert_eq!((first.other_place, second.other_place), (Some(other), None));
         assert_eq!((second.id, second.phase, second.position_m), (2, TouchPhase::End, [5e-3, 6e-3]));
+
+        // As it was before touches had other places: nothing after the touches.
+        touches[0].other_place = None;
+        write_touches(&mut bytes, 7, 9, &touches, &[]);
+        let before = read_touches(&bytes[..bytes.len() - 4]).unwrap();
+        assert_eq!((before.touches.len(), before.touches[0].other_place), (1, None));
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(super) struct Schema {
 pub(super) const OWN: [Schema; 4] = [
     Schema { topic: FRAMES, name: "dermis_msgs/msg/Frame", parts: &[FRAME] },
     Schema { topic: BASELINES, name: "dermis_msgs/msg/Baseline", parts: &[BASELINE] },
-    Schema { topic: TOUCHES, name: "dermis_msgs/msg/Touches", parts: &[TOUCHES_OF_A_FRAME, TOUCH] },
+    Schema { topic: TOUCHES, name: "dermis_msgs/msg/Touches", parts: &[TOUCHES_OF_A_FRAME, TOUCH, OTHER_PLACE] },
     Schema { topic: EVENTS, name: "dermis_msgs/msg/Event", parts: &[EVENT] },
 ];
 
@@ -74,6 +74,7 @@ const TOUCHES_OF_A_FRAME: &str = "\
 uint64 sequence  # the frame
 uint64 host_monotonic_ns  # of the frame
 dermis_msgs/Touch[] touches
+dermis_msgs/OtherPlace[] other_places  # of touches whose place is in doubt
 ";
 
 const TOUCH: &str = "\
@@ -89,6 +90,16 @@ float64 sigma_y_m
 float64 force_n  # NaN without calibration
 string force_range  # within, below, above, saturated, none; empty without calibration
 float64 radius_m  # NaN where none was fitted
+";
+
+const OTHER_PLACE: &str = "\
+MSG: dermis_msgs/OtherPlace
+uint64 id  # of the touch
+float64 x_m
+float64 y_m
+float64 sigma_x_m  # if it is there
+float64 sigma_y_m
+float64 probability  # that it is
 ";
 
 const EVENT: &str = "\

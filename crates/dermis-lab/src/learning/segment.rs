@@ -15,7 +15,7 @@ use crate::Error;
 use dermis_live::channels::ChannelReader;
 use dermis_live::network::Classifier;
 use dermis_live::network::UNLIKE;
-use dermis_live::network::built_in_for_recordings;
+use dermis_live::network::built_in;
 use dermis_live::network::{MaskRule, PRESENCE, enlarge, masks_of_image};
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
@@ -57,7 +57,7 @@ impl NetworkChoice {
     fn open(&self, skin: &Skin) -> Result<Option<Model>, Error> {
         Ok(match self {
             Self::Shipped => {
-                let model = built_in_for_recordings(&skin.name)?;
+                let model = built_in(&skin.name)?;
                 model.filter(|model| model.check_skin(&skin.name, &dermis_live::network::imaging_sha256(skin)).is_ok())
             }
             Self::File(path) => Some(Model::load(path)?),

@@ -3,20 +3,6 @@
 
 use dermis_learn::{LearnError, Model};
 
-/// The network of a built-in skin that labels recordings; `None` where none ships. Where there are two it is the one that
-/// is shown more than a live frame has time and memory for.
-///
-/// # Errors
-/// As [`built_in`].
-pub fn built_in_for_recordings(skin: &str) -> Result<Option<Model>, LearnError> {
-    if skin != "healing-square" {
-        return built_in(skin);
-    }
-    let card = include_str!("../../models/healing-square-recorded.json");
-    let weights = include_bytes!("../../models/healing-square-recorded.safetensors");
-    Model::from_contents(card, weights, skin).map(Some)
-}
-
 /// The network of a built-in skin; `None` where none ships. It fits the skin only as long as nothing that its images
 /// depend on is changed ([`Model::check_skin`]).
 ///

@@ -8,6 +8,7 @@ use dermis_learn::{Model, Network, Novelty};
 use rayon::prelude::*;
 
 use super::classes::{CLASSES, Classes, UNLIKE};
+use super::contact_image::FittedTouches;
 use super::fingerprint::imaging_sha256;
 use super::masks::{MaskRule, label_image};
 use super::network_input::{BATCH, FirstStep, InputImage};
@@ -36,6 +37,16 @@ pub struct Classifier {
 }
 
 impl Classifier {
+    /// As [`Classifier::new`], for frames that bring along what was fitted to them ([`Classifier::classify_fitted`]).
+    ///
+    /// # Errors
+    /// As [`Classifier::new`].
+    pub fn beside_fits(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
+        refuse_refined(model)?;
+        let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
+        Self::of(prepared, model, |inputs| FirstStep::beside_fits(prepared, &reference, inputs))
+    }
+
     /// For frames of any reference: the operators are those of a skin's own model. What the skin file takes from a
     /// measured baseline (weights by noise) is taken from the model here; use [`Classifier::with_reference`] for those.
     ///
@@ -43,11 +54,7 @@ impl Classifier {
     /// As [`Classifier::with_reference`], and a network that is shown refined images, which live frames have no time
     /// for.
     pub fn new(prepared: &Prepared, model: &Model) -> Result<Self, Error> {
-        let refined = InputImage::Refined.to_string();
-        if model.card.inputs.contains(&refined) {
-            let (expected, got) = ("inputs that a live frame has time for".into(), refined);
-            return Err(Error::Frames { what: "model".into(), expected, got });
-        }
+        refuse_refined(model)?;
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
         Self::with_reference(prepared, &reference, model)
     }
@@ -57,6 +64,14 @@ impl Classifier {
     /// # Errors
     /// A model of another skin, or whose inputs, classes or image size do not fit it.
     pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
+        Self::of(prepared, model, |inputs| FirstStep::new(prepared, reference, inputs))
+    }
+
+    fn of(
+        prepared: &Prepared,
+        model: &Model,
+        first_step: impl FnOnce(&[InputImage]) -> Result<FirstStep, Error>,
+    ) -> Result<Self, Error> {
         model.check_skin(&prepared.skin.name, &imaging_sha256(&prepared.skin))?;
         let card = &model.card;
         let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
@@ -78,7 +93,7 @@ impl Classifier {
         }
         let inside = prepared.map.inside_mask();
         Ok(Self {
-            first_step: FirstStep::new(prepared, reference, &inputs)?,
+            first_step: first_step(&inputs)?,
             network: model.network()?,
             novelty: model.novelty(),
             scale: card.input_scale.clone(),
@@ -103,11 +118,30 @@ impl Classifier {
     /// # Errors
     /// A frame of another length or without any channel.
     pub fn classify(&mut self, difference: &[f64], out: &mut Classes) -> Result<(), Error> {
+        self.first_step.images_of(difference, &mut self.input)?;
+        self.classify_input(out)
+    }
+
+    /// As [`Classifier::classify`] of a frame to which this has been fitted.
+    ///
+    /// # Errors
+    /// As [`Classifier::classify`].
+    pub fn classify_fitted(
+        &mut self,
+        difference: &[f64],
+        fitted: &FittedTouches,
+        out: &mut Classes,
+    ) -> Result<(), Error> {
+        self.first_step.images_of_fitted(difference, fitted, &mut self.input)?;
+        self.classify_input(out)
+    }
+
+    fn classify_input(&mut self, out: &mut Classes) -> Result<(), Error> {
         let (rows, columns) = self.image_size();
         if (out.rows, out.columns) != (rows, columns) || out.probabilities.len() != self.probabilities.len() {
             *out = Classes::new(rows, columns);
         }
-        out.novelty = self.run(difference)?;
+        out.novelty = self.run()?;
         out.falls_back = out.novelty.is_some_and(|novelty| novelty > UNLIKE);
         let pixels = rows * columns;
         if out.falls_back {
@@ -132,8 +166,7 @@ impl Classifier {
     }
 
     /// The network's probabilities, outside the skin too, are left in `self.probabilities`; the novelty score.
-    fn run(&mut self, difference: &[f64]) -> Result<Option<f32>, Error> {
-        self.first_step.images_of(difference, &mut self.input)?;
+    fn run(&mut self) -> Result<Option<f32>, Error> {
         rescale(&mut self.input, &self.scale);
         self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
@@ -163,6 +196,16 @@ impl Classifier {
         }
         Ok(all)
     }
+}
+
+/// Refined images are nothing for live frames.
+fn refuse_refined(model: &Model) -> Result<(), Error> {
+    let refined = InputImage::Refined.to_string();
+    if model.card.inputs.contains(&refined) {
+        let (expected, got) = ("inputs that a live frame has time for".into(), refined);
+        return Err(Error::Frames { what: "model".into(), expected, got });
+    }
+    Ok(())
 }
 
 /// Images times the factors that the network was trained with.

@@ -3,6 +3,7 @@
 //! and whose cuts are faint beside them.
 
 use dermis_tomo::mesh::PixelGrid;
+use dermis_touch::Contact;
 
 use crate::Error;
 use crate::imager::Imager;
@@ -14,41 +15,51 @@ use crate::stages::touches::TouchStage;
 /// Frames have nothing to do with each other: so far apart, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
-/// Draws the fitted contacts of frames.
+/// What the forward model has fitted to a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FittedTouches {
+    /// Centres and radii of the touches, metres; none where none is believed.
+    pub discs: Vec<([f64; 2], f64)>,
+    /// What they leave of the frame, model volts, missing channels filled in: all of it where none is believed.
+    pub left: Vec<f64>,
+}
+
+impl FittedTouches {
+    /// Of a frame (model volts, missing channels filled in) with these contacts, which `explain` so much of it.
+    pub(crate) fn set(&mut self, frame: &[f64], contacts: &[Contact], explained: Option<&[f64]>) {
+        self.discs.clear();
+        self.left.clear();
+        self.left.extend_from_slice(frame);
+        if let Some(explained) = explained {
+            self.discs.extend(contacts.iter().filter_map(|contact| Some((contact.centroid_m, contact.radius_m?))));
+            self.left.iter_mut().zip(explained).for_each(|(left, explained)| *left -= explained);
+        }
+    }
+}
+
+/// Fits touches to frames that have nothing to do with each other.
 #[derive(Debug)]
-pub(super) struct ContactImage {
+pub(super) struct ContactFitter {
     imager: Imager,
     touches: TouchStage,
     refinement: Refinement,
     image: Vec<f32>,
-    left: Vec<f64>,
-    discs: Vec<([f64; 2], f64)>,
-    grid: PixelGrid,
-    inside: Vec<u32>,
     time_ns: u64,
 }
 
-impl ContactImage {
+impl ContactFitter {
     /// Of a skin whose file refines touches. The noise is what the skin file assumes, whatever the instrument's is, so
-    /// that a network sees live what it was trained on.
+    /// that a network sees of a recording what it was trained on.
     ///
     /// # Errors
-    /// A skin without refined touches; operators that cannot be made.
+    /// Operators that cannot be made.
     pub(super) fn new(prepared: &Prepared) -> Result<Self, Error> {
-        if !prepared.skin.refines_touches() {
-            let (expected, got) = ("touch.refine in the skin file".into(), prepared.skin.name.clone());
-            return Err(Error::Frames { what: "input image \"contacts\"".into(), expected, got });
-        }
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
         let imager = Imager::new(prepared, &reference, &[])?;
         Ok(Self {
             touches: TouchStage::new(prepared, imager.noise_image())?,
             refinement: Refinement::new(prepared, &reference.noise)?.taking_time(),
             image: vec![f32::NAN; prepared.map.grid().len()],
-            left: vec![0.0; prepared.channels()],
-            discs: Vec::new(),
-            grid: *prepared.map.grid(),
-            inside: prepared.map.inside_pixels().to_vec(),
             time_ns: 0,
             imager,
         })
@@ -58,34 +69,15 @@ impl ContactImage {
     ///
     /// # Errors
     /// As [`Imager::image`].
-    pub(super) fn fit(&mut self, difference: &[f64]) -> Result<(), Error> {
+    pub(super) fn fit(&mut self, difference: &[f64], fitted: &mut FittedTouches) -> Result<(), Error> {
         self.time_ns += APART_NS;
         self.imager.image(difference, &mut self.image)?;
         self.touches.find_contacts(&self.image, None)?;
         self.refinement.forget();
         let contacts = self.touches.contacts_mut();
         self.refinement.refine(self.time_ns, self.imager.filled(), &self.image, contacts)?;
-        self.discs.clear();
-        self.discs.extend(contacts.iter().filter_map(|contact| Some((contact.centroid_m, contact.radius_m?))));
-        self.left.copy_from_slice(self.imager.filled());
-        if let Some(explained) = self.refinement.explained() {
-            self.left.iter_mut().zip(explained).for_each(|(left, explained)| *left -= explained);
-        }
+        fitted.set(self.imager.filled(), contacts, self.refinement.explained());
         Ok(())
-    }
-
-    /// The share of each pixel that the fitted touches cover; 0 where none is believed.
-    pub(super) fn draw(&self, out: &mut [f32]) {
-        out.fill(0.0);
-        draw_discs(&self.grid, &self.inside, &self.discs, out);
-    }
-
-    /// The linear image of what the fitted touches leave of the frame: all of it where none is believed.
-    ///
-    /// # Errors
-    /// As [`Imager::image`].
-    pub(super) fn draw_left(&mut self, out: &mut [f32]) -> Result<(), Error> {
-        self.imager.image(&self.left, out)
     }
 }
 

@@ -5,7 +5,9 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::contact_image::ContactImage;
+use dermis_tomo::mesh::PixelGrid;
+
+use super::contact_image::{ContactFitter, FittedTouches, draw_discs};
 use crate::Error;
 use crate::imager::{Imager, Refiner};
 use crate::prepare::Prepared;
@@ -77,8 +79,10 @@ impl FromStr for InputImage {
 #[derive(Debug)]
 pub struct FirstStep {
     sources: Vec<Source>,
-    /// The fitted touches, where they or what they leave are shown.
-    fitted: Option<Box<ContactImage>>,
+    /// Fits the touches of frames, where these or what they leave are shown and frames do not bring them along.
+    fitter: Option<Box<ContactFitter>>,
+    fitted: FittedTouches,
+    grid: PixelGrid,
     pixels: usize,
     /// `W_m J_mp^2`, channels x inside pixels, and its sums over channels.
     sensitivity: Vec<f32>,
@@ -90,7 +94,8 @@ pub struct FirstStep {
 
 #[derive(Debug)]
 enum Source {
-    Imager(Box<Imager>),
+    /// The linear image at so many times lambda.
+    Imager(f64, Box<Imager>),
     Refiner(Box<Refiner>),
     Contacts,
     Left,
@@ -104,8 +109,30 @@ impl FirstStep {
     /// Prepares the operators. They do not depend on measurements unless the skin's weights or hyperparameter do.
     ///
     /// # Errors
-    /// As [`Imager::new`].
+    /// As [`Imager::new`]; images that the skin has not.
     pub fn new(prepared: &Prepared, reference: &Reference, images: &[InputImage]) -> Result<Self, Error> {
+        let mut first_step = Self::beside_fits(prepared, reference, images)?;
+        if first_step.shows_fits() {
+            first_step.fitter = Some(Box::new(ContactFitter::new(prepared)?));
+        }
+        Ok(first_step)
+    }
+
+    /// As [`FirstStep::new`], for frames that bring along what was fitted to them
+    /// ([`FirstStep::images_of_fitted`]).
+    ///
+    /// # Errors
+    /// As [`FirstStep::new`].
+    pub fn beside_fits(prepared: &Prepared, reference: &Reference, images: &[InputImage]) -> Result<Self, Error> {
+        let fits = [InputImage::Contacts, InputImage::Left];
+        if let Some(image) = images.iter().find(|image| fits.contains(image) && !prepared.skin.refines_touches()) {
+            let (expected, got) = ("touch.refine in the skin file".into(), prepared.skin.name.clone());
+            return Err(Error::Frames { what: format!("input image \"{image}\""), expected, got });
+        }
+        if images.contains(&InputImage::Left) && !images.contains(&InputImage::Step(1.0)) {
+            let (expected, got) = ("image among the inputs too".into(), "none".into());
+            return Err(Error::Frames { what: "input image \"left\"".into(), expected, got });
+        }
         let mut sources = Vec::with_capacity(images.len());
         for image in images {
             sources.push(match image {
@@ -118,12 +145,10 @@ impl FirstStep {
                     if *factor != 1.0 {
                         imager.set_hyperparameter(factor * imager.hyperparameter(), &reference.noise)?;
                     }
-                    Source::Imager(Box::new(imager))
+                    Source::Imager(*factor, Box::new(imager))
                 }
             });
         }
-        let fitted = sources.iter().any(|source| matches!(source, Source::Contacts | Source::Left));
-        let fitted = fitted.then(|| ContactImage::new(prepared)).transpose()?.map(Box::new);
         let covered = sources.iter().any(|source| matches!(source, Source::Coverage));
         let sensitivity = if covered { sensitivity(prepared) } else { Vec::new() };
         let inside = prepared.map.inside_pixels().to_vec();
@@ -131,11 +156,17 @@ impl FirstStep {
         for row in sensitivity.chunks_exact(inside.len().max(1)) {
             whole.iter_mut().zip(row).for_each(|(sum, value)| *sum += value);
         }
-        let pixels = prepared.map.grid().len();
+        let grid = *prepared.map.grid();
+        let pixels = grid.len();
         let absent = vec![false; prepared.channels()];
         let mut coverage = vec![0.0; pixels];
         inside.iter().for_each(|&pixel| coverage[pixel as usize] = 1.0);
-        Ok(Self { sources, fitted, pixels, sensitivity, whole, inside, absent, coverage })
+        let (fitter, fitted) = (None, FittedTouches::default());
+        Ok(Self { sources, fitter, fitted, grid, pixels, sensitivity, whole, inside, absent, coverage })
+    }
+
+    fn shows_fits(&self) -> bool {
+        self.sources.iter().any(|source| matches!(source, Source::Contacts | Source::Left))
     }
 
     /// Number of input images.
@@ -149,14 +180,34 @@ impl FirstStep {
     /// # Errors
     /// As [`Imager::image`].
     pub fn images_of(&mut self, difference: &[f64], out: &mut [f32]) -> Result<(), Error> {
-        if out.len() != self.images() * self.pixels {
-            let (expected, got) = (format!("{} values", self.images() * self.pixels), out.len().to_string());
-            return Err(Error::Frames { what: "input images".into(), expected, got });
-        }
+        self.check_length(out)?;
         if self.sources.iter().any(|source| matches!(source, Source::Refiner(_))) {
             self.refine(&[difference.to_vec()], out)?;
         }
         self.image(difference, out)
+    }
+
+    /// As [`FirstStep::images_of`] of a frame to which this has been fitted.
+    ///
+    /// # Errors
+    /// As [`FirstStep::images_of`]; refined images, which live frames have no time for.
+    pub fn images_of_fitted(
+        &mut self,
+        difference: &[f64],
+        fitted: &FittedTouches,
+        out: &mut [f32],
+    ) -> Result<(), Error> {
+        self.check_length(out)?;
+        self.fitted.clone_from(fitted);
+        self.draw(difference, out)
+    }
+
+    fn check_length(&self, out: &[f32]) -> Result<(), Error> {
+        if out.len() != self.images() * self.pixels {
+            let (expected, got) = (format!("{} values", self.images() * self.pixels), out.len().to_string());
+            return Err(Error::Frames { what: "input images".into(), expected, got });
+        }
+        Ok(())
     }
 
     /// As [`FirstStep::images_of`] for many frames, one after the other in `out`, refined on all threads.
@@ -190,17 +241,28 @@ impl FirstStep {
 
     /// The other images of a frame, and all cleared outside the skin.
     fn image(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
+        if let Some(fitter) = &mut self.fitter {
+            fitter.fit(difference, &mut self.fitted)?;
+        }
+        self.draw(difference, frame)
+    }
+
+    fn draw(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
         self.update_coverage(difference);
-        if let Some(fitted) = &mut self.fitted {
-            fitted.fit(difference)?;
+        if let Some(left) = self.sources.iter().position(|source| matches!(source, Source::Left)) {
+            let imagers = self.sources.iter_mut().find_map(|source| match source {
+                Source::Imager(1.0, imager) => Some(imager),
+                _ => None,
+            });
+            let image = &mut frame[left * self.pixels..(left + 1) * self.pixels];
+            imagers.map_or(Ok(()), |imager| imager.image(&self.fitted.left, image))?;
         }
         for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
             match source {
                 Source::Coverage => image.copy_from_slice(&self.coverage),
-                Source::Imager(imager) => imager.image(difference, image)?,
-                Source::Contacts => self.fitted.iter().for_each(|fitted| fitted.draw(image)),
-                Source::Left => self.fitted.iter_mut().try_for_each(|fitted| fitted.draw_left(image))?,
-                Source::Refiner(_) => {}
+                Source::Imager(_, imager) => imager.image(difference, image)?,
+                Source::Contacts => draw_discs(&self.grid, &self.inside, &self.fitted.discs, image),
+                Source::Left | Source::Refiner(_) => {}
             }
             image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
         }

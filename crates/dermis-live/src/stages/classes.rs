@@ -6,9 +6,10 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use dermis_learn::Model;
+use dermis_touch::Contact;
 
 use crate::Error;
-use crate::network::{Classes, Classifier};
+use crate::network::{Classes, Classifier, FittedTouches};
 use crate::prepare::Prepared;
 
 /// When a network is asked.
@@ -29,6 +30,19 @@ pub struct SeenClasses<'a> {
     pub sequence: u64,
 }
 
+/// A frame with what the forward model has fitted to it; voltages of the model.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FittedFrame<'a> {
+    /// `NaN` where missing.
+    pub difference: &'a [f64],
+    /// Missing channels filled in.
+    pub filled: &'a [f64],
+    /// Those of them that were fitted have a radius.
+    pub contacts: &'a [Contact],
+    /// What these explain of it.
+    pub explained: Option<&'a [f64]>,
+}
+
 /// Least time between two frames that are looked at beside the others, nanoseconds.
 const INTERVAL_NS: u64 = 40_000_000;
 
@@ -43,7 +57,7 @@ pub(crate) struct ClassStage {
 
 #[derive(Debug)]
 enum Worker {
-    Inline(Box<Classifier>),
+    Inline(Box<Classifier>, FittedTouches),
     Background(Background),
 }
 
@@ -67,6 +81,7 @@ struct Mailbox {
 #[derive(Debug)]
 struct Slot {
     difference: Vec<f64>,
+    fitted: FittedTouches,
     sequence: u64,
     state: State,
     classes: Classes,
@@ -94,7 +109,7 @@ impl Mailbox {
 
     /// Looks at one frame after the other.
     fn work(&self, mut classifier: Classifier) {
-        let (mut difference, mut classes) = (Vec::new(), Classes::new(0, 0));
+        let (mut difference, mut fitted, mut classes) = (Vec::new(), FittedTouches::default(), Classes::new(0, 0));
         loop {
             let mut slot = self.slot();
             while slot.state != State::Asked && !slot.ended {
@@ -104,9 +119,10 @@ impl Mailbox {
                 return;
             }
             std::mem::swap(&mut difference, &mut slot.difference);
+            std::mem::swap(&mut fitted, &mut slot.fitted);
             slot.state = State::Busy;
             drop(slot);
-            let seen = classifier.classify(&difference, &mut classes);
+            let seen = classifier.classify_fitted(&difference, &fitted, &mut classes);
             let mut slot = self.slot();
             match seen {
                 Ok(()) => std::mem::swap(&mut classes, &mut slot.classes),
@@ -132,29 +148,30 @@ impl ClassStage {
     pub(crate) fn new(prepared: &Prepared, model: &Model, pace: ClassPace) -> Result<Self, Error> {
         let grid = prepared.map.grid();
         let classes = Classes::new(grid.rows, grid.columns);
-        let classifier = Classifier::new(prepared, model)?;
+        let classifier = Classifier::beside_fits(prepared, model)?;
         let worker = match pace {
-            ClassPace::EveryFrame => Worker::Inline(Box::new(classifier)),
+            ClassPace::EveryFrame => Worker::Inline(Box::new(classifier), FittedTouches::default()),
             ClassPace::Background => Worker::Background(Background::new(classifier, classes.clone())?),
         };
         Ok(Self { worker, classes, sequence: None })
     }
 
-    /// Classifies difference data (model volts, `NaN` where missing) of a frame at a time on the skin's clock.
-    pub(crate) fn classify(&mut self, sequence: u64, time_ns: u64, difference: &[f64]) -> Result<(), Error> {
-        let anything = difference.iter().any(|value| value.is_finite());
+    /// Classifies a frame at a time on the skin's clock.
+    pub(crate) fn classify(&mut self, sequence: u64, time_ns: u64, frame: &FittedFrame<'_>) -> Result<(), Error> {
+        let anything = frame.difference.iter().any(|value| value.is_finite());
         match &mut self.worker {
-            Worker::Inline(classifier) => {
+            Worker::Inline(classifier, fitted) => {
                 self.sequence = None;
                 if anything {
-                    classifier.classify(difference, &mut self.classes)?;
+                    fitted.set(frame.filled, frame.contacts, frame.explained);
+                    classifier.classify_fitted(frame.difference, fitted, &mut self.classes)?;
                     self.sequence = Some(sequence);
                 }
             }
             Worker::Background(background) => {
                 if !anything {
                     self.forget(sequence);
-                } else if let Some(sequence) = background.exchange(sequence, time_ns, difference, &mut self.classes)? {
+                } else if let Some(sequence) = background.exchange(sequence, time_ns, frame, &mut self.classes)? {
                     self.sequence = Some(sequence);
                 }
             }
@@ -178,8 +195,15 @@ impl ClassStage {
 
 impl Background {
     fn new(classifier: Classifier, classes: Classes) -> Result<Self, Error> {
-        let slot =
-            Slot { difference: Vec::new(), sequence: 0, state: State::Idle, classes, failed: None, ended: false };
+        let slot = Slot {
+            difference: Vec::new(),
+            fitted: FittedTouches::default(),
+            sequence: 0,
+            state: State::Idle,
+            classes,
+            failed: None,
+            ended: false,
+        };
         let mailbox = Arc::new(Mailbox { slot: Mutex::new(slot), arrived: Condvar::new() });
         let worker = Arc::clone(&mailbox);
         let thread = std::thread::Builder::new()
@@ -195,7 +219,7 @@ impl Background {
         &mut self,
         sequence: u64,
         time_ns: u64,
-        difference: &[f64],
+        frame: &FittedFrame<'_>,
         classes: &mut Classes,
     ) -> Result<Option<u64>, Error> {
         // Never waits: the network holds the slot for a moment at a time, and the next frame comes soon.
@@ -214,7 +238,8 @@ impl Background {
         let due = self.asked_ns.is_none_or(|asked_ns| time_ns.saturating_sub(asked_ns) >= INTERVAL_NS);
         if slot.state == State::Idle && due {
             slot.difference.clear();
-            slot.difference.extend_from_slice(difference);
+            slot.difference.extend_from_slice(frame.difference);
+            slot.fitted.set(frame.filled, frame.contacts, frame.explained);
             (slot.sequence, slot.state) = (sequence, State::Asked);
             self.asked_ns = Some(time_ns);
             self.mailbox.arrived.notify_one();

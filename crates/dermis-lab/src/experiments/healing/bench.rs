@@ -9,7 +9,7 @@ use dermis_twin::mechanics::{Indenter, Load, Shape};
 use crate::Error;
 use crate::report::{Kind, Row};
 use crate::twin_bench::Rig;
-use dermis_live::network::{Classes, Classifier, built_in_for_recordings, draw_discs};
+use dermis_live::network::{Classes, Classifier, built_in, draw_discs};
 
 pub(super) const SKIN: &str = "healing-square";
 /// Pressure of all touches, pascal.
@@ -68,7 +68,7 @@ impl Bench {
     pub(super) fn new() -> Result<Self, Error> {
         let rig = Rig::new(SKIN)?;
         let prepared = rig.prepared();
-        let model = built_in_for_recordings(SKIN)?;
+        let model = built_in(SKIN)?;
         let classifier =
             model.map(|model| Classifier::with_reference(prepared, rig.reference(), &model)).transpose()?;
         let grid = prepared.map.grid();
