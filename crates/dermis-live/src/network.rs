@@ -13,6 +13,6 @@ pub use built_in::built_in;
 pub use classes::{CLASSES, Classes, UNLIKE};
 pub use classifier::{Classifier, Seen};
 pub use contact_image::{FittedTouches, draw_discs};
-pub use fingerprint::imaging_sha256;
+pub use fingerprint::{imaging_sha256, suits};
 pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
 pub use network_input::{BATCH, FirstStep, InputImage};

@@ -15,8 +15,8 @@ use crate::Error;
 use dermis_live::channels::ChannelReader;
 use dermis_live::network::Classifier;
 use dermis_live::network::UNLIKE;
-use dermis_live::network::built_in;
 use dermis_live::network::{MaskRule, PRESENCE, enlarge, masks_of_image};
+use dermis_live::network::{built_in, suits};
 use dermis_live::prepare::Prepared;
 use dermis_live::reference::Reference;
 use dermis_skin::Skin;
@@ -56,10 +56,7 @@ pub enum NetworkChoice {
 impl NetworkChoice {
     fn open(&self, skin: &Skin) -> Result<Option<Model>, Error> {
         Ok(match self {
-            Self::Shipped => {
-                let model = built_in(&skin.name)?;
-                model.filter(|model| model.check_skin(&skin.name, &dermis_live::network::imaging_sha256(skin)).is_ok())
-            }
+            Self::Shipped => built_in(&skin.name)?.filter(|model| suits(model, skin)),
             Self::File(path) => Some(Model::load(path)?),
             Self::None => None,
         })

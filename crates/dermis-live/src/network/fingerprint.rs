@@ -1,6 +1,9 @@
 //! What tells whether a network fits a skin.
 
+use dermis_learn::Model;
 use dermis_skin::{Backend, Electronics, Skin};
+
+use super::network_input::InputImage;
 
 /// SHA-256 of what images depend on: modality, frontend, backend without its electronics, and imaging. A network fits
 /// skins of the same fingerprint.
@@ -8,4 +11,12 @@ pub fn imaging_sha256(skin: &Skin) -> String {
     let backend = Backend { electronics: Electronics::default(), ..skin.backend.clone() };
     let parts = (skin.modality, &skin.frontend, &backend, &skin.imaging);
     dermis_learn::sha256(&serde_json::to_vec(&parts).unwrap_or_default())
+}
+
+/// Whether a network was trained for this skin, and what it is shown can be made of the skin's frames.
+pub fn suits(model: &Model, skin: &Skin) -> bool {
+    let is_fitted =
+        |name: &String| [InputImage::Contacts, InputImage::Left].iter().any(|image| *name == image.to_string());
+    let is_trained_for = model.check_skin(&skin.name, &imaging_sha256(skin)).is_ok();
+    is_trained_for && (skin.refines_touches() || !model.card.inputs.iter().any(is_fitted))
 }

@@ -5,7 +5,7 @@ use dermis::lab::learning::segment::{Method, Segmenter};
 use dermis::lab::learning::train_set::{Jitter, SimulatedFrames, TrainSetRequest, simulate};
 use dermis::lab::twin_bench::Rig;
 use dermis::live::network::{
-    CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image,
+    CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image, suits,
 };
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
@@ -385,6 +385,17 @@ fn a_network_beside_the_frames_names_the_frame_that_its_classes_are_of() {
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
     assert!(seen.is_some(), "no classes of the first {} frames were seen", known.len());
+}
+
+#[test]
+fn a_network_suits_the_skin_that_it_was_trained_for_as_long_as_touches_are_fitted() {
+    let model = built_in("healing-square").unwrap().unwrap();
+    let skin = Skin::open("healing-square").unwrap();
+    let mut without_fits = skin.clone();
+    without_fits.touch.refine = false;
+    let mut changed = skin.clone();
+    changed.imaging.grid = 48;
+    assert!(suits(&model, &skin) && !suits(&model, &without_fits) && !suits(&model, &changed));
 }
 
 #[test]

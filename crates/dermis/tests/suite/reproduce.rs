@@ -145,12 +145,16 @@ fn contacts_of_the_sandwich_beat_the_published_network() {
     assert!(value(&report, "one touch, fitted discs: mean ICC") > 0.90, "{:?}", report.rows);
     assert!(value(&report, "one touch, fitted discs: mean RIE") < 0.40, "{:?}", report.rows);
     assert!(value(&report, "one touch, fitted discs: mean SSIM") > 0.95, "{:?}", report.rows);
-    // The network is shown what was fitted; published: 0.92, 0.86 and 0.70. Measured: 0.94, 0.87 and 0.77.
-    assert!(value(&report, "one touch, U-Net: mean SSIM") > 0.92, "{:?}", report.rows);
+    // The network is shown what was fitted; published: 0.92, 0.86 and 0.70. By probabilities it has 0.95, 0.92 and 0.84
+    // here, by classes, as it was published, 0.97, 0.97 and 0.94.
+    assert!(value(&report, "one touch, U-Net: mean SSIM") > 0.94, "{:?}", report.rows);
+    assert!(value(&report, "one touch, U-Net's classes: mean SSIM") > 0.95, "{:?}", report.rows);
     assert_eq!(value(&report, "cases of six whose indenter is told by its size"), 6.0);
     let report = replay("H3");
-    assert!(value(&report, "two touches, U-Net: mean SSIM") > 0.86, "{:?}", report.rows);
-    assert!(value(&report, "three touches, U-Net: mean SSIM") > 0.70, "{:?}", report.rows);
+    for (touches, probabilities, classes) in [("two touches", 0.90, 0.95), ("three touches", 0.80, 0.93)] {
+        let ssim = |image: &str| value(&report, &format!("{touches}, {image}: mean SSIM"));
+        assert!(ssim("U-Net") > probabilities && ssim("U-Net's classes") > classes, "{:?}", report.rows);
+    }
     for (touches, icc, rie, ssim) in [("two touches", 0.90, 0.45, 0.92), ("three touches", 0.85, 0.55, 0.88)] {
         assert!(value(&report, &format!("{touches}, fitted discs: mean ICC")) > icc, "{:?}", report.rows);
         assert!(value(&report, &format!("{touches}, fitted discs: mean RIE")) < rie, "{:?}", report.rows);

@@ -34,17 +34,20 @@ pub(super) enum Step {
     First,
     /// Compressed less damaged, by the network's probabilities.
     Network,
+    /// The network's most likely class of each pixel: 1 compressed, -1 damaged.
+    Classes,
     /// Discs at the places and of the radii that the forward model fits.
     Fit,
 }
 
 impl Step {
-    pub(super) const ALL: [Self; 3] = [Self::First, Self::Network, Self::Fit];
+    pub(super) const ALL: [Self; 4] = [Self::First, Self::Network, Self::Classes, Self::Fit];
 
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::First => "first step",
             Self::Network => "U-Net",
+            Self::Classes => "U-Net's classes",
             Self::Fit => "fitted discs",
         }
     }
@@ -95,22 +98,27 @@ impl Bench {
         let discs: Vec<([f64; 2], f64)> =
             contacts.iter().map(|contact| (contact.centroid_m, radius_m(contact))).collect();
         let fit = self.discs(&discs);
-        let network = self.classified(&frame, &image)?;
-        Ok(Seen { images: [first, network, fit], contacts })
+        let [network, classes] = self.classified(&frame, &image)?;
+        Ok(Seen { images: [first, network, classes, fit], contacts })
     }
 
-    /// Probability of compressed less that of damaged; NaN outside the skin. Nothing where no network ships.
-    fn classified(&mut self, frame: &[f64], image: &[f32]) -> Result<Vec<f64>, Error> {
+    /// Probability of compressed less that of damaged, and the same of the most likely class; NaN outside the skin.
+    /// Nothing where no network ships.
+    fn classified(&mut self, frame: &[f64], image: &[f32]) -> Result<[Vec<f64>; 2], Error> {
         if let Some(classifier) = &mut self.classifier {
             classifier.classify(&self.rig.reference().difference(frame, None), &mut self.classes)?;
         }
         let pixels = image.len();
         let probability =
             |class: u8, pixel: usize| f64::from(self.classes.probabilities[class as usize * pixels + pixel]);
-        let value = |(pixel, seen): (usize, &f32)| {
-            if seen.is_finite() { probability(RAISED, pixel) - probability(LOWERED, pixel) } else { f64::NAN }
+        let is_class = |class: u8, pixel: usize| f64::from(u8::from(self.classes.labels[pixel] == class));
+        let image_of = |share: &dyn Fn(u8, usize) -> f64| {
+            let value = |(pixel, seen): (usize, &f32)| {
+                if seen.is_finite() { share(RAISED, pixel) - share(LOWERED, pixel) } else { f64::NAN }
+            };
+            image.iter().enumerate().map(value).collect()
         };
-        Ok(image.iter().enumerate().map(value).collect())
+        Ok([image_of(&probability), image_of(&is_class)])
     }
 
     /// Share of each pixel that lies in any of these discs (centre, radius); NaN outside the skin.

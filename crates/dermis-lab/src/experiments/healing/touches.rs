@@ -45,7 +45,10 @@ impl Scores {
         show("truth", &truth);
         for ((step, image), scores) in Step::ALL.iter().zip(&seen.images).zip(&mut self.by_step) {
             scores.push(bench.scores(&truth, image)?);
-            show(step.name(), image);
+            // Four panels to a row: classes look like the probabilities with hard rims.
+            if *step != Step::Classes {
+                show(step.name(), image);
+            }
         }
         Ok(())
     }
@@ -54,7 +57,7 @@ impl Scores {
         let mut rows = Vec::new();
         for (step, scores) in Step::ALL.iter().zip(&self.by_step) {
             for (k, figure) in ["ICC", "RIE", "SSIM"].into_iter().enumerate() {
-                let paper = (*step == Step::Network).then_some(published[k]);
+                let paper = matches!(step, Step::Network | Step::Classes).then_some(published[k]);
                 let here = mean(scores.iter().map(|score| score[k]));
                 rows.push(row(format!("{name}, {}: mean {figure}", step.name()), "", paper, here, Kind::Algorithm));
             }
@@ -119,7 +122,7 @@ fn positions() -> Result<Report, Error> {
         for (k, step) in Step::ALL.into_iter().enumerate() {
             let place = match step {
                 Step::Fit => seen.contacts.first().map(|contact| contact.centroid_m),
-                Step::First | Step::Network => centroid_above_m(&seen.images[k], &grid, 1.0, 0.5).ok(),
+                Step::First | Step::Network | Step::Classes => centroid_above_m(&seen.images[k], &grid, 1.0, 0.5).ok(),
             };
             let place = place.unwrap_or([f64::NAN; 2]);
             errors[k].push(distance_mm(place, pressed.centre_m));
