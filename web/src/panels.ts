@@ -38,12 +38,17 @@ function forceSign(range: Touch["force_range"]): string {
   return range === "above" || range === "saturated" ? "> " : "";
 }
 
+/** Decimal places of a length that is known to this sigma, in millimetres. */
+function placesOf(sigma_mm: number | null): number {
+  return sigma_mm !== null && sigma_mm < 0.2 ? 2 : 1;
+}
+
 export function showTouches(touches: Touch[]): void {
   const live = touches.filter((touch) => touch.phase !== "end").sort((a, b) => a.id - b.id);
   const texts = live.map((touch): [string, string[]] => {
-    const sigmas = [touch.sigma_x_mm, touch.sigma_y_mm].map((sigma) => (sigma === null ? "–" : sigma.toFixed(1)));
+    const sigmas = [touch.sigma_x_mm, touch.sigma_y_mm].map((sigma) => (sigma === null ? "–" : sigma.toFixed(placesOf(sigma))));
     const force = touch.force_n === null ? "–" : forceSign(touch.force_range) + touch.force_n.toPrecision(3);
-    return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(1), touch.y_mm.toFixed(1), brief(touch.amplitude), touch.area_mm2.toFixed(0), sigmas.join(" × "), force]];
+    return [String(touch.id), [String(touch.id), touch.x_mm.toFixed(placesOf(touch.sigma_x_mm)), touch.y_mm.toFixed(placesOf(touch.sigma_y_mm)), brief(touch.amplitude), touch.area_mm2.toFixed(0), sigmas.join(" × "), force]];
   });
   rows(find("touches"), new Map(texts)).forEach((row, index) => {
     const touch = live[index];
