@@ -79,8 +79,7 @@ impl Reconstructor {
 
     /// The frame at hand (model volts, `NaN` where missing) with what was fitted to it.
     pub(crate) fn fitted<'a>(&'a self, difference: &'a [f64]) -> FittedFrame<'a> {
-        let explained = self.refinement.explained();
-        FittedFrame { difference, filled: self.imager.filled(), contacts: self.touches.contacts(), explained }
+        FittedFrame { difference, contacts: self.touches.contacts(), explained: self.refinement.explained() }
     }
 
     /// Goes on without these channels, at this noise of the others (model volts); with an empty list with all channels.

@@ -23,15 +23,18 @@ fn phase_name(phase: TouchPhase) -> &'static str {
     }
 }
 
+/// x_mm, y_mm and probability of another place, given by its position (metres) and probability.
+fn other_numbers(other: Option<([f64; 2], f64)>) -> [f64; 3] {
+    other.map_or([f64::NAN, f64::NAN, 0.0], |([x, y], probability)| [1e3 * x, 1e3 * y, probability])
+}
+
 fn row_of(touch: &Touch) -> TouchRow {
     let [x, y] = touch.position_m;
     let force_n = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
     let sigma = |axis: usize| 1e3 * touch.covariance_m2[axis][axis].sqrt();
     let radius = touch.radius_m.map_or(f64::NAN, |radius| 1e3 * radius);
-    let (other_mm, other_probability) = match touch.other_place {
-        Some(other) => (other.position_m.map(|v| 1e3 * v), other.probability),
-        None => ([f64::NAN; 2], 0.0),
-    };
+    let [other_x, other_y, other_probability] =
+        other_numbers(touch.other_place.map(|other| (other.position_m, other.probability)));
     let values = [
         1e3 * x,
         1e3 * y,
@@ -41,8 +44,8 @@ fn row_of(touch: &Touch) -> TouchRow {
         sigma(0),
         sigma(1),
         radius,
-        other_mm[0],
-        other_mm[1],
+        other_x,
+        other_y,
         other_probability,
     ];
     (touch.id, phase_name(touch.phase), values)
@@ -51,10 +54,8 @@ fn row_of(touch: &Touch) -> TouchRow {
 /// The row of a recorded touch.
 pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
     let ([x, y], [sx, sy]) = (touch.position_m, touch.sigma_m);
-    let (other_mm, other_probability) = match touch.other_place {
-        Some(other) => (other.position_m.map(|v| 1e3 * v), other.probability),
-        None => ([f64::NAN; 2], 0.0),
-    };
+    let [other_x, other_y, other_probability] =
+        other_numbers(touch.other_place.map(|other| (other.position_m, other.probability)));
     let values = [
         1e3 * x,
         1e3 * y,
@@ -64,8 +65,8 @@ pub fn row_of_entry(touch: &TouchEntry) -> TouchRow {
         1e3 * sx,
         1e3 * sy,
         1e3 * touch.radius_m,
-        other_mm[0],
-        other_mm[1],
+        other_x,
+        other_y,
         other_probability,
     ];
     (touch.id, phase_name(touch.phase), values)

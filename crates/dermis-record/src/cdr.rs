@@ -129,12 +129,12 @@ impl<'a> CdrReader<'a> {
         self.u64().map(f64::from_bits)
     }
 
-    /// A sequence's length, no more than could follow at `least` bytes each.
     /// Whether all bytes have been read.
     pub(super) fn is_at_end(&self) -> bool {
         self.at >= self.bytes.len()
     }
 
+    /// A sequence's length, no more than could follow at `least` bytes each.
     pub(super) fn length(&mut self, least: usize) -> Option<usize> {
         let length = usize::try_from(self.u32()?).ok()?;
         (length.checked_mul(least)? <= self.bytes.len() - self.at).then_some(length)

@@ -138,11 +138,12 @@ pub(super) fn read_baseline(bytes: &[u8]) -> Option<BaselineEntry> {
 /// Writes the touches of frame `sequence`; those that ended in it stand in `events`.
 pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
     let ended = || events.iter().filter(|event| matches!(event, TouchEvent::End(_))).map(TouchEvent::touch);
+    let all = || touches.iter().chain(ended());
     let mut cdr = CdrWriter::new(out);
     cdr.u64(sequence);
     cdr.u64(time_ns);
-    cdr.length(touches.len() + ended().count());
-    for touch in touches.iter().chain(ended()) {
+    cdr.length(all().count());
+    for touch in all() {
         cdr.u64(touch.id);
         cdr.string(phase_name(touch.phase));
         cdr.f64(touch.position_m[0]);
@@ -155,7 +156,7 @@ pub(super) fn write_touches(out: &mut Vec<u8>, sequence: u64, time_ns: u64, touc
         cdr.string(touch.force.map_or("", |force| force.range()));
         cdr.f64(touch.radius_m.unwrap_or(f64::NAN));
     }
-    let others = || touches.iter().chain(ended()).filter_map(|touch| Some((touch.id, touch.other_place?)));
+    let others = || all().filter_map(|touch| Some((touch.id, touch.other_place?)));
     cdr.length(others().count());
     for (id, other) in others() {
         cdr.u64(id);

@@ -57,6 +57,20 @@ pub(crate) struct Merge {
 }
 
 impl Merge {
+    /// One more frame; `blob` is the contact that it shares, where that was seen.
+    pub(crate) fn count(&mut self, blob: Option<&Blob>) {
+        self.frames += 1;
+        match blob.filter(|blob| blob.missed == 0) {
+            Some(blob) if blob.contact.is_single => self.single_frames += 1,
+            Some(_) => self.single_frames = 0,
+            None => {}
+        }
+    }
+
+    pub(crate) fn is_over(&self, params: &TrackerParams) -> bool {
+        self.frames > params.max_merged_frames || self.single_frames > params.max_merged_single_frames
+    }
+
     /// Where the rider should be from the middle of its group: on at constant velocity while that is remembered,
     /// afterwards where it last was alone.
     pub(crate) fn offset_at(&self, time_ns: u64, memory_s: f64) -> Vec2 {

@@ -403,14 +403,8 @@ impl Tracker {
             let key = self.riders[index].blob;
             let blob = self.blobs.iter().find(|blob| blob.key == key);
             let Some(merge) = self.riders[index].merge.as_mut() else { continue };
-            merge.frames += 1;
-            match blob.filter(|blob| blob.missed == 0) {
-                Some(blob) if blob.contact.is_single => merge.single_frames += 1,
-                Some(_) => merge.single_frames = 0,
-                None => {}
-            }
-            let expired = merge.frames > self.params.max_merged_frames
-                || merge.single_frames > self.params.max_merged_single_frames;
+            merge.count(blob);
+            let expired = merge.is_over(&self.params);
             // Riders stand by id: an earlier one of the same blob began earlier.
             if expired && self.riders[..index].iter().any(|rider| rider.blob == key) {
                 self.riders[index].touch.phase = TouchPhase::End;

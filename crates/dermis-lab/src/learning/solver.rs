@@ -2,13 +2,11 @@
 //! sandwich skins, a sheet that touches a floating shortcut where it is pressed, cut where it is cut. There two touches
 //! are joined through the shortcut, which no change of the sheet's conductivity can imitate.
 
-use std::f64::consts::FRAC_1_SQRT_2;
-
 use dermis_learn::scene::{Figure, RAISED, Scene};
 use dermis_tomo::eit::{ForwardModel, Protocol};
 use dermis_tomo::mesh::{Contact, ElectrodedMesh, Mesh};
 use dermis_twin::from_skin::press_range;
-use dermis_twin::mechanics::ContactLaw;
+use dermis_twin::mechanics::{ContactLaw, normal_cdf};
 use dermis_twin::physics::{Cut, SheetConductance, Shortcut, SlitPath, SlitPaths, TwoSheets, damaged_conductance};
 use rand::Rng;
 use rand::rngs::StdRng;
@@ -188,8 +186,7 @@ impl Touching {
             let margin = REACH * self.spread_m;
             for (pressure, p) in pressure_pa.iter_mut().zip(positions_m) {
                 if (0..2).all(|axis| p[axis] > low[axis] - margin && p[axis] < high[axis] + margin) {
-                    let depth = inclusion.figure.depth_m(*p) / self.spread_m;
-                    *pressure += middle_pa * 0.5 * libm::erfc(-depth * FRAC_1_SQRT_2);
+                    *pressure += middle_pa * normal_cdf(inclusion.figure.depth_m(*p) / self.spread_m);
                 }
             }
         }

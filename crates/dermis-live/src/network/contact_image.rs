@@ -20,12 +20,12 @@ const APART_NS: u64 = 1_000_000_000;
 pub struct FittedTouches {
     /// Centres and radii of the touches, metres; none where none is believed.
     pub discs: Vec<([f64; 2], f64)>,
-    /// What they leave of the frame, model volts, missing channels filled in: all of it where none is believed.
+    /// What they leave of the frame, model volts, `NaN` where missing: all of it where none is believed.
     pub left: Vec<f64>,
 }
 
 impl FittedTouches {
-    /// Of a frame (model volts, missing channels filled in) with these contacts, which `explain` so much of it.
+    /// Of a frame (model volts, `NaN` where missing) with these contacts, of which so much is `explained`.
     pub(crate) fn set(&mut self, frame: &[f64], contacts: &[Contact], explained: Option<&[f64]>) {
         self.discs.clear();
         self.left.clear();
@@ -76,7 +76,7 @@ impl ContactFitter {
         self.refinement.forget();
         let contacts = self.touches.contacts_mut();
         self.refinement.refine(self.time_ns, self.imager.filled(), &self.image, contacts)?;
-        fitted.set(self.imager.filled(), contacts, self.refinement.explained());
+        fitted.set(difference, contacts, self.refinement.explained());
         Ok(())
     }
 }

@@ -187,10 +187,11 @@ impl FirstStep {
         self.image(difference, out)
     }
 
-    /// As [`FirstStep::images_of`] of a frame to which this has been fitted.
+    /// As [`FirstStep::images_of`] of a frame to which this has been fitted; refined images, for which live frames have no
+    /// time, are left as they are.
     ///
     /// # Errors
-    /// As [`FirstStep::images_of`]; refined images, which live frames have no time for.
+    /// As [`FirstStep::images_of`].
     pub fn images_of_fitted(
         &mut self,
         difference: &[f64],
@@ -198,8 +199,7 @@ impl FirstStep {
         out: &mut [f32],
     ) -> Result<(), Error> {
         self.check_length(out)?;
-        self.fitted.clone_from(fitted);
-        self.draw(difference, out)
+        self.draw(difference, fitted, out)
     }
 
     fn check_length(&self, out: &[f32]) -> Result<(), Error> {
@@ -241,27 +241,28 @@ impl FirstStep {
 
     /// The other images of a frame, and all cleared outside the skin.
     fn image(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
-        if let Some(fitter) = &mut self.fitter {
-            fitter.fit(difference, &mut self.fitted)?;
-        }
-        self.draw(difference, frame)
+        let mut fitted = std::mem::take(&mut self.fitted);
+        let is_fitted = self.fitter.as_mut().map_or(Ok(()), |fitter| fitter.fit(difference, &mut fitted));
+        let drawn = is_fitted.and_then(|()| self.draw(difference, &fitted, frame));
+        self.fitted = fitted;
+        drawn
     }
 
-    fn draw(&mut self, difference: &[f64], frame: &mut [f32]) -> Result<(), Error> {
+    fn draw(&mut self, difference: &[f64], fitted: &FittedTouches, frame: &mut [f32]) -> Result<(), Error> {
         self.update_coverage(difference);
         if let Some(left) = self.sources.iter().position(|source| matches!(source, Source::Left)) {
-            let imagers = self.sources.iter_mut().find_map(|source| match source {
+            let imager = self.sources.iter_mut().find_map(|source| match source {
                 Source::Imager(1.0, imager) => Some(imager),
                 _ => None,
             });
             let image = &mut frame[left * self.pixels..(left + 1) * self.pixels];
-            imagers.map_or(Ok(()), |imager| imager.image(&self.fitted.left, image))?;
+            imager.map_or(Ok(()), |imager| imager.image(&fitted.left, image))?;
         }
         for (source, image) in self.sources.iter_mut().zip(frame.chunks_exact_mut(self.pixels)) {
             match source {
                 Source::Coverage => image.copy_from_slice(&self.coverage),
                 Source::Imager(_, imager) => imager.image(difference, image)?,
-                Source::Contacts => draw_discs(&self.grid, &self.inside, &self.fitted.discs, image),
+                Source::Contacts => draw_discs(&self.grid, &self.inside, &fitted.discs, image),
                 Source::Left | Source::Refiner(_) => {}
             }
             image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);

@@ -35,8 +35,6 @@ pub struct SeenClasses<'a> {
 pub(crate) struct FittedFrame<'a> {
     /// `NaN` where missing.
     pub difference: &'a [f64],
-    /// Missing channels filled in.
-    pub filled: &'a [f64],
     /// Those of them that were fitted have a radius.
     pub contacts: &'a [Contact],
     /// What these explain of it.
@@ -163,7 +161,7 @@ impl ClassStage {
             Worker::Inline(classifier, fitted) => {
                 self.sequence = None;
                 if anything {
-                    fitted.set(frame.filled, frame.contacts, frame.explained);
+                    fitted.set(frame.difference, frame.contacts, frame.explained);
                     classifier.classify_fitted(frame.difference, fitted, &mut self.classes)?;
                     self.sequence = Some(sequence);
                 }
@@ -239,7 +237,7 @@ impl Background {
         if slot.state == State::Idle && due {
             slot.difference.clear();
             slot.difference.extend_from_slice(frame.difference);
-            slot.fitted.set(frame.filled, frame.contacts, frame.explained);
+            slot.fitted.set(frame.difference, frame.contacts, frame.explained);
             (slot.sequence, slot.state) = (sequence, State::Asked);
             self.asked_ns = Some(time_ns);
             self.mailbox.arrived.notify_one();

@@ -286,8 +286,9 @@ fn turned([x, y]: [f64; 2], angle_rad: f64) -> [f64; 2] {
     [x * cosine + y * sine, y * cosine - x * sine]
 }
 
-/// Distribution function of the standard normal.
-fn normal_cdf(x: f64) -> f64 {
+/// Distribution function of the standard normal: a pressure beneath a cover so many of its smoothing lengths within a
+/// straight edge, over that far inside.
+pub fn normal_cdf(x: f64) -> f64 {
     if x > 6.0 {
         1.0
     } else if x < -6.0 {

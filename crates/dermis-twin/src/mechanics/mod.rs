@@ -13,7 +13,7 @@ mod springs;
 pub use contact::ContactLaw;
 pub use dermis_tomo::membrane::{Membrane, MembraneSpec};
 pub use extent::check_on_skin;
-pub use indenter::{Cover, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape};
+pub use indenter::{Cover, Indenter, Load, STANDARD_GRAVITY_M_PER_S2, Shape, normal_cdf};
 pub use mask::{MOST_MASK_CELLS, Mask};
 pub use membrane::{PressedMembrane, check_membrane};
 pub use memory::{Memory, PressureState};
