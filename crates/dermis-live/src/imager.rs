@@ -16,7 +16,7 @@ use dermis_tomo::inverse::{
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
-use elements::ElementImager;
+pub(crate) use elements::{ElementFrame, ElementImager};
 pub use refine::Refiner;
 pub use weighting::operator_needs_no_baseline;
 use weighting::{central_touch, weights_need_no_baseline};
@@ -196,6 +196,14 @@ impl Imager {
     /// Travel of the elements in the last frame, where these are solved for.
     pub fn heights(&self) -> Option<&LiftOffFit> {
         self.elements.as_ref().and_then(ElementImager::fit)
+    }
+
+    /// The last frame as changes of the coils' readings, where elements are solved for and a frame is at hand.
+    pub(crate) fn element_frame(&mut self) -> Result<Option<ElementFrame<'_>>, Error> {
+        match &mut self.elements {
+            Some(elements) if elements.fit().is_some() => elements.frame().map(Some),
+            _ => Ok(None),
+        }
     }
 
     /// Goes on without these channels: a low-rank update of the operator, see [`MissingChannels`], and the image noise

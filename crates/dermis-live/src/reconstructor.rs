@@ -6,6 +6,7 @@ use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::classes::FittedFrame;
 use crate::stages::element_contacts::ElementContacts;
+use crate::stages::element_presses::ElementPresses;
 use crate::stages::placement::Placement;
 use crate::stages::refinement::Refinement;
 use crate::stages::touches::TouchStage;
@@ -21,6 +22,8 @@ pub struct Reconstructor {
     pub refinement: Refinement,
     /// What joins the contacts of elements that one press moves, where images are solved for elements.
     elements: Option<ElementContacts>,
+    /// What places these by presses that explain the readings.
+    presses: Option<ElementPresses>,
     /// Images to touches.
     pub touches: TouchStage,
 }
@@ -37,7 +40,9 @@ impl Reconstructor {
         refinement: Refinement,
     ) -> Result<Self, Error> {
         let touches = TouchStage::new(prepared, imager.noise_image())?;
-        Ok(Self { imager, placement, refinement, elements: ElementContacts::new(prepared), touches })
+        let elements = ElementContacts::new(prepared);
+        let presses = if elements.is_some() { ElementPresses::new(prepared)? } else { None };
+        Ok(Self { imager, placement, refinement, elements, presses, touches })
     }
 
     /// Images one frame of difference data: see [`Imager::image`].
@@ -67,6 +72,9 @@ impl Reconstructor {
         self.touches.find_contacts(image, imposed)?;
         if let (None, Some(elements), Some(fit)) = (imposed, &mut self.elements, self.imager.heights()) {
             elements.place(fit, self.touches.contacts_mut());
+        }
+        if let (None, Some(presses), Some(frame)) = (imposed, &mut self.presses, self.imager.element_frame()?) {
+            presses.place(frame, self.touches.contacts_mut())?;
         }
         if imposed.is_none() {
             self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;
@@ -112,6 +120,9 @@ impl Reconstructor {
     }
 
     fn forget_places(&mut self) {
+        if let Some(presses) = &mut self.presses {
+            presses.forget();
+        }
         if let Some(finder) = &mut self.placement {
             finder.forget();
         }

@@ -5,6 +5,7 @@ pub(crate) mod circuit;
 pub mod classes;
 pub mod damage;
 pub(crate) mod element_contacts;
+pub(crate) mod element_presses;
 pub mod health;
 pub mod placement;
 pub(crate) mod press_frames;

@@ -127,7 +127,10 @@ impl LiftOff {
     }
 
     /// Derivatives of the magnitudes by the travels, pair by pair and body by body, henries per metre.
-    fn jacobian(&mut self, travel_m: &[f64]) -> Result<Vec<f64>, MitError> {
+    ///
+    /// # Errors
+    /// As [`MultipoleArray::changes`].
+    pub fn jacobian(&mut self, travel_m: &[f64]) -> Result<Vec<f64>, MitError> {
         self.stand_at(travel_m)?;
         self.bodies.slopes(&self.heights_m, &mut self.slopes_h_per_m)?;
         let mut jacobian = Vec::with_capacity(self.slopes_h_per_m.len());
@@ -195,7 +198,11 @@ impl LiftOff {
         Ok(LiftOffFit { travel_m: travel, deviation_m, misfit, steps, converged })
     }
 
-    fn weights(&self, d: &[f64], deviations_h: &[f64], options: &LiftOffOptions) -> Result<Vec<f64>, MitError> {
+    /// Inverse variances of changes of magnitudes (henries) by noise of these standard deviations and the model's error.
+    ///
+    /// # Errors
+    /// Counts that disagree, deviations or options that are not positive.
+    pub fn weights(&self, d: &[f64], deviations_h: &[f64], options: &LiftOffOptions) -> Result<Vec<f64>, MitError> {
         positive("prior_m", options.prior_m)?;
         positive("tolerance_m", options.tolerance_m)?;
         if options.mean_m.is_nan() || options.mean_m <= 0.0 {

@@ -24,6 +24,16 @@ const TOLERANCE_M: f64 = 1e-5;
 /// How far beyond rest and full travel fields are tabulated, metres.
 const SLACK_M: f64 = 1e-4;
 
+/// A frame of changes of magnitudes, and the model that they are read by.
+pub(crate) struct ElementFrame<'a> {
+    /// What elements at other heights would read.
+    pub coils: &'a mut LiftOff,
+    /// Changes from rest, henries.
+    pub differences_h: &'a [f64],
+    /// Inverse variances of these by noise and the model's error.
+    pub weights: Vec<f64>,
+}
+
 /// Solves one frame after the other.
 #[derive(Clone, Debug)]
 pub(crate) struct ElementImager {
@@ -116,9 +126,23 @@ impl ElementImager {
         Ok(self.paint.iter().map(share).collect())
     }
 
+    /// The frame solved last, for other fits to it.
+    pub(crate) fn frame(&mut self) -> Result<ElementFrame<'_>, Error> {
+        let weights = self.heights.weights(&self.differences_h, &self.deviations_h, &self.options)?;
+        Ok(ElementFrame { coils: &mut self.heights, differences_h: &self.differences_h, weights })
+    }
+
     /// Travel of every element in the last frame and its standard deviation.
     pub(crate) fn fit(&self) -> Option<&LiftOffFit> {
         self.fit.as_ref()
+    }
+}
+
+#[cfg(test)]
+impl ElementImager {
+    /// The model of the coils, and the noise of their readings in henries.
+    pub(crate) fn into_coils(self) -> (LiftOff, Vec<f64>) {
+        (self.heights, self.noise_h)
     }
 }
 

@@ -67,16 +67,10 @@ impl ElementContacts {
             return None;
         }
         let (places_m, cell_m) = (elements.places_m(), elements.cell_m());
-        let is_beside = |a: [f64; 2], b: [f64; 2]| {
-            let [x, y] = [0, 1].map(|axis| ((a[axis] - b[axis]) / cell_m[axis]).abs());
-            (x + y - 1.0).abs() < 0.1 && x.min(y) < 0.1
-        };
-        let beside =
-            places_m.iter().map(|a| (0..places_m.len()).filter(|&b| is_beside(*a, places_m[b])).collect()).collect();
         Some(Self {
             forces_n: vec![0.0; places_m.len()],
             deviations_n: vec![0.0; places_m.len()],
-            beside,
+            beside: beside(&places_m, cell_m),
             stiffness_n_per_m: layer.stiffness_n_per_m,
             sharpness: layer.sharpness,
             coupling_n_per_m: layer.coupling_n_per_m,
@@ -311,6 +305,15 @@ impl ElementContacts {
         let [x, y] = [0, 1].map(|axis| ((self.places_m[a][axis] - self.places_m[b][axis]) / self.cell_m[axis]).abs());
         x.max(y)
     }
+}
+
+/// Numbers of the elements one cell away along x or y, within a tenth of a cell, of each.
+pub(crate) fn beside(places_m: &[[f64; 2]], cell_m: [f64; 2]) -> Vec<Vec<usize>> {
+    let is_beside = |a: [f64; 2], b: [f64; 2]| {
+        let [x, y] = [0, 1].map(|axis| ((a[axis] - b[axis]) / cell_m[axis]).abs());
+        (x + y - 1.0).abs() < 0.1 && x.min(y) < 0.1
+    };
+    places_m.iter().map(|a| (0..places_m.len()).filter(|&b| is_beside(*a, places_m[b])).collect()).collect()
 }
 
 #[cfg(test)]

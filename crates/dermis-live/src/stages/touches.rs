@@ -26,8 +26,10 @@ const REFINED_SANDWICH: f64 = 0.001;
 const REFINED_SHEET: f64 = 0.006;
 const REFINED_LIQUID: f64 = 0.006;
 const REFINED_PATCHES: f64 = 0.022;
-/// Presses on elements over coils, in cells, beside what the centroid of their forces misses.
+/// Presses on elements over coils, in cells: beside what the centroid of their forces misses, and of those that a fit has
+/// placed.
 const ELEMENTS_CELLS: f64 = 0.07;
+const REFINED_ELEMENTS_CELLS: f64 = 0.01;
 
 /// Variance of each coordinate of a touch by what the model has wrong, square metres.
 #[derive(Debug)]
@@ -47,8 +49,11 @@ impl ModelVariance {
         }
         let refined = match &skin.frontend.layer {
             Layer::Elements(_) => {
-                let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
-                return both(cell_m.map_or(BY_IMAGE * half_width_m, |[x, y]| ELEMENTS_CELLS * x.max(y)));
+                let Some([x, y]) = skin.frontend.elements.as_ref().map(|elements| elements.cell_m()) else {
+                    return both(BY_IMAGE * half_width_m);
+                };
+                let of_cell = |share: f64| (share * x.max(y)).powi(2);
+                return Self { by_image_m2: of_cell(ELEMENTS_CELLS), refined_m2: of_cell(REFINED_ELEMENTS_CELLS) };
             }
             _ if !Refinement::is_wanted(prepared, None) => return both(BY_IMAGE * half_width_m),
             Layer::Sandwich(_) => REFINED_SANDWICH,

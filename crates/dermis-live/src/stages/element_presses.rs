@@ -1,0 +1,405 @@
+//! Touches of a skin of elements over coils, placed by a model of presses: each is a round face of even pressure that
+//! moves the elements beneath it, and all are fitted together to the readings of the coils. The elements' travels, of
+//! which there are more than readings tell, are only where a fit begins.
+
+mod fit;
+mod mechanics;
+
+use std::f64::consts::PI;
+
+use dermis_skin::Layer;
+use dermis_touch::{Contact, ContactSign};
+
+use self::fit::{FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, fit, moments_along};
+use self::mechanics::{Mechanics, Press};
+use crate::Error;
+use crate::imager::ElementFrame;
+use crate::prepare::Prepared;
+use crate::stages::element_contacts::beside;
+
+/// Radius of a usual press in cells, and the share of the travel by which it moves an element beneath it.
+const USUAL_RADIUS_CELLS: f64 = 0.44;
+const USUAL_SHARE: f64 = 0.5;
+/// Presses at most.
+const MOST_PRESSES: usize = 6;
+/// By so much must a further press lower the cost.
+const WORTH: f64 = 16.0;
+/// Without one that lowers it by so much where the others stand the others need not be fitted anew.
+const SURELY_WORTH: f64 = 160.0;
+/// Two presses nearer than so many cells may be one.
+const NEAR_CELLS: f64 = 2.5;
+/// Where a press is divided, its halves begin so many cells from its middle.
+const HALF_APART_CELLS: f64 = 0.6;
+/// The same while halves are compared, in so many trials.
+const FEW_TRIALS: usize = 5;
+/// A fit is believed where it leaves at most this share of the frame beyond what noise leaves, both in units of noise and
+/// model error squared.
+const MOST_LEFT: f64 = 0.02;
+/// What noise leaves: so many standard deviations above its mean.
+const NOISE_DEVIATIONS: f64 = 1.5;
+/// A contact begins where the last frame had a press no farther than so many cells away.
+const SAME_CELLS: f64 = 0.5;
+/// Where a place is less sure than so many cells, it is where all that is possible has its middle.
+const UNSURE_CELLS: f64 = 0.15;
+/// Within so many cells of where no element is felt, a place is looked for likewise.
+const RIM_CELLS: f64 = 0.75;
+
+/// Fits presses to frames.
+#[derive(Debug)]
+pub(crate) struct ElementPresses {
+    mechanics: Mechanics,
+    usual: Usual,
+    /// Those of the last frame.
+    last: Vec<Press>,
+}
+
+impl ElementPresses {
+    /// Of a skin whose images are solved for elements and whose contacts are joined.
+    ///
+    /// # Errors
+    /// Springs that make no sense.
+    pub fn new(prepared: &Prepared) -> Result<Option<Self>, Error> {
+        let skin = &prepared.skin;
+        let (Layer::Elements(layer), Some(elements)) = (&skin.frontend.layer, &skin.frontend.elements) else {
+            return Ok(None);
+        };
+        let mechanics = Mechanics::new(elements, layer, &beside(&elements.places_m(), elements.cell_m()))?;
+        let radius_m = USUAL_RADIUS_CELLS * elements.pitch_m();
+        let pressure_pa =
+            USUAL_SHARE * layer.stiffness_n_per_m * elements.travel_mm * 1e-3 / (PI * radius_m * radius_m);
+        let (low_m, high_m) = skin.outline().bounds_m();
+        let usual = Usual { log_radius: radius_m.ln(), log_pressure: pressure_pa.ln(), low_m, high_m };
+        Ok(Some(Self { mechanics, usual, last: Vec::new() }))
+    }
+
+    /// Places the contacts of a frame, and parts or joins them where other numbers of presses explain it better.
+    ///
+    /// # Errors
+    /// Readings that the model of the coils refuses.
+    pub fn place(&mut self, mut frame: ElementFrame<'_>, contacts: &mut Vec<Contact>) -> Result<(), Error> {
+        let centres: Vec<[f64; 2]> = contacts
+            .iter()
+            .filter(|contact| contact.sign == ContactSign::Positive)
+            .map(|contact| contact.centroid_m)
+            .collect();
+        if centres.is_empty() || centres.len() > MOST_PRESSES {
+            self.last.clear();
+            return Ok(());
+        }
+        let energy: f64 = frame.differences_h.iter().zip(&frame.weights).map(|(d, w)| w * d * d).sum();
+        let found = self.explain(&mut frame, &centres)?;
+        self.last.clone_from(&found.presses);
+        let all_press = found.forces_n.iter().all(|force| *force > 0.0);
+        if all_press && found.left <= MOST_LEFT * energy + self.noise_leaves(&frame) {
+            let found = self.with_moments(&mut frame, found)?;
+            self.turn_into(&found, contacts);
+        }
+        Ok(())
+    }
+
+    /// The next frame has nothing to do with the last one.
+    pub fn forget(&mut self) {
+        self.last.clear();
+    }
+
+    fn start_at(&self, centre_m: [f64; 2]) -> Press {
+        Press { centre_m, log_radius: self.usual.log_radius, log_pressure: self.usual.log_pressure }
+    }
+
+    fn fit(&self, frame: &mut ElementFrame<'_>, starts: &[Press], most_trials: usize) -> Result<FittedPresses, Error> {
+        Ok(fit(&self.mechanics, &self.usual, frame, starts, most_trials)?)
+    }
+
+    /// What a right fit leaves of a frame at most, in units of noise and model error squared.
+    fn noise_leaves(&self, frame: &ElementFrame<'_>) -> f64 {
+        let channels = frame.weights.len() as f64;
+        channels + NOISE_DEVIATIONS * (2.0 * channels).sqrt()
+    }
+
+    /// The number of presses that explains a frame whose contacts are here, and these.
+    fn explain(&self, frame: &mut ElementFrame<'_>, centres: &[[f64; 2]]) -> Result<FittedPresses, Error> {
+        let mut best = self.fit(frame, &self.starts(centres), MOST_TRIALS)?;
+        while let Some(fewer) = self.with_fewer(frame, &best)? {
+            best = fewer;
+        }
+        while best.presses.len() < MOST_PRESSES && best.left > self.noise_leaves(frame) {
+            let Some(more) = self.with_more(frame, &best)? else { break };
+            let count = best.presses.len();
+            best = more;
+            while let Some(fewer) = self.with_fewer(frame, &best)? {
+                best = fewer;
+            }
+            if best.presses.len() <= count {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// The presses of the last frame, where each contact is one of them; else usual ones at the contacts.
+    fn starts(&self, centres: &[[f64; 2]]) -> Vec<Press> {
+        let is_known = |centre: &[f64; 2]| {
+            let at = self.start_at(*centre);
+            self.last.iter().filter(|press| self.cells_between(press, &at) <= SAME_CELLS).count() == 1
+        };
+        if self.last.len() >= centres.len() && centres.iter().all(is_known) {
+            return self.last.clone();
+        }
+        centres.iter().map(|centre| self.start_at(*centre)).collect()
+    }
+
+    /// The same with places that are not sure where all that is possible has its middle, and with that variance.
+    fn with_moments(&self, frame: &mut ElementFrame<'_>, mut found: FittedPresses) -> Result<FittedPresses, Error> {
+        let cell_m = self.mechanics.cell_m[0].min(self.mechanics.cell_m[1]);
+        let [unsure_m2, step_m2] = [UNSURE_CELLS, SCANNED_CELLS].map(|cells| (cells * cell_m).powi(2));
+        for number in 0..found.presses.len() {
+            let covariance = found.covariance_m2[number];
+            let ((major, minor), direction) = principal(covariance);
+            let (mut variances, mut moved) = ([major, minor], [0.0; 2]);
+            let across = [-direction[1], direction[0]];
+            for (k, along) in [direction, across].into_iter().enumerate() {
+                if variances[k] > unsure_m2 || self.is_at_rim(found.presses[number].centre_m, along) {
+                    let (mean_m, variance_m2) =
+                        moments_along(&self.mechanics, &self.usual, frame, &found, number, along)?;
+                    // What is surer than the steps are fine lies between two of them.
+                    if variance_m2 > step_m2 {
+                        variances[k] = variance_m2;
+                        (0..2).for_each(|axis| moved[axis] += mean_m * along[axis]);
+                    } else {
+                        variances[k] = variances[k].min(step_m2);
+                    }
+                }
+            }
+            (0..2).for_each(|axis| found.presses[number].centre_m[axis] += moved[axis]);
+            found.covariance_m2[number] = [0, 1].map(|a| {
+                [0, 1].map(|b| variances[0] * direction[a] * direction[b] + variances[1] * across[a] * across[b])
+            });
+        }
+        Ok(found)
+    }
+
+    /// The same with a press less, or with two joined, that explain the frame as well.
+    fn with_fewer(&self, frame: &mut ElementFrame<'_>, best: &FittedPresses) -> Result<Option<FittedPresses>, Error> {
+        let presses = &best.presses;
+        if presses.len() < 2 {
+            return Ok(None);
+        }
+        // What explains nothing that the others leave is none.
+        for number in 0..presses.len() {
+            let mut others = presses.clone();
+            others.remove(number);
+            if cost_of(&self.mechanics, &self.usual, frame, &others)? > best.cost + SURELY_WORTH {
+                continue;
+            }
+            let fewer = self.fit(frame, &others, MOST_TRIALS)?;
+            if fewer.cost < best.cost + WORTH {
+                return Ok(Some(fewer));
+            }
+        }
+        for a in 0..presses.len() {
+            for b in a + 1..presses.len() {
+                if self.cells_between(&presses[a], &presses[b]) > NEAR_CELLS {
+                    continue;
+                }
+                let mut joined = presses.clone();
+                let other = joined.swap_remove(b);
+                joined[a].centre_m = [0, 1].map(|axis| 0.5 * (presses[a].centre_m[axis] + other.centre_m[axis]));
+                let fewer = self.fit(frame, &joined, MOST_TRIALS)?;
+                if fewer.cost < best.cost + WORTH {
+                    return Ok(Some(fewer));
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    /// The same with one press divided, or one more where elements lie that none moves, if that is worth it.
+    fn with_more(&self, frame: &mut ElementFrame<'_>, best: &FittedPresses) -> Result<Option<FittedPresses>, Error> {
+        let mut more: Option<FittedPresses> = None;
+        let mut consider = |starts: &[Press]| -> Result<(), Error> {
+            let found = self.fit(frame, starts, FEW_TRIALS)?;
+            if more.as_ref().is_none_or(|other| found.cost < other.cost) {
+                more = Some(found);
+            }
+            Ok(())
+        };
+        for (number, press) in best.presses.iter().enumerate() {
+            for quarter in 0..4 {
+                let (sine, cosine) = (0.25 * PI * f64::from(quarter)).sin_cos();
+                let mut starts = best.presses.clone();
+                let at = |sign: f64| {
+                    let by = [cosine, sine].map(|share| sign * HALF_APART_CELLS * share);
+                    self.start_at([0, 1].map(|axis| press.centre_m[axis] + by[axis] * self.mechanics.cell_m[axis]))
+                };
+                starts[number] = at(1.0);
+                starts.push(at(-1.0));
+                consider(&starts)?;
+            }
+        }
+        let Some(begun) = more else { return Ok(None) };
+        let more = self.fit(frame, &begun.presses, MOST_TRIALS)?;
+        Ok((more.cost < best.cost - WORTH).then_some(more))
+    }
+
+    /// Whether a place lies near where nothing is felt, one way or the other along a direction.
+    fn is_at_rim(&self, at_m: [f64; 2], along: [f64; 2]) -> bool {
+        let cell_m = self.mechanics.cell_m;
+        [-RIM_CELLS, RIM_CELLS].iter().any(|cells| {
+            let there = [0, 1].map(|axis| at_m[axis] + cells * along[axis] * cell_m[axis]);
+            !self.mechanics.is_felt(there)
+        })
+    }
+
+    fn cells_between(&self, a: &Press, b: &Press) -> f64 {
+        let [x, y] = [0, 1].map(|axis| (a.centre_m[axis] - b.centre_m[axis]) / self.mechanics.cell_m[axis]);
+        x.hypot(y)
+    }
+
+    /// Contacts at these presses: each is the nearest one of the image, or like the strongest where none is left.
+    fn turn_into(&self, found: &FittedPresses, contacts: &mut Vec<Contact>) {
+        let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
+            contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);
+        let strongest = of_image.iter().copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
+        let excess = (found.left / found.degrees_of_freedom.max(1) as f64).max(1.0);
+        for (number, press) in found.presses.iter().enumerate() {
+            let away = |contact: &Contact| {
+                (contact.centroid_m[0] - press.centre_m[0]).hypot(contact.centroid_m[1] - press.centre_m[1])
+            };
+            let nearest = (0..of_image.len()).min_by(|&a, &b| away(&of_image[a]).total_cmp(&away(&of_image[b])));
+            let Some(mut contact) = nearest.map(|k| of_image.swap_remove(k)).or(strongest) else { continue };
+            contact.centroid_m = press.centre_m;
+            contact.radius_m = Some(press.radius_m());
+            contact.covariance_m2 = found.covariance_m2[number].map(|row| row.map(|value| excess * value));
+            if nearest.is_none() {
+                contact.peak_m = press.centre_m;
+            }
+            kept.push(contact);
+        }
+        kept.sort_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
+        *contacts = kept;
+    }
+}
+
+/// Variances along the principal axes of a covariance, the larger first, and the direction of that.
+fn principal([[xx, xy], [_, yy]]: [[f64; 2]; 2]) -> ((f64, f64), [f64; 2]) {
+    let (middle, half) = (0.5 * (xx + yy), (0.5 * (xx - yy)).hypot(xy));
+    let angle = 0.5 * (2.0 * xy).atan2(xx - yy);
+    ((middle + half, (middle - half).max(0.0)), [angle.cos(), angle.sin()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_mit::{LiftOff, LiftOffOptions};
+    use dermis_skin::Skin;
+
+    use crate::imager::ElementImager;
+
+    /// The presses of a skin, its coils, and the noise of their readings (henries).
+    fn bench(name: &str) -> (ElementPresses, LiftOff, Vec<f64>) {
+        let prepared = Prepared::new(Skin::open(name).unwrap()).unwrap();
+        let presses = ElementPresses::new(&prepared).unwrap().unwrap();
+        let noise: Vec<f64> = prepared.voltages.iter().map(|v| 3e-4 * v.abs()).collect();
+        let (coils, noise_h) = ElementImager::new(&prepared, &noise).unwrap().into_coils();
+        (presses, coils, noise_h)
+    }
+
+    fn contact(centroid_m: [f64; 2]) -> Contact {
+        Contact {
+            peak_m: centroid_m,
+            peak_value: 0.5,
+            centroid_m,
+            area_m2: 1e-4,
+            amplitude: 0.5,
+            volume: 5e-5,
+            covariance_m2: [[1e-6, 0.0], [0.0, 1e-6]],
+            significance: 30.0,
+            sign: ContactSign::Positive,
+            strength: dermis_touch::ContactStrength::Strong,
+            force: None,
+            radius_m: None,
+            model_variance_m2: 0.0,
+            load: None,
+            other_place: None,
+            is_single: false,
+        }
+    }
+
+    /// The contacts found where the image showed these, under presses of these places (mm), radius (mm) and pressure (kPa).
+    fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]]) -> Vec<Contact> {
+        let (mut stage, mut coils, noise_h) = bench(name);
+        let press = |[x, y, radius, pressure]: &[f64; 4]| Press {
+            centre_m: [1e-3 * x, 1e-3 * y],
+            log_radius: (1e-3 * radius).ln(),
+            log_pressure: (1e3 * pressure).ln(),
+        };
+        let presses: Vec<Press> = pressed.iter().map(press).collect();
+        let mut travels = mechanics::Travels::default();
+        stage.mechanics.travels(&presses, false, &mut travels);
+        let differences_h = coils.differences_h(&travels.travel_m).unwrap();
+        let weights = coils.weights(&differences_h, &noise_h, &LiftOffOptions::default()).unwrap();
+        let frame = ElementFrame { coils: &mut coils, differences_h: &differences_h, weights };
+        let mut contacts: Vec<Contact> = shown_mm.iter().map(|at| contact(at.map(|v| 1e-3 * v))).collect();
+        stage.place(frame, &mut contacts).unwrap();
+        contacts
+    }
+
+    fn nearest_mm(contacts: &[Contact], [x, y, ..]: [f64; 4]) -> f64 {
+        let away = |c: &Contact| (1e3 * c.centroid_m[0] - x).hypot(1e3 * c.centroid_m[1] - y);
+        contacts.iter().map(away).fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn a_press_between_elements_is_placed_where_it_is_whatever_its_size() {
+        for press in [[7.0, -12.0, 9.0, 10.0], [-18.0, 22.0, 12.0, 6.0], [11.0, 9.0, 7.0, 15.0]] {
+            let near = [0, 1].map(|axis| 20.0 * f64::round(press[axis] / 20.0));
+            let contacts = found("em-8", &[press], &[near]);
+            assert_eq!(contacts.len(), 1);
+            let off = nearest_mm(&contacts, press);
+            // The prior of the radius pulls as much as the model's error allows.
+            assert!(off < 1.5, "{press:?}: {off} mm");
+            assert!(contacts[0].covariance_m2[0][0].sqrt() < 2e-3 && contacts[0].radius_m.is_some());
+        }
+    }
+
+    #[test]
+    fn a_press_on_the_outermost_cells_rim_is_sought_beyond_the_elements_with_a_wide_sigma() {
+        let press = [52.0, 3.0, 9.0, 10.0];
+        let contacts = found("em-8", &[press], &[[40.0, 0.0]]);
+        let (off, sigma_mm) = (nearest_mm(&contacts, press), 1e3 * contacts[0].covariance_m2[0][0].sqrt());
+        assert!(off < 8.0 && off < 2.5 * sigma_mm, "{off} mm, sigma {sigma_mm} mm");
+        assert!(contacts[0].centroid_m[0] > 0.044, "{:?}", contacts[0].centroid_m);
+    }
+
+    #[test]
+    fn two_presses_that_the_image_shows_as_one_are_told_apart() {
+        let (one, other) = ([-14.0, 3.0, 9.0, 10.0], [17.0, 12.0, 9.0, 8.0]);
+        let contacts = found("em-8", &[one, other], &[[0.0, 8.0]]);
+        assert_eq!(contacts.len(), 2);
+        for press in [one, other] {
+            let off = nearest_mm(&contacts, press);
+            assert!(off < 1.5, "{press:?}: {off} mm");
+        }
+    }
+
+    #[test]
+    fn one_press_that_the_image_shows_as_two_is_one() {
+        let press = [10.0, 0.0, 9.0, 10.0];
+        let contacts = found("em-8", &[press], &[[0.0, 0.0], [20.0, 0.0]]);
+        assert_eq!(contacts.len(), 1);
+        assert!(nearest_mm(&contacts, press) < 0.7);
+    }
+
+    #[test]
+    fn what_no_round_press_explains_stays_as_the_image_has_it() {
+        let (mut stage, mut coils, noise_h) = bench("em-8");
+        // Every other element at full travel.
+        let travel: Vec<f64> = (0..25).map(|k| if k % 2 == 0 { 10e-3 } else { 0.0 }).collect();
+        let differences_h = coils.differences_h(&travel).unwrap();
+        let weights = coils.weights(&differences_h, &noise_h, &LiftOffOptions::default()).unwrap();
+        let frame = ElementFrame { coils: &mut coils, differences_h: &differences_h, weights };
+        let mut contacts = vec![contact([0.0; 2])];
+        stage.place(frame, &mut contacts).unwrap();
+        assert_eq!(contacts, vec![contact([0.0; 2])]);
+    }
+}
