@@ -6,6 +6,7 @@ pub mod classes;
 pub mod damage;
 pub(crate) mod element_contacts;
 pub mod health;
+mod model_error;
 pub mod placement;
 pub(crate) mod press_frames;
 pub mod refinement;

@@ -6,7 +6,7 @@ use dermis_tomo::inverse::{
     CalibrationOptions, Hyperparameter, LinearProblem, SelfCalibration, TouchEffect, TouchTemplates,
 };
 
-use super::matched::MatchedFinder;
+use super::matched::{MatchedFinder, PlaceError};
 use crate::Error;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
@@ -74,8 +74,8 @@ impl SelfCalibrated {
             _ => Hyperparameter::Relative(10.0),
         };
         let lambda = problem.choose(&rule, &[])?;
-        let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
-        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, variance_m2, prepared.places_apart_m());
+        let error = PlaceError { cell_m: prepared.map.grid().pixel_m, size_m: size };
+        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, error, prepared.places_apart_m());
         let reference = finder.adapt(reference);
         let imager =
             Imager::from_problem(prepared, problem, lambda, &reference.noise, prepared.skin.imaging.polarity.sign())?;
