@@ -21,7 +21,7 @@ const LEFT_BY_TWO: f64 = 0.6;
 const LEAST_ALIKE: f64 = 0.4;
 /// They are so many times as far apart as two explanations of a frame at least: a press wider than the templates looks
 /// like two beside each other.
-const TOUCHES_APART: f64 = 1.5;
+pub(super) const TOUCHES_APART: f64 = 1.5;
 
 /// What one sigma of a coordinate is made of, beside each other: of the deviation of places that are all alike within a
 /// cell of the grid this share, and the share of the frame's energy that its touches leave times so many sizes of a
@@ -45,6 +45,12 @@ impl PlaceError {
         let variance_m2 = grain_m2 + (SIZES * left.clamp(0.0, 1.0) * self.size_m).powi(2);
         [[variance_m2, 0.0], [0.0, variance_m2]]
     }
+}
+
+/// Whether two touches are believed: of a frame's energy the best place leaves one share, the best two places another,
+/// and the weaker presses so many times as hard.
+pub(super) fn are_two(left_by_one: f64, left_by_two: f64, alike: f64) -> bool {
+    left_by_two <= LEFT_BY_TWO * left_by_one && alike >= LEAST_ALIKE
 }
 
 /// The matched filter and what it needs to read difference data.
@@ -157,9 +163,7 @@ impl MatchedFinder {
             return Ok(None);
         }
         let pair = self.calibration.locate_pair(&self.relative, &self.pairs)?;
-        let is_believed = |pair: &MatchedPair| {
-            pair.left <= LEFT_BY_TWO * left && pair.amplitudes[1] >= LEAST_ALIKE * pair.amplitudes[0]
-        };
+        let is_believed = |pair: &MatchedPair| are_two(left, pair.left, pair.amplitudes[1] / pair.amplitudes[0]);
         Ok(pair.filter(is_believed))
     }
 }
