@@ -7,6 +7,7 @@ pub mod damage;
 pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
 pub mod health;
+mod model_error;
 pub mod placement;
 pub(crate) mod press_frames;
 pub mod refinement;

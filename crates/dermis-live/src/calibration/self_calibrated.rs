@@ -6,7 +6,7 @@ use dermis_tomo::inverse::{
     CalibrationOptions, Hyperparameter, LinearProblem, SelfCalibration, TouchEffect, TouchTemplates,
 };
 
-use super::matched::MatchedFinder;
+use super::matched::{MatchedFinder, PlaceError, TOUCHES_APART, are_two};
 use crate::Error;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
@@ -64,7 +64,8 @@ impl SelfCalibrated {
             Polarity::RaisesConductivity => TouchEffect::RaisesConductivity,
         };
         let options = CalibrationOptions { effect, ..CalibrationOptions::default() };
-        let calibration = SelfCalibration::fit(&templates, &prepared.voltages, frames, options)?;
+        let mut calibration = SelfCalibration::fit(&templates, &prepared.voltages, frames, options)?;
+        calibration.weigh_with_pairs(&templates, frames, TOUCHES_APART * prepared.places_apart_m(), are_two);
         let rows = calibration.calibrated_rows(prepared.jacobian.as_mat())?;
         let prior = prepared.prior().matrix(rows.as_ref(), &calibration.weighting(), &prepared.basis)?;
         let problem = LinearProblem::new(rows.as_ref(), calibration.weighting(), prior)?;
@@ -74,8 +75,8 @@ impl SelfCalibrated {
             _ => Hyperparameter::Relative(10.0),
         };
         let lambda = problem.choose(&rule, &[])?;
-        let variance_m2 = (prepared.skin.touch.position_floor_mm * 1e-3).powi(2);
-        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, variance_m2, prepared.places_apart_m());
+        let error = PlaceError { cell_m: prepared.map.grid().pixel_m, size_m: size };
+        let mut finder = MatchedFinder::new(calibration, smallest_amplitude, error, prepared.places_apart_m());
         let reference = finder.adapt(reference);
         let imager =
             Imager::from_problem(prepared, problem, lambda, &reference.noise, prepared.skin.imaging.polarity.sign())?;

@@ -106,8 +106,23 @@ impl Pipeline {
         self.useless_starts.1.take().filter(|_| !self.is_running())
     }
 
-    /// A new baseline stands: match it to the model and, the first time, build the operator.
+    /// A new baseline stands: it is matched to the model, and the watches for damage are told.
     pub(super) fn use_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
+        self.match_baseline(at)?;
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        if let Some(levels) = &mut self.levels {
+            levels.set_baseline(&self.baseline, running.reconstructor.imager.noise_image())?;
+        }
+        if let Some(damage) = &mut self.damage {
+            damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
+            // Touches are fitted to the sheet with the cuts that the baseline includes.
+            running.reconstructor.refinement.set_cuts(self.timing.clock.time_ns(), &damage.cuts());
+        }
+        Ok(())
+    }
+
+    /// Matches the baseline to the model and, the first time, builds the operator.
+    pub(super) fn match_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
         if let (Some(health), State::Starting(_)) = (&mut self.health, &self.state) {
             health.check_start(at, &self.prepared, &self.baseline)?;
         }
@@ -142,16 +157,6 @@ impl Pipeline {
                 self.state = State::Running(Box::new(running));
             }
         }
-        self.compare_with_reference()?;
-        let State::Running(running) = &mut self.state else { return Ok(()) };
-        if let Some(levels) = &mut self.levels {
-            levels.set_baseline(&self.baseline, running.reconstructor.imager.noise_image())?;
-        }
-        if let Some(damage) = &mut self.damage {
-            damage.set_baseline(&self.baseline, running.reconstructor.imager.noise_image());
-            // Touches are fitted to the sheet with the cuts that the baseline includes.
-            running.reconstructor.refinement.set_cuts(self.timing.clock.time_ns(), &damage.cuts());
-        }
-        Ok(())
+        self.compare_with_reference()
     }
 }

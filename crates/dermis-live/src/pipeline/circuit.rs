@@ -1,8 +1,8 @@
 //! Goes on with the readout's circuit that was found beside the stream. Until one explains the presses better, images
 //! are those of an ideal voltmeter.
 
-use super::state::State;
-use super::{DamageStage, LevelStage, Operators, Pipeline};
+use super::state::{Running, State};
+use super::{Operators, Pipeline};
 use crate::Error;
 use crate::calibration::{PlacementFinder, SelfCalibrated};
 
@@ -34,20 +34,41 @@ impl Pipeline {
         running.reconstructor.placement = Some(PlacementFinder::Matched(Box::new(finder)));
         running.reconstructor.interrupt(time_ns);
         self.operators = Operators::after(self.operators.waits());
-        if self.damage.is_some() {
-            self.damage = Some(DamageStage::new(&self.prepared)?);
-        }
-        if self.levels.is_some() {
-            self.levels = Some(LevelStage::new(&self.prepared)?);
-        }
-        self.use_baseline(at)?;
+        self.match_baseline(at)?;
         let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
         let State::Running(running) = &mut self.state else { return Ok(()) };
         if !left_out.is_empty() && left_out.len() < running.reference.noise.len() {
             running.reconstructor.leave_out(&self.prepared, left_out, &running.reference.noise)?;
         }
+        self.see_damage_anew()?;
         if let Some(lambda) = self.choices.hyperparameter {
             self.make_operator(lambda);
+        }
+        Ok(())
+    }
+
+    /// The watches for damage go on with the model that makes the images now: levels, intact skin and damages stay, and
+    /// the damages lie where their images have them now.
+    fn see_damage_anew(&mut self) -> Result<(), Error> {
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        let Running { reference, reconstructor } = &mut **running;
+        let left_out = self.health.as_ref().map_or(&[][..], |health| health.left_out());
+        if left_out.len() == reference.noise.len() {
+            return Ok(());
+        }
+        let noise = reconstructor.imager.noise_image();
+        if let Some(levels) = &mut self.levels {
+            levels.set_noise(noise.clone());
+            for index in 0..levels.known_count() {
+                let (change, image) = levels.known(index, &reference.scale, left_out);
+                reconstructor.image(change, image)?;
+                levels.redraw_known(index)?;
+            }
+        }
+        if let Some(damage) = &mut self.damage {
+            let (change, image) = damage.see_anew(noise, &self.baseline, &reference.scale, left_out);
+            reconstructor.image(change, image)?;
+            damage.redraw()?;
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 //! holds more than one spot for each contact can explain, two touches may stand so near that the image shows one; they
 //! are then told apart by a fit of two.
 
-use dermis_skin::Layer;
+use dermis_skin::{Layer, LiquidLayer};
 use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use dermis_tomo::mesh::PixelGrid;
@@ -12,6 +12,7 @@ use faer::Mat;
 
 use crate::Error;
 use crate::prepare::Prepared;
+use crate::stages::model_error::SpotError;
 
 /// Contacts refined at most, the strongest.
 const MOST_SPOTS: usize = 8;
@@ -93,8 +94,8 @@ pub(crate) struct SpotStage {
     /// Frames before the next attempt; none where frames wait for as much work as they take.
     wait: u32,
     is_unhurried: bool,
-    /// Whether a touch is a smooth spot; a patch that conducts as a whole is none.
-    are_smooth: bool,
+    /// Where touches are smooth spots; a patch that conducts as a whole is none.
+    error: Option<SpotError>,
     /// The largest share of a frame that a fit may leave beyond the noise.
     most_unexplained: f64,
     /// The contacts as the image has them.
@@ -116,7 +117,7 @@ impl SpotStage {
             last_parted_m: None,
             wait: 0,
             is_unhurried: false,
-            are_smooth: matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_)),
+            error: SpotError::of(prepared),
             most_unexplained: prepared.skin.touch.most_unexplained,
             seen: Vec::with_capacity(MOST_SPOTS),
             grid: *prepared.map.grid(),
@@ -192,7 +193,7 @@ impl SpotStage {
             }
         }
         let explained = outcome.residual <= EXPLAINED * outcome.energy;
-        let is_single = !self.leaves_another(&outcome);
+        let leaves_another = self.leaves_another(&outcome);
         let certain = if is_parted { LEAST_CERTAIN_OF_TWO } else { LEAST_CERTAIN };
         for (k, (contact, spot)) in contacts.iter_mut().zip(&self.spots).enumerate() {
             if self.is_believed(spot, contact.sign, certain) && self.is_near(k, spot.position_m, explained) {
@@ -200,10 +201,15 @@ impl SpotStage {
                 contact.centroid_m = spot.position_m;
                 contact.covariance_m2 = [[c[0][0], c[0][1]], [c[1][0], c[1][1]]];
                 contact.radius_m = Some(spot.radius_m);
-                contact.is_single = is_single;
+                contact.is_single = !leaves_another;
+                let error = self.error;
+                contact.model_variance_m2 =
+                    error.map_or(0.0, |error| error.variance_m2(spot, &outcome, leaves_another));
             }
         }
-        Some((beyond_noise(&outcome) / outcome.energy).min(1.0))
+        // What is left of a weak frame is noise, whose energy is known to so much.
+        let unexplained = if outcome.residual > UNEXPLAINED_BY_NOISE { beyond_noise(&outcome) } else { 0.0 };
+        Some((unexplained / outcome.energy).min(1.0))
     }
 
     /// The weaker of two contacts whose spots have met in one place: lobes of one touch in the image.
@@ -211,11 +217,11 @@ impl SpotStage {
         let spots = self.scratch.spots();
         let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < MEETING * self.half_width_m;
         let met = |k: &usize| spots[..*k].iter().any(|spot| near(spot.position_m, spots[*k].position_m));
-        if self.are_smooth { (1..spots.len()).find(met) } else { None }
+        if self.error.is_some() { (1..spots.len()).find(met) } else { None }
     }
 
     fn rule(&self) -> PartingRule {
-        if self.are_smooth { SMOOTH } else { PATCHES }
+        if self.error.is_some() { SMOOTH } else { PATCHES }
     }
 
     /// Whether a fit leaves so much that there may be one touch more.
@@ -357,9 +363,10 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let jacobian = prepared.jacobian.as_mat();
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
     let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let layer = &prepared.skin.frontend.layer;
-    let closed = matches!(layer, Layer::Liquid(_)) && !layer.is_open_tank();
-    let response = if closed { &pressed * membrane(prepared)? } else { pressed };
+    let response = match &prepared.skin.frontend.layer {
+        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => &pressed * membrane(prepared, layer)?,
+        _ => pressed,
+    };
     let positions: Vec<[f64; 2]> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
     let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
     let options = SpotOptions {
@@ -378,12 +385,19 @@ pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error
 }
 
 /// What a load on one pixel (columns) does to the depth of a liquid under a closed membrane in all (rows), in units in
-/// which a typical spot in the middle makes 1 there: `lap w = -p + c`, `w = 0` at the rim, no volume lost. Tension and
-/// depth only scale it.
-fn membrane(prepared: &Prepared) -> Result<Mat<f64>, Error> {
+/// which a typical spot in the middle makes 1 there: `T lap w = -p + c - rho gz w`, `w = 0` at the rim, no volume lost.
+/// The liquid's weight narrows a dent beyond `sqrt(T / rho |gz|)`, 78 mm of water under 60 N/m; the depth only scales it.
+fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error> {
     let mesh = &prepared.body.mesh.mesh;
-    let spec = MembraneSpec { tension_n_per_m: 1.0, density_kg_per_m3: 0.0, gravity_m_per_s2: [0.0; 3] };
-    let mut membrane = Membrane::new(mesh, spec)?;
+    // Gravity along the skin changes how it rests, not how it answers.
+    let spec = MembraneSpec {
+        tension_n_per_m: layer.tension_n_per_m,
+        density_kg_per_m3: layer.density_kg_per_m3,
+        gravity_m_per_s2: [0.0, 0.0, layer.gravity_m_per_s2[2]],
+    };
+    // One that would be too slack for what hangs beneath it holds it somehow: only its shape is asked for.
+    let weightless = MembraneSpec { density_kg_per_m3: 0.0, ..spec };
+    let mut membrane = Membrane::new(mesh, spec).or_else(|_| Membrane::new(mesh, weightless))?;
     let pixels = prepared.map.inside_count();
     let mut loads = vec![vec![0.0; mesh.nodes().len()]; pixels];
     for (element, nodes) in mesh.elements().enumerate() {

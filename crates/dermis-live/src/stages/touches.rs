@@ -1,6 +1,5 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
-use dermis_skin::Layer;
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
@@ -11,64 +10,11 @@ use dermis_touch::{
 use crate::Error;
 use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
+use crate::stages::model_error::ModelError;
 use crate::stages::placement::{Placement, SecondTouch};
-use crate::stages::refinement::Refinement;
 
 /// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
 const INTERRUPTION_NS: u64 = 250_000_000;
-
-/// Where the skin file does not say, touches that the image alone places are wrong by this share of half the shorter
-/// side (one sigma of each coordinate).
-const BY_IMAGE: f64 = 0.015;
-/// Refined touches of skins as drawn: on twins, whose physics is not the model's, changed files show 0.1 % on sandwiches,
-/// 0.4 % on sheets, 0.5 % on liquids and 2 % on patches.
-const REFINED_SANDWICH: f64 = 0.001;
-const REFINED_SHEET: f64 = 0.006;
-const REFINED_LIQUID: f64 = 0.006;
-const REFINED_PATCHES: f64 = 0.022;
-/// Presses on elements over coils, in cells: beside what the centroid of their forces misses, and of those that a fit has
-/// placed.
-const ELEMENTS_CELLS: f64 = 0.07;
-const REFINED_ELEMENTS_CELLS: f64 = 0.01;
-
-/// Variance of each coordinate of a touch by what the model has wrong, square metres.
-#[derive(Debug)]
-struct ModelVariance {
-    /// Of touches that the image alone places.
-    by_image_m2: f64,
-    /// Of those that a fit has placed.
-    refined_m2: f64,
-}
-
-impl ModelVariance {
-    fn of(prepared: &Prepared) -> Self {
-        let (skin, half_width_m) = (&prepared.skin, prepared.half_width_m());
-        let both = |error_m: f64| Self { by_image_m2: error_m.powi(2), refined_m2: error_m.powi(2) };
-        if let Some(error_mm) = skin.touch.model_error_mm {
-            return both(1e-3 * error_mm);
-        }
-        let refined = match &skin.frontend.layer {
-            Layer::Elements(_) => {
-                let Some([x, y]) = skin.frontend.elements.as_ref().map(|elements| elements.cell_m()) else {
-                    return both(BY_IMAGE * half_width_m);
-                };
-                let of_cell = |share: f64| (share * x.max(y)).powi(2);
-                return Self { by_image_m2: of_cell(ELEMENTS_CELLS), refined_m2: of_cell(REFINED_ELEMENTS_CELLS) };
-            }
-            _ if !Refinement::is_wanted(prepared, None) => return both(BY_IMAGE * half_width_m),
-            Layer::Sandwich(_) => REFINED_SANDWICH,
-            Layer::Sheet(_) => REFINED_SHEET,
-            Layer::Liquid(_) => REFINED_LIQUID,
-            Layer::Patches(_) => REFINED_PATCHES,
-        };
-        Self { refined_m2: (refined * half_width_m).powi(2), ..both(BY_IMAGE * half_width_m) }
-    }
-
-    /// Only fits know a radius.
-    fn of_contact(&self, contact: &Contact) -> f64 {
-        if contact.radius_m.is_some() { self.refined_m2 } else { self.by_image_m2 }
-    }
-}
 
 /// Contact finder and tracker of a skin, with their memory.
 #[derive(Debug)]
@@ -83,8 +29,7 @@ pub struct TouchStage {
     forces: Option<ForceCalibration>,
     /// Contacts of a smaller amplitude in the next image are none.
     floor: f64,
-    /// Variance of each coordinate by what the model has wrong, m^2.
-    model_variance: ModelVariance,
+    model_error: ModelError,
     /// A calibration has placed the contacts of this frame, and their sigmas hold the model's error.
     is_placed: bool,
 }
@@ -125,7 +70,7 @@ impl TouchStage {
             forces: None,
             floor: 0.0,
             is_placed: false,
-            model_variance: ModelVariance::of(prepared),
+            model_error: ModelError::of(prepared),
         })
     }
 
@@ -215,8 +160,8 @@ impl TouchStage {
     /// A time before the last one.
     pub fn track_contacts(&mut self, time_ns: u64) -> Result<(), Error> {
         if !self.is_placed {
-            let model_variance = &self.model_variance;
-            self.contacts.iter_mut().for_each(|c| c.model_variance_m2 = model_variance.of_contact(c));
+            let model_error = &self.model_error;
+            self.contacts.iter_mut().for_each(|contact| contact.model_variance_m2 += model_error.variance_m2(contact));
         }
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {

@@ -11,6 +11,7 @@
 mod batch;
 mod pair;
 mod templates;
+mod weigh;
 
 pub use batch::LEAST_CALIBRATION_FRAMES;
 pub use templates::TouchTemplates;

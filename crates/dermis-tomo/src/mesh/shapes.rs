@@ -144,6 +144,20 @@ impl Outline {
             || super::plane::contains(outer, point_m) && !holes.iter().any(|hole| super::plane::contains(hole, point_m))
     }
 
+    /// How far inside a point of the sheet is: its distance from the rim, or from the nearest hole; 0 off the sheet.
+    pub fn inside_by_m(&self, point_m: [f64; 2]) -> f64 {
+        let [x, y] = point_m.map(f64::abs);
+        match self {
+            Outline::Disc { radius_m } => (radius_m - x.hypot(y)).max(0.0),
+            Outline::Rectangle { width_m, height_m } => (0.5 * width_m - x).min(0.5 * height_m - y).max(0.0),
+            Outline::Polygon { .. } if !self.contains(point_m) => 0.0,
+            Outline::Polygon { outer, holes } => std::iter::once(outer)
+                .chain(holes)
+                .map(|polygon| super::plane::to_polygon(point_m, polygon))
+                .fold(f64::INFINITY, f64::min),
+        }
+    }
+
     /// Corners counter-clockwise, beginning where rim positions begin; empty for a disc.
     pub(super) fn rim_vertices(&self) -> Vec<Point> {
         match self {

@@ -1,6 +1,7 @@
 //! Damage that the caller knows to stay, beside what the monitor finds in the mean of free frames: it is believed at
 //! once, and how much of it is left is the caller's word.
 
+use super::region::Region;
 use super::{DamageEvent, DamageMonitor, DamageState};
 use crate::contact::PixelNoise;
 use crate::error::{TouchError, require_length};
@@ -57,6 +58,40 @@ impl DamageMonitor {
         self.events.push(if known.is_some() { DamageEvent::Update(damage) } else { DamageEvent::Begin(damage) });
         self.publish();
         Ok(Some(damage.id))
+    }
+
+    /// Takes an image that another operator has made of what is left of a known damage: place, extent and depth are those
+    /// in it from now on, and it stays what it is in all else. `left` is the share of its worst that the image shows.
+    /// Where the image is of this damage alone, its deepest region is the damage; otherwise the nearest one. Where no
+    /// region is deep enough, place and extent stay.
+    ///
+    /// # Errors
+    /// [`TouchError::Length`].
+    pub fn redraw(
+        &mut self,
+        id: u64,
+        image: &[f32],
+        noise: PixelNoise<'_>,
+        left: f64,
+        is_alone: bool,
+    ) -> Result<(), TouchError> {
+        require_length("image", self.cells.len(), image.len())?;
+        noise.validate(self.cells.len())?;
+        let Some(index) = self.records.iter().position(|record| record.damage.id == id) else { return Ok(()) };
+        let sigma = |cell: usize| f64::from(noise.at(cell));
+        self.finder.find(image, &self.cells, &self.params, sigma, left * self.params.smallest_depth);
+        let shape = self.records[index].damage.shape;
+        let away = |region: &&Region| shape.distance_m(region.shape.centre_m);
+        let regions = self.finder.regions();
+        let region = if is_alone { regions.first() } else { regions.iter().min_by(|a, b| away(a).total_cmp(&away(b))) };
+        let Some(&region) = region else { return Ok(()) };
+        let damage = &mut self.records[index].damage;
+        damage.shape = region.shape;
+        (damage.depth, damage.volume_m2) = (region.depth / left, region.volume_m2 / left);
+        damage.significance = region.depth / region.sigma;
+        self.paint(self.records[index].bit, region.bit);
+        self.publish();
+        Ok(())
     }
 
     /// So much is left of a damage, by the caller's word: it heals, or has healed.

@@ -56,7 +56,7 @@ pub(super) struct Record {
     leaning_ns: Option<u64>,
     /// Share that a model has found, in place of the image's.
     pub(super) modelled: bool,
-    bit: u16,
+    pub(super) bit: u16,
     /// Since when no touch has been on it.
     clear_ns: Option<u64>,
 }
@@ -360,7 +360,7 @@ impl DamageMonitor {
     }
 
     /// Gives a record the cells of a region.
-    fn paint(&mut self, bit: u16, region_bit: u16) {
+    pub(super) fn paint(&mut self, bit: u16, region_bit: u16) {
         for (mask, label) in self.masks.iter_mut().zip(self.finder.labels()) {
             *mask = if label & region_bit != 0 { *mask | bit } else { *mask & !bit };
         }

@@ -218,6 +218,32 @@ fn a_suspicion_that_is_dismissed_leaves_nothing_and_may_come_again() {
 }
 
 #[test]
+fn a_damage_that_another_operator_images_keeps_its_identity_and_its_share() {
+    let mut monitor = DamageMonitor::new(geometry(), DamageParams::default()).unwrap();
+    let image_at = |middle: [f64; 2], depth: f64| {
+        let mut image = flat();
+        line(&mut image, [middle[0] - 0.01, middle[1]], [middle[0] + 0.01, middle[1]], -depth);
+        image
+    };
+    monitor.begin_frame(0).unwrap();
+    let id = monitor.declare(0, &image_at([0.01, 0.01], 0.2), NOISE).unwrap().unwrap();
+    monitor.set_share(id, 0.5);
+    monitor.begin_frame(1).unwrap();
+    // Elsewhere, deeper, and half of it left.
+    monitor.redraw(id, &image_at([-0.01, -0.012], 0.3), NOISE, 0.5, true).unwrap();
+    let [damage] = monitor.damages() else { panic!("{:?}", monitor.damages()) };
+    let [x, y] = damage.shape.centre_m;
+    assert!((x + 0.01).hypot(y + 0.012) < 1e-3 && (damage.depth - 0.6).abs() < 0.02, "{damage:?}");
+    assert!(damage.id == id && damage.share == 0.5 && monitor.events().is_empty(), "{damage:?}");
+    // Where nothing is to be seen it stays where it was, and what is not known is left alone.
+    let before = *damage;
+    monitor.redraw(id, &flat(), NOISE, 0.5, true).unwrap();
+    monitor.redraw(id + 1, &image_at([0.02, 0.02], 0.3), NOISE, 1.0, true).unwrap();
+    assert_eq!(monitor.damages(), [before]);
+    assert!(monitor.redraw(id, &[0.0; 3], NOISE, 1.0, true).is_err());
+}
+
+#[test]
 fn classes_decide_where_a_network_gives_them() {
     let damaged: Vec<f32> = cut().iter().map(|v| if *v < -0.05 { 0.9 } else { 0.02 }).collect();
     let none = vec![0.1; GRID * GRID];

@@ -7,10 +7,13 @@ use dermis::live::calibration::CircuitNews;
 use dermis::live::pipeline::Pipeline;
 use dermis::live::prepare::Prepared;
 use dermis::record::{Entry, LiveRecording, Recording, RecordingHead, RerunOptions, rerun};
-use dermis::skin::{CircuitChoice, Electronics, Preset, Skin, builtin_text};
+use dermis::skin::{CircuitChoice, Electronics, Polarity, Preset, Skin, builtin_text};
 use dermis::twin::AnyTwin;
 use dermis_device::{FileSpec, Frame, HostStamp, Layout};
 use dermis_touch::Observation;
+use dermis_touch::damage::{Damage, DamageEvent};
+use dermis_twin::physics::Cut;
+use dermis_twin::{Frontend, Treatment};
 
 /// The gel skin, whose file does not say what its board does.
 fn learner() -> Skin {
@@ -30,24 +33,50 @@ fn places(count: usize, radius_m: f64, turn: f64) -> Vec<[f64; 2]> {
     (0..count).map(|n| place(n * 7 % count)).collect()
 }
 
-/// What the gel skin's twin behind its board reads at rest, and under a press at each place.
-fn twin_frames(places: &[[f64; 2]]) -> (Vec<f64>, Vec<Vec<f64>>) {
-    let mut skin = Skin::open("hydrogel-disc").unwrap();
-    skin.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
-    (skin.twin.element_mm, skin.twin.electrode_element_mm) = (Some(8.0), Some(4.0));
-    let mut twin = AnyTwin::from_skin(&skin).unwrap();
-    let (mut rest, mut time_s) = (Vec::new(), 0.0);
-    twin.step(time_s, &mut rest).unwrap();
-    let press = |[x, y]: &[f64; 2]| {
-        twin.scene_mut().press(1, *x, *y, 9e-3, 30e3).unwrap();
+/// The gel skin's twin behind its board, read without noise.
+struct Gel {
+    twin: AnyTwin,
+    time_s: f64,
+}
+
+impl Gel {
+    fn new() -> Self {
+        let mut skin = Skin::open("hydrogel-disc").unwrap();
+        skin.backend.electronics = Electronics { preset: Preset::Ideal, ..Electronics::default() };
+        (skin.twin.element_mm, skin.twin.electrode_element_mm) = (Some(8.0), Some(4.0));
+        Self { twin: AnyTwin::from_skin(&skin).unwrap(), time_s: 0.0 }
+    }
+
+    /// Readings after half a second.
+    fn read(&mut self) -> Vec<f64> {
+        self.time_s += 0.5;
         let mut frame = Vec::new();
-        for _ in 0..2 {
-            time_s += 0.5;
-            twin.step(time_s, &mut frame).unwrap();
-        }
+        self.twin.step(self.time_s, &mut frame).unwrap();
         frame
-    };
-    let pressed = places.iter().map(press).collect();
+    }
+
+    fn press(&mut self, [x, y]: [f64; 2], radius_m: f64, pressure_pa: f64) -> Vec<f64> {
+        self.twin.scene_mut().press(1, x, y, radius_m, pressure_pa).unwrap();
+        self.read();
+        self.read()
+    }
+
+    fn rest(&mut self) -> Vec<f64> {
+        self.twin.scene_mut().release(1);
+        self.read();
+        self.read()
+    }
+
+    fn cut(&mut self, from_m: [f64; 2], to_m: [f64; 2]) {
+        self.twin.frontend_mut().treat(&Treatment::Cut(Cut::open(from_m, to_m))).unwrap();
+    }
+}
+
+/// What that twin reads at rest, and under a press at each place.
+fn twin_frames(places: &[[f64; 2]]) -> (Vec<f64>, Vec<Vec<f64>>) {
+    let mut gel = Gel::new();
+    let rest = gel.read();
+    let pressed = places.iter().map(|place| gel.press(*place, 9e-3, 30e3)).collect();
     (rest, pressed)
 }
 
@@ -61,6 +90,9 @@ struct Stream {
     news: Vec<(u64, CircuitNews)>,
     /// Every touch of every frame, bit for bit.
     touches: Vec<(u64, [u64; 2])>,
+    /// Every damage of every frame, bit for bit, and what happened to them.
+    damages: Vec<(u64, [u64; 5])>,
+    events: Vec<(u64, DamageEvent)>,
 }
 
 impl Stream {
@@ -68,8 +100,8 @@ impl Stream {
         let prepared = Prepared::new(skin).unwrap();
         let layout = Layout::Channels { count: prepared.channels() };
         let pipeline = Pipeline::new(prepared, &layout, None).unwrap();
-        let (news, touches) = (Vec::new(), Vec::new());
-        Self { pipeline, recording: None, period_ns, noise, number: 0, news, touches }
+        let (news, touches, damages, events) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { pipeline, recording: None, period_ns, noise, number: 0, news, touches, damages, events }
     }
 
     /// The place of the strongest touch after the same readings so many times.
@@ -93,10 +125,17 @@ impl Stream {
             let seen = output.touches.iter().filter(|touch| touch.observation != Observation::Missed);
             place = seen.max_by(|a, b| a.amplitude.total_cmp(&b.amplitude)).map(|touch| touch.position_m);
             self.touches.extend(output.touches.iter().map(|t| (self.number, t.position_m.map(f64::to_bits))));
+            self.damages.extend(output.damage.damages.iter().map(|damage| (self.number, bits(damage))));
+            self.events.extend(output.damage.events.iter().map(|event| (self.number, *event)));
             self.number += 1;
         }
         place
     }
+}
+
+fn bits(damage: &Damage) -> [u64; 5] {
+    let [x, y] = damage.shape.centre_m;
+    [damage.id, x.to_bits(), y.to_bits(), damage.depth.to_bits(), damage.share.to_bits()]
 }
 
 /// Errors of what was found, millimetres: how many, median, 90th percentile.
@@ -167,6 +206,86 @@ fn a_twin_whose_board_loads_it_is_placed_better_once_its_circuit_is_found_and_a_
     })
     .unwrap();
     assert!(again == stream.touches, "{} touches, {} in the rerun", stream.touches.len(), again.len());
+}
+
+/// A gel that is cut before its circuit is found: the damage keeps its identity, lies where the new model has it, and
+/// heals. The same of a skin whose damage is told by its image, because a press raises what a cut lowers.
+#[test]
+fn damage_stays_known_when_a_circuit_is_found() {
+    let raising = |mut skin: Skin| {
+        skin.imaging.polarity = Polarity::RaisesConductivity;
+        skin
+    };
+    let (from_m, to_m) = ([0.014, 0.018], [0.041, 0.03]);
+    let mut gel = Gel::new();
+    let rest = gel.rest();
+    let before: Vec<Vec<f64>> = places(8, 0.06, 0.5).iter().map(|place| gel.press(*place, 9e-3, 30e3)).collect();
+    // A blade, with the weight of a hand beside it.
+    gel.cut(from_m, to_m);
+    let blade = gel.press([-0.01, -0.01], 0.025, 200e3);
+    let cut = gel.rest();
+    let after: Vec<Vec<f64>> = places(16, 0.06, 1.7).iter().map(|place| gel.press(*place, 9e-3, 30e3)).collect();
+    let largest = rest.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    for is_raised in [false, true] {
+        let mut skin = learner();
+        skin.damage.watch = true;
+        let skin = if is_raised { raising(skin) } else { skin };
+        // What a press changes, the other way round.
+        let pressed = |frame: &[f64], rest: &[f64]| -> Vec<f64> {
+            let turned = |(v, rest): (&f64, &f64)| if is_raised { 2.0 * rest - v } else { *v };
+            frame.iter().zip(rest).map(turned).collect()
+        };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let mut stream = Stream::new(skin, 50_000_000, 1e-5 * largest);
+        let head = RecordingHead::of(stream.pipeline.prepared(), Layout::Channels { count: rest.len() }, "test");
+        stream.recording = Some(LiveRecording::start(&path, &head, &stream.pipeline, 0.0).unwrap());
+        stream.run(&rest, 60);
+        for frame in &before {
+            stream.run(&pressed(frame, &rest), 5);
+            stream.run(&rest, 20);
+        }
+        stream.run(&pressed(&blade, &cut), 2);
+        stream.run(&cut, 60);
+        println!("{:?}", stream.events);
+        let [(_, DamageEvent::Begin(first))] = stream.events[..] else { panic!("{:?}", stream.events) };
+        for frame in &after {
+            stream.run(&pressed(frame, &cut), 5);
+            stream.run(&cut, 25);
+        }
+        stream.run(&cut, 640);
+        let [(at, news)] = stream.news[..] else { panic!("{:?}", stream.news) };
+        assert!(news.is_new && news.fit.is_trusted(), "frame {at}: {news:?}");
+        let known = stream.pipeline.damage();
+        let [damage] = known.damages[..] else { panic!("{:?}", known.damages) };
+        let middle_m = [0, 1].map(|axis| 0.5 * (from_m[axis] + to_m[axis]));
+        let off_mm = |damage: &Damage| {
+            let [x, y] = damage.shape.centre_m;
+            1e3 * (x - middle_m[0]).hypot(y - middle_m[1])
+        };
+        println!("frame {at}: {:.1} mm off, then {:.1} mm; {damage:?}", off_mm(&first), off_mm(&damage));
+        assert_eq!((damage.id, known.intact), (first.id, Some(0)));
+        assert!(damage.is_open() && damage.share > 0.8 && off_mm(&damage) < 12.0, "{damage:?}");
+        let told: Vec<&str> = stream.events.iter().map(|(_, event)| event.name()).collect();
+        assert!(told.iter().all(|name| ["begin", "covered", "uncovered"].contains(name)), "{told:?}");
+        assert_eq!(told.iter().filter(|name| **name == "begin").count(), 1);
+        stream.run(&rest, 200);
+        let healed = stream.events.iter().any(|(_, event)| matches!(event, DamageEvent::Healed(d) if d.id == first.id));
+        assert!(healed, "{:?}", stream.events);
+        let end = stream.recording.take().unwrap().finish();
+        assert_eq!((end.lost, end.error), (0, None));
+        let mut recording = Recording::open(&path).unwrap();
+        let skin = Skin::parse(recording.skin_toml(), "test").unwrap();
+        let mut pipeline = recording.head().pipeline(skin, &path).unwrap();
+        let (mut touches, mut damages) = (Vec::new(), Vec::new());
+        rerun(&mut recording, &mut pipeline, RerunOptions::default(), &AtomicBool::new(false), |output| {
+            touches.extend(output.touches.iter().map(|t| (output.sequence, t.position_m.map(f64::to_bits))));
+            damages.extend(output.damage.damages.iter().map(|damage| (output.sequence, bits(damage))));
+            Ok(ControlFlow::Continue(()))
+        })
+        .unwrap();
+        assert!(touches == stream.touches && damages == stream.damages, "another rerun");
+    }
 }
 
 /// The published presses as a stream: the frame before each for a while, then the press.

@@ -5,10 +5,12 @@ use dermis::lab::reconstruct::{Request, reconstruct};
 use dermis::lab::twin_sample::{SampleRequest, random_presses, sample};
 use dermis::skin::Skin;
 use dermis::twin::from_skin::press_range;
-use dermis::twin::mechanics::Indenter;
+use dermis::twin::mechanics::{Indenter, Load, Shape};
 
-/// Presses of each twin.
-const PRESSES: usize = 60;
+/// Presses of each twin, of 0.6 to 1.4 times the usual radius and 0.3 to 2 times the usual pressure.
+const PRESSES: usize = 200;
+const RADII: [f64; 2] = [0.6, 1.4];
+const PRESSURES: [f64; 2] = [0.3, 2.0];
 
 /// Errors of x and y of presses, mm, each with its sigma; and in how many frames as many touches as presses were found.
 struct Trial {
@@ -17,15 +19,26 @@ struct Trial {
     complete: usize,
 }
 
+/// Between two numbers, even in the logarithm: the n-th number of a sequence that fills an interval evenly.
+fn between([low, high]: [f64; 2], n: usize, step: f64) -> f64 {
+    low * (high / low).powf((n as f64 * step).fract())
+}
+
 /// Presses at random, so many at once, whose discs are half as far again apart as they need to be.
 fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>> {
-    let singles = random_presses(&skin.outline(), &press_range(skin), 8 * at_once * PRESSES, seed).unwrap();
-    let mut singles = singles.into_iter().flatten();
+    let usual = press_range(skin);
+    let places = random_presses(&skin.outline(), &usual, 8 * PRESSES, seed).unwrap();
+    let mut singles = places.into_iter().flatten().enumerate().map(|(n, indenter)| Indenter {
+        // The golden section, and the root of two.
+        shape: Shape::Disc { radius_m: usual.initial_radius_m * between(RADII, n, 0.618_034) },
+        load: Load::PressurePa(usual.initial_pressure_pa * between(PRESSURES, n, 0.414_214)),
+        ..indenter
+    });
     let is_apart = |a: &Indenter, b: &Indenter| {
         let [x, y] = [0, 1].map(|axis| a.centre_m[axis] - b.centre_m[axis]);
         x.hypot(y) > 1.5 * (a.shape.equal_area_radius_m() + b.shape.equal_area_radius_m())
     };
-    let mut frames = vec![Vec::new(); PRESSES];
+    let mut frames = vec![Vec::new(); PRESSES / at_once];
     for frame in &mut frames {
         while frame.len() < at_once {
             let next = singles.next().expect("more presses than are too near to each other");
@@ -65,13 +78,14 @@ fn press(name: &str, at_once: usize, seed: u64) -> Trial {
     };
     reconstruct(&request, |_, _| {}).unwrap();
     let text = std::fs::read_to_string(at("t.csv")).unwrap();
-    let mut found: Vec<Vec<Vec<f64>>> = vec![Vec::new(); PRESSES];
+    let mut found: Vec<Vec<Vec<f64>>> = vec![Vec::new(); places.len()];
     for line in text.lines().skip(1) {
         let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
         found[cells[0] as usize].push(cells);
     }
     let mut trial = Trial { errors_mm: Vec::new(), sigmas_mm: Vec::new(), complete: 0 };
     for (presses, found) in places.iter().zip(&found).filter(|(presses, found)| presses.len() == found.len()) {
+        assert!(found.iter().all(|touch| touch[6] > 0.0 && touch[7] > 0.0), "{name}: {found:?}");
         trial.complete += 1;
         for press in presses {
             let error = |touch: &[f64], axis: usize| (touch[2 + axis] - 1e3 * press.centre_m[axis]).abs();
@@ -99,8 +113,8 @@ impl Trial {
     }
 }
 
-/// Two thirds of the errors within one sigma an axis: 60 to 76 % is asked for of many presses; 120 errors scatter by 4
-/// %, and those of one press are not independent.
+/// Two thirds of the errors within one sigma an axis: 60 to 76 % is asked for of many presses; 400 errors scatter by 2
+/// to 3 %, since those of one press are not independent.
 #[test]
 fn errors_of_presses_anywhere_lie_within_their_sigmas() {
     let mut wrong = Vec::new();
@@ -118,8 +132,8 @@ fn errors_of_presses_anywhere_lie_within_their_sigmas() {
             sigmas[sigmas.len() / 2],
         );
         // Presses between elements over coils have errors of long tails.
-        let least_more = if name.starts_with("em-") { 0.75 } else { 0.9 };
-        if !(0.52..=0.84).contains(&one) || more < least_more {
+        let (band, least_more) = if name.starts_with("em-") { (0.52..=0.84, 0.75) } else { (0.58..=0.79, 0.93) };
+        if !band.contains(&one) || more < least_more {
             wrong.push((name, one, more));
         }
     }
@@ -130,11 +144,20 @@ fn errors_of_presses_anywhere_lie_within_their_sigmas() {
 #[test]
 fn errors_of_several_presses_at_once_lie_within_their_sigmas() {
     let mut wrong = Vec::new();
-    for (name, at_once) in [("healing-square", 2), ("healing-square", 3), ("piezo-square", 2), ("piezo-square", 3)] {
+    let several = [
+        ("healing-square", 2),
+        ("healing-square", 3),
+        ("piezo-square", 2),
+        ("piezo-square", 3),
+        ("ionic-disc", 2),
+        ("golfball-tank", 2),
+    ];
+    for (name, at_once) in several {
         let trial = press(name, at_once, 6);
         let (one, more) = (trial.within(1.0), trial.within(2.5));
-        println!("{name}: {at_once} at once, {} of {PRESSES} all found, within {one:.2} {more:.2}", trial.complete);
-        if !(0.55..=0.84).contains(&one) || more < 0.9 || trial.complete < PRESSES / 2 {
+        let frames = PRESSES / at_once;
+        println!("{name}: {at_once} at once, {} of {frames} all found, within {one:.2} {more:.2}", trial.complete);
+        if !(0.57..=0.82).contains(&one) || more < 0.92 || trial.complete < PRESSES / at_once / 2 {
             wrong.push((name, at_once, one, more, trial.complete));
         }
     }
@@ -142,13 +165,17 @@ fn errors_of_several_presses_at_once_lie_within_their_sigmas() {
 }
 
 /// One of every layer and shape that a built-in twin has.
-const SKINS: [&str; 8] = [
+const SKINS: [&str; 12] = [
     "healing-square",
+    "hydrogel-disc",
     "ionic-disc",
     "ionic-square",
     "piezo-square",
     "piezo-disc",
     "piezo-cylinder",
+    "pyeidors-tank",
+    "sciospec-tank",
+    "golfball-tank",
     "em-8",
     "em-16-square",
 ];

@@ -76,6 +76,22 @@ impl IntactReference {
         (&self.difference, &mut self.image)
     }
 
+    /// Takes the difference of mean readings from the intact skin, without some channels, in place of a frame's.
+    pub fn compare_mean(
+        &mut self,
+        mean: &[f64],
+        baseline: &Baseline,
+        scale: &[f64],
+        left_out: &[u32],
+    ) -> (&[f64], &mut [f32]) {
+        self.drift_since = baseline.drift_factor() / self.drift;
+        for (channel, value) in self.difference.iter_mut().enumerate() {
+            *value = scale[channel] * (mean[channel] - self.drift_since * self.readings[channel]);
+        }
+        left_out.iter().for_each(|&channel| self.difference[channel as usize] = f64::NAN);
+        (&self.difference, &mut self.image)
+    }
+
     /// Difference of the frame at hand, model volts, NaN where channels are left out.
     pub fn difference(&self) -> &[f64] {
         &self.difference

@@ -130,6 +130,32 @@ impl LevelStage {
         self.noise = noise;
     }
 
+    /// Damages whose changes are known.
+    pub fn known_count(&self) -> usize {
+        self.known.len()
+    }
+
+    /// What one of these has changed at its worst, model volts, and where its image goes, for
+    /// [`LevelStage::redraw_known`]. `scale` holds the factors from readings to model volts.
+    pub fn known(&mut self, index: usize, scale: &[f64], left_out: &[u32]) -> (&[f64], &mut [f32]) {
+        for ((to, known), scale) in self.change.iter_mut().zip(&self.known[index].1).zip(scale) {
+            *to = scale * known;
+        }
+        left_out.iter().for_each(|&channel| self.change[channel as usize] = f64::NAN);
+        (&self.change, &mut self.fall)
+    }
+
+    /// Another model makes the images: a known damage lies where the image just made has it.
+    ///
+    /// # Errors
+    /// An image of another size.
+    pub fn redraw_known(&mut self, index: usize) -> Result<(), Error> {
+        // In the image of touches damage rises as they do.
+        self.fall.iter_mut().for_each(|value| *value = -*value);
+        let noise = PixelNoise::PerPixel(&self.noise);
+        Ok(self.monitor.redraw(self.known[index].0, &self.fall, noise, 1.0, true)?)
+    }
+
     /// The change at hand, model volts, and where its image goes; `None` where the readings do not rest elsewhere.
     /// `scale` holds the factors from readings to model volts.
     pub fn change(&mut self, scale: &[f64]) -> Option<(&[f64], &mut [f32])> {

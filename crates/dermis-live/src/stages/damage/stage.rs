@@ -29,6 +29,9 @@ const FEWEST_FOR_HEALING: usize = 8;
 /// Fewest frames in the mean that becomes the baseline of a damaged skin.
 const FEWEST_FOR_BASELINE: usize = 8;
 
+/// Differences from the intact skin, and where their image goes.
+type ImageOfAll<'a> = (&'a [f64], &'a mut [f32]);
+
 /// The monitor of a skin, and what it is told about each frame.
 #[derive(Debug)]
 pub(crate) struct DamageStage {
@@ -111,6 +114,34 @@ impl DamageStage {
         self.cuts.invalidate_image();
         self.release = None;
         self.monitor.restart();
+    }
+
+    /// Another model makes the images from now on; the intact skin and the damages stay. What all that is damaged
+    /// changes, model volts, NaN in `left_out`, and where its image goes, for [`DamageStage::redraw`].
+    pub fn see_anew(
+        &mut self,
+        noise: Vec<f32>,
+        baseline: &Baseline,
+        scale: &[f64],
+        left_out: &[u32],
+    ) -> ImageOfAll<'_> {
+        self.set_noise(noise);
+        self.unexplained.clear();
+        let readings = if self.readings.frames > 0 { &self.readings.mean } else { baseline.baseline() };
+        self.intact.compare_mean(readings, baseline, scale, left_out)
+    }
+
+    /// Known damages lie where the image just made has them.
+    ///
+    /// # Errors
+    /// An image of another size.
+    pub fn redraw(&mut self) -> Result<(), Error> {
+        let noise = PixelNoise::PerPixel(&self.noise);
+        let open: Vec<Damage> = self.monitor.damages().iter().filter(|damage| damage.is_open()).copied().collect();
+        for damage in open.iter().filter(|damage| damage.share > 0.0) {
+            self.monitor.redraw(damage.id, self.intact.image(), noise, damage.share, open.len() == 1)?;
+        }
+        Ok(())
     }
 
     /// The cuts and scars that the baseline of touches includes.

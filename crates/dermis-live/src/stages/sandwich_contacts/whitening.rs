@@ -5,7 +5,7 @@ const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
 /// The usual square of the model's error over that: touches of one to three presses at random on twins of sandwiches are
 /// off by so much.
-const USUAL_MODEL_SHARE: f64 = 0.07;
+const USUAL_MODEL_SHARE: f64 = 0.1;
 
 /// The change of the channels in one frame, with its deviations.
 #[derive(Debug, Default)]

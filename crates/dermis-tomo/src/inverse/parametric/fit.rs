@@ -42,6 +42,9 @@ const MOST_STEPS: usize = 12;
 const CONVERGED: f64 = 2e-3;
 /// Standard deviation of the logarithm of the radius before anything is measured.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
+/// The noise's own energy, which is 1, is known to so much: from 32 frames at rest, and as far as it is even. What exceeds
+/// 1 by less is no error of the model.
+const NOISE_UNKNOWN: f64 = 0.3;
 /// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide
 /// spots.
 const UNIFORM_DEVIATION: f64 = 0.2;
@@ -326,7 +329,8 @@ impl SpotModel {
         cost.is_finite().then_some((moved, uniform, cost))
     }
 
-    /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise.
+    /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise by more
+    /// than that is known to.
     fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
         let mut solver = std::mem::take(&mut scratch.solver);
@@ -342,7 +346,7 @@ impl SpotModel {
             if known {
                 for (column, of_column) in (0..OF_SPOT).map(|column| (column, OF_SPOT * k + column)) {
                     right[..parameters].fill(0.0);
-                    right[of_column] = residual.max(1.0);
+                    right[of_column] = (residual - NOISE_UNKNOWN).max(1.0);
                     solve_factored(factor, right, parameters);
                     (0..OF_SPOT).for_each(|row| covariance[row][column] = right[OF_SPOT * k + row]);
                 }

@@ -15,14 +15,14 @@ const LEAST_INDEPENDENT: f64 = 0.02;
 
 /// Two places, both amplitudes, and the energy that they explain.
 #[derive(Clone, Copy)]
-struct Explained {
-    places: [usize; 2],
-    amplitudes: [f64; 2],
+pub(super) struct Explained {
+    pub(super) places: [usize; 2],
+    pub(super) amplitudes: [f64; 2],
     energy: f64,
 }
 
 /// A frame beside the templates of all places, weighted, without the channels that the frame lacks.
-struct Projected {
+pub(super) struct Projected {
     /// Products of the frame with every template, and the squared norms of these.
     products: Vec<f64>,
     squares: Vec<f64>,
@@ -31,6 +31,11 @@ struct Projected {
 }
 
 impl Projected {
+    /// The share of the frame's energy that two places leave.
+    pub(super) fn left_by(&self, explained: &Explained) -> f64 {
+        (1.0 - explained.energy / self.energy).max(0.0)
+    }
+
     /// What two templates explain together, both pressing; `gram` is their product.
     fn explained(&self, [a, b]: [usize; 2], gram: f64) -> Option<Explained> {
         let (p, q, m, n) = (self.products[a], self.products[b], self.squares[a], self.squares[b]);
@@ -59,24 +64,37 @@ impl SelfCalibration {
     /// As [`SelfCalibration::scores`].
     pub fn locate_pair(&self, frame: &[f64], search: &PairSearch) -> Result<Option<MatchedPair>, InverseError> {
         let batch = self.single(frame)?;
-        let (products, norms) = self.products(&batch);
+        let Some((projected, best)) = self.best_pair(&batch, search) else { return Ok(None) };
+        let without = (!batch.complete).then_some(&batch);
+        let mut positions_m = [0, 1].map(|index| self.centroid_beside(&projected, &best, index, without));
+        let mut amplitudes = best.amplitudes;
+        if amplitudes[1] > amplitudes[0] {
+            positions_m.swap(0, 1);
+            amplitudes.swap(0, 1);
+        }
+        Ok(Some(MatchedPair { positions_m, amplitudes, left: projected.left_by(&best) }))
+    }
+
+    /// The two places that explain most of the only frame of a batch.
+    pub(super) fn best_pair(&self, batch: &Batch, search: &PairSearch) -> Option<(Projected, Explained)> {
+        let (products, norms) = self.products(batch);
         let projected = Projected {
             products: products.col(0).iter().copied().collect(),
             squares: norms.template.col(0).iter().copied().collect(),
             energy: norms.frame[0] * norms.frame[0],
         };
         if projected.energy == 0.0 {
-            return Ok(None);
+            return None;
         }
         let PairSearch { apart_m, coarse, .. } = search;
         let are_apart = |a: usize, b: usize| square_distance(self.places_m[a], self.places_m[b]) >= apart_m * apart_m;
-        let without = (!batch.complete).then_some(&batch);
+        let without = (!batch.complete).then_some(batch);
         let incomplete = without.map(|_| self.grams(coarse, without));
         let grams = incomplete.as_ref().unwrap_or(&search.grams);
         let pairs = (0..coarse.len()).flat_map(|k| (0..k).map(move |l| (k, l)));
         let pairs = pairs.filter(|&(k, l)| are_apart(coarse[k], coarse[l]));
         let explained = pairs.filter_map(|(k, l)| projected.explained([coarse[k], coarse[l]], grams[(k, l)]));
-        let Some(mut best) = explained.max_by(by_energy) else { return Ok(None) };
+        let mut best = explained.max_by(by_energy)?;
         for round in 0..ROUNDS {
             let kept = best.places[round % 2];
             let grams = self.grams_with(kept, without);
@@ -85,14 +103,7 @@ impl SelfCalibration {
             let found = places.filter_map(|place| projected.explained(pair(place), grams[(place, 0)]));
             best = found.chain([best]).max_by(by_energy).unwrap_or(best);
         }
-        let mut positions_m = [0, 1].map(|index| self.centroid_beside(&projected, &best, index, without));
-        let mut amplitudes = best.amplitudes;
-        if amplitudes[1] > amplitudes[0] {
-            positions_m.swap(0, 1);
-            amplitudes.swap(0, 1);
-        }
-        let left = (1.0 - best.energy / projected.energy).max(0.0);
-        Ok(Some(MatchedPair { positions_m, amplitudes, left }))
+        Some((projected, best))
     }
 
     /// Weighted templates of some places, channels x places, without the channels that a frame lacks, where one is given.

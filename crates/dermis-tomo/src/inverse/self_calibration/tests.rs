@@ -171,6 +171,36 @@ fn amplitude_is_proportional_and_its_sign_follows_the_touch() {
 }
 
 #[test]
+fn frames_of_two_touches_weigh_the_channels_once_they_are_known_to_be() {
+    let skin = skin();
+    let apart_m = 0.03;
+    let sum = |a: usize, b: usize| -> Vec<f64> {
+        skin.frames[a].iter().zip(&skin.frames[b]).map(|(one, other)| one + other).collect()
+    };
+    let pairs = (0..FRAMES).flat_map(|a| (0..a).map(move |b| (a, b)));
+    let far =
+        |(a, b): &(usize, usize)| square_distance(skin.touches_m[*a], skin.touches_m[*b]) > 1.4 * apart_m * apart_m;
+    let frames: Vec<Vec<f64>> = pairs.filter(far).step_by(7).take(60).map(|(a, b)| sum(a, b)).collect();
+    let options = CalibrationOptions::default();
+    let are_two = |one: f64, two: f64, alike: f64| two <= 0.6 * one && alike >= 0.4;
+    let left = |calibration: &SelfCalibration| -> f64 {
+        let search = calibration.pair_search(apart_m);
+        let of = |frame: &Vec<f64>| calibration.locate_pair(frame, &search).unwrap().unwrap().left;
+        frames.iter().map(of).sum::<f64>() / frames.len() as f64
+    };
+    let mut calibration = SelfCalibration::fit(&skin.templates, &skin.voltages, &frames, options).unwrap();
+    let (before, score) = (left(&calibration), calibration.score());
+    calibration.weigh_with_pairs(&skin.templates, &frames, apart_m, are_two);
+    let after = left(&calibration);
+    assert!(after < 0.7 * before && calibration.score() > score, "{before} {after}, {score} {}", calibration.score());
+    // Frames of one touch each are left alone.
+    let of_one = SelfCalibration::fit(&skin.templates, &skin.voltages, &skin.frames, options).unwrap();
+    let mut again = of_one.clone();
+    again.weigh_with_pairs(&skin.templates, &skin.frames, apart_m, are_two);
+    assert_eq!((again.weights(), again.score()), (of_one.weights(), of_one.score()));
+}
+
+#[test]
 fn refusals_say_what_was_expected() {
     let skin = skin();
     let options = CalibrationOptions::default();

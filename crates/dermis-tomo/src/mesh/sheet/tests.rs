@@ -400,3 +400,25 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn places_are_as_far_inside_as_the_rim_and_holes_are_away() {
+    let disc = Outline::Disc { radius_m: 0.05 };
+    let rectangle = Outline::Rectangle { width_m: 0.1, height_m: 0.04 };
+    let square = |half: f64| vec![[-half, -half], [half, -half], [half, half], [-half, half]];
+    let ring = Outline::Polygon { outer: square(0.05), holes: vec![square(0.01)] };
+    for (outline, place, expected) in [
+        (&disc, [0.03, -0.02], 0.05 - 0.03_f64.hypot(0.02)),
+        (&disc, [0.05, 0.01], 0.0),
+        (&rectangle, [0.045, 0.0], 0.005),
+        (&rectangle, [0.0, -0.015], 0.005),
+        (&rectangle, [0.0, 0.021], 0.0),
+        (&ring, [0.04, 0.0], 0.01),
+        (&ring, [0.0, 0.013], 0.003),
+        (&ring, [0.0, 0.005], 0.0),
+        (&ring, [0.06, 0.0], 0.0),
+    ] {
+        let inside = outline.inside_by_m(place);
+        assert!((inside - expected).abs() < 1e-12, "{outline:?} {place:?}: {inside}");
+    }
+}

@@ -1,0 +1,203 @@
+//! What positions of touches are off by beside noise. A share of it is that of any skin of a layer, as its twins show;
+//! what a fit of spots leaves of its own frame says the rest.
+
+use dermis_skin::Layer;
+use dermis_tomo::inverse::{FitOutcome, Spot};
+use dermis_tomo::mesh::Outline;
+use dermis_touch::Contact;
+
+use crate::prepare::Prepared;
+use crate::stages::refinement::Refinement;
+
+/// Where the skin file does not say, touches that the image alone places are wrong by this share of half the shorter
+/// side (one sigma of each coordinate), and so are those of a frame that their fit does not explain.
+const BY_IMAGE: f64 = 0.015;
+/// Presses on elements over coils, in cells: beside what the centroid of their forces misses, and of those that a fit
+/// has placed.
+const ELEMENTS_CELLS: f64 = 0.07;
+const REFINED_ELEMENTS_CELLS: f64 = 0.01;
+
+/// What touches that a fit has placed are wrong by, one sigma of each coordinate.
+#[derive(Clone, Copy, Debug)]
+struct Refined {
+    everywhere: f64,
+    /// Near the rim, beside that: up to so far from it, and by a factor e less with each of `fades` beyond.
+    at_rim: f64,
+    within: f64,
+    fades: f64,
+}
+
+/// In shares of half the shorter side: sheets and liquids under a membrane, whose fields are steep near the rim,
+const SMOOTH: Refined = Refined { everywhere: 0.001, at_rim: 0.0065, within: 0.24, fades: 0.04 };
+/// and sandwiches.
+const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
+/// In pitches of patches, which conduct as a whole, and which the rim cuts.
+const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
+/// In an open tank, in shares of half the shorter side and, at the wall, in radii of the touch: the surface takes the
+/// shape of what presses, whose edge and that of a spot part there.
+const TANK_EVERYWHERE: f64 = 0.0005;
+const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
+
+/// A touch that is no spot: what a fit leaves of the frame's energy, as an amplitude, moves it by this share of its
+/// radius. What is within the noise, or is not known to be more, counts for nothing.
+const OF_SHAPE: f64 = 1.0;
+const AS_NOISE: f64 = 1.3;
+/// Where a place is uncertain by this share of half the shorter side, it is uncertain by as much again, because a step so
+/// long is not linear.
+const CURVED: f64 = 0.03;
+
+impl Refined {
+    /// In other units, `unit` of which are one of these.
+    fn times(self, unit: f64) -> Self {
+        let Self { everywhere, at_rim, within, fades } = self;
+        Self { everywhere: unit * everywhere, at_rim: unit * at_rim, within: unit * within, fades: unit * fades }
+    }
+
+    /// Variance so far from the rim.
+    fn variance(self, from_rim: f64) -> f64 {
+        let beyond = (from_rim - self.within).max(0.0);
+        self.everywhere.powi(2) + (self.at_rim * (-beyond / self.fades).exp()).powi(2)
+    }
+}
+
+/// Variance of each coordinate of a touch by what the model has wrong, square metres.
+#[derive(Debug)]
+pub(super) struct ModelError {
+    /// Of touches that the image alone places.
+    by_image_m2: f64,
+    refined: OfRefined,
+}
+
+/// Of touches that a fit has placed.
+#[derive(Debug)]
+enum OfRefined {
+    /// The same, m^2.
+    Alike(f64),
+    /// By their place, in metres.
+    ByPlace(Outline, Refined),
+    /// By their place and radius, in radii, beside the variance in m^2 that all have.
+    ByRadius(Outline, Refined, f64),
+}
+
+impl ModelError {
+    pub fn of(prepared: &Prepared) -> Self {
+        let (skin, half_width_m) = (&prepared.skin, prepared.half_width_m());
+        let both = |error_m: f64| Self { by_image_m2: error_m.powi(2), refined: OfRefined::Alike(error_m.powi(2)) };
+        if let Some(error_mm) = skin.touch.model_error_mm {
+            return both(1e-3 * error_mm);
+        }
+        let by_image = both(BY_IMAGE * half_width_m);
+        let by_place = |refined: Refined, unit_m: f64| OfRefined::ByPlace(skin.outline(), refined.times(unit_m));
+        let refined = match &skin.frontend.layer {
+            Layer::Elements(_) => {
+                let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
+                return cell_m.map_or(by_image, |[x, y]| Self {
+                    refined: OfRefined::Alike((REFINED_ELEMENTS_CELLS * x.max(y)).powi(2)),
+                    ..both(ELEMENTS_CELLS * x.max(y))
+                });
+            }
+            _ if !Refinement::is_wanted(prepared, None) => return by_image,
+            Layer::Sandwich(_) => by_place(SANDWICH, half_width_m),
+            layer if layer.is_open_tank() => {
+                OfRefined::ByRadius(skin.outline(), TANK_AT_WALL, (TANK_EVERYWHERE * half_width_m).powi(2))
+            }
+            Layer::Sheet(_) | Layer::Liquid(_) => by_place(SMOOTH, half_width_m),
+            Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
+        };
+        Self { refined, ..by_image }
+    }
+
+    /// Beside what a fit has found out about its own frame. Only fits know a radius.
+    pub fn variance_m2(&self, contact: &Contact) -> f64 {
+        let Some(radius_m) = contact.radius_m else { return self.by_image_m2 };
+        match &self.refined {
+            OfRefined::Alike(variance_m2) => *variance_m2,
+            OfRefined::ByPlace(outline, refined) => refined.variance(outline.inside_by_m(contact.centroid_m)),
+            OfRefined::ByRadius(outline, refined, variance_m2) => {
+                variance_m2 + refined.times(radius_m).variance(outline.inside_by_m(contact.centroid_m))
+            }
+        }
+    }
+}
+
+/// What a fit of smooth spots says of its own error.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SpotError {
+    half_width_m: f64,
+}
+
+impl SpotError {
+    /// `None` where touches are no smooth spots.
+    pub fn of(prepared: &Prepared) -> Option<Self> {
+        let are_smooth = matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_));
+        are_smooth.then(|| Self { half_width_m: prepared.half_width_m() })
+    }
+
+    /// Variance of each coordinate beside the spot's covariance, m^2. A frame `leaves_another` where its fit does not
+    /// explain it.
+    pub fn variance_m2(self, spot: &Spot, outcome: &FitOutcome, leaves_another: bool) -> f64 {
+        let uncertain_m2 = 0.5 * (spot.covariance[0][0] + spot.covariance[1][1]);
+        let curved_m2 = (uncertain_m2 / (CURVED * self.half_width_m)).powi(2);
+        let unexplained = (outcome.residual - AS_NOISE).max(0.0) / outcome.energy;
+        let of_shape_m2 = (OF_SHAPE * spot.radius_m).powi(2) * unexplained;
+        let as_image_m2 = if leaves_another { (BY_IMAGE * self.half_width_m).powi(2) } else { 0.0 };
+        curved_m2 + of_shape_m2 + as_image_m2
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+    use dermis_touch::{ContactSign, ContactStrength};
+
+    fn sigma_mm(error: &ModelError, x_mm: f64, radius_mm: Option<f64>) -> f64 {
+        let place_m = [1e-3 * x_mm, 0.0];
+        let contact = Contact {
+            peak_m: place_m,
+            peak_value: 1.0,
+            centroid_m: place_m,
+            area_m2: 1e-4,
+            amplitude: 1.0,
+            volume: 1e-4,
+            covariance_m2: [[0.0; 2]; 2],
+            significance: 10.0,
+            sign: ContactSign::Positive,
+            strength: ContactStrength::Strong,
+            force: None,
+            radius_m: radius_mm.map(|mm| 1e-3 * mm),
+            model_variance_m2: 0.0,
+            load: None,
+            other_place: None,
+            is_single: true,
+        };
+        1e3 * error.variance_m2(&contact).sqrt()
+    }
+
+    #[test]
+    fn errors_follow_the_layer_and_grow_towards_the_rim() {
+        let of = |name: &str, x_mm: f64, radius_mm| {
+            let prepared = Prepared::new(Skin::open(name).unwrap()).unwrap();
+            sigma_mm(&ModelError::of(&prepared), x_mm, radius_mm)
+        };
+        let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
+        // Half the shorter side is 87 mm, and 4 mm from the rim is near.
+        near(of("ionic-disc", 0.0, Some(4.0)), 0.087);
+        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * (1.0_f64 + 6.5 * 6.5).sqrt());
+        near(of("ionic-disc", 0.0, None), 1.305);
+        // A tank of 200 mm: beside its wall by the touch's radius.
+        near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);
+        near(of("pyeidors-tank", 95.0, Some(5.0)), 0.05_f64.hypot(1.0));
+        // A pitch of 10 mm.
+        near(of("piezo-square", 0.0, Some(5.0)), 1.15);
+        near(of("piezo-square", 70.0, Some(5.0)), 1.15_f64.hypot(0.96));
+        // A cell of 35 mm.
+        near(of("em-16-square", 0.0, None), 0.07 * 35.0);
+        near(of("em-16-square", 0.0, Some(9.0)), 0.01 * 35.0);
+        // The file's word stands everywhere.
+        let mut skin = Skin::open("ionic-disc").unwrap();
+        skin.touch.model_error_mm = Some(2.0);
+        let told = ModelError::of(&Prepared::new(skin).unwrap());
+        assert!([None, Some(4.0)].iter().all(|radius| sigma_mm(&told, 83.0, *radius) == 2.0));
+    }
+}
