@@ -64,7 +64,8 @@ impl Classifier {
     /// # Errors
     /// A model of another skin, or whose inputs, classes or image size do not fit it.
     pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
-        Self::of(prepared, model, |inputs| FirstStep::new(prepared, reference, inputs))
+        let first = model.first()?;
+        Self::of(prepared, model, |inputs| FirstStep::with_first(prepared, reference, inputs, first.as_ref()))
     }
 
     fn of(
@@ -75,11 +76,7 @@ impl Classifier {
         model.check_skin(&prepared.skin.name, &imaging_sha256(&prepared.skin))?;
         let card = &model.card;
         let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
-        let inputs: Vec<InputImage> = card
-            .inputs
-            .iter()
-            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
-            .collect::<Result<_, Error>>()?;
+        let inputs = inputs_of(model)?;
         let Some(step) = inputs.iter().position(|input| matches!(input, InputImage::Step(_))) else {
             return Err(refuse("an image among the inputs".into(), card.inputs.join(", ")));
         };
@@ -198,18 +195,26 @@ impl Classifier {
     }
 }
 
-/// Refined images are nothing for live frames.
+/// The images that a model is shown.
+///
+/// # Errors
+/// Names that are not known.
+pub(super) fn inputs_of(model: &Model) -> Result<Vec<InputImage>, Error> {
+    let refuse = |got: String| Error::Frames { what: "model".into(), expected: "inputs that are known".into(), got };
+    model.card.inputs.iter().map(|name| name.parse().map_err(refuse)).collect()
+}
+
+/// Refined images, and what a first network makes of them, are nothing for live frames.
 fn refuse_refined(model: &Model) -> Result<(), Error> {
-    let refined = InputImage::Refined.to_string();
-    if model.card.inputs.contains(&refined) {
-        let (expected, got) = ("inputs that a live frame has time for".into(), refined);
+    if let Some(image) = inputs_of(model)?.iter().find(|image| image.takes_long()) {
+        let (expected, got) = ("inputs that a live frame has time for".into(), image.to_string());
         return Err(Error::Frames { what: "model".into(), expected, got });
     }
     Ok(())
 }
 
 /// Images times the factors that the network was trained with.
-fn rescale(input: &mut [f32], scale: &[f32]) {
+pub(super) fn rescale(input: &mut [f32], scale: &[f32]) {
     let pixels = input.len() / scale.len();
     for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
         image.iter_mut().for_each(|value| *value *= factor);
