@@ -3,7 +3,7 @@
 //! Allocates nothing per frame while the set of missing channels stays the same.
 
 use dermis_learn::metrics::most_likely;
-use dermis_learn::scene::BACKGROUND;
+use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED};
 use dermis_learn::{Model, Network, Novelty};
 use rayon::prelude::*;
 
@@ -27,6 +27,8 @@ pub struct Classifier {
     novelty: Option<Novelty>,
     scale: Vec<f32>,
     temperature: f32,
+    /// Where among the inputs a first network's probabilities are: lowered, raised.
+    first: Option<[usize; 2]>,
     /// The image that thresholds fall back to, its place among the inputs, and the sign that makes it of conductivity.
     step: usize,
     polarity: f32,
@@ -80,6 +82,8 @@ impl Classifier {
         let Some(step) = inputs.iter().position(|input| matches!(input, InputImage::Step(_))) else {
             return Err(refuse("an image among the inputs".into(), card.inputs.join(", ")));
         };
+        let place = |class| inputs.iter().position(|input| *input == InputImage::First(class));
+        let first = place(LOWERED).zip(place(RAISED)).map(<[usize; 2]>::from);
         if card.classes != CLASSES {
             return Err(refuse(format!("classes {}", CLASSES.join(", ")), card.classes.join(", ")));
         }
@@ -95,6 +99,7 @@ impl Classifier {
             novelty: model.novelty(),
             scale: card.input_scale.clone(),
             temperature: card.temperature,
+            first,
             step,
             polarity: prepared.skin.imaging.polarity.sign() as f32,
             rule: MaskRule::linear(prepared.skin.touch.smallest_amplitude),
@@ -166,6 +171,7 @@ impl Classifier {
     fn run(&mut self) -> Result<Option<f32>, Error> {
         rescale(&mut self.input, &self.scale);
         self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
+        agree(self.first, &self.scale, &self.input, &mut self.probabilities);
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 
@@ -184,6 +190,7 @@ impl Classifier {
                 rescale(input, &self.scale);
                 let mut probabilities = vec![0.0; count];
                 network.probabilities(input, self.temperature, &mut probabilities)?;
+                agree(self.first, &self.scale, input, &mut probabilities);
                 Ok((probabilities, self.novelty.as_ref().map(|novelty| novelty.score(network.features()))))
             };
             let frames = inputs.par_chunks_exact_mut(values);
@@ -192,6 +199,28 @@ impl Classifier {
             done(batch.len());
         }
         Ok(all)
+    }
+}
+
+/// Least probability that a network is believed to be sure by.
+const LEAST_PROBABILITY: f32 = 1e-6;
+
+/// The geometric mean of the probabilities of a second network and of the first one, where its are among the inputs: of
+/// objects unlike those of its training set the second is surer than it should be.
+fn agree(first: Option<[usize; 2]>, scale: &[f32], input: &[f32], probabilities: &mut [f32]) {
+    let Some(places) = first else { return };
+    let pixels = probabilities.len() / CLASSES.len();
+    for pixel in 0..pixels {
+        let [lowered, raised] = places.map(|place| input[place * pixels + pixel] / scale[place]);
+        let of_first = [1.0 - lowered - raised, lowered, raised];
+        let mean = [0, 1, 2].map(|class| {
+            let of_second = probabilities[class * pixels + pixel].max(LEAST_PROBABILITY);
+            (of_first[class].max(LEAST_PROBABILITY) * of_second).sqrt()
+        });
+        let sum: f32 = mean.iter().sum();
+        for (class, value) in mean.into_iter().enumerate() {
+            probabilities[class * pixels + pixel] = value / sum;
+        }
     }
 }
 
@@ -218,5 +247,26 @@ pub(super) fn rescale(input: &mut [f32], scale: &[f32]) {
     let pixels = input.len() / scale.len();
     for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
         image.iter_mut().for_each(|value| *value *= factor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_networks_agree_halfway() {
+        // One pixel, the images scaled by 2 and 4: the first says 0.8, 0.1, 0.1 and the second 0.2, 0.8, 0.0.
+        let mut probabilities = [0.2, 0.8, 0.0];
+        agree(Some([0, 1]), &[2.0, 4.0], &[0.2, 0.4], &mut probabilities);
+        let (background, lowered) = (0.16_f32.sqrt(), 0.08_f32.sqrt());
+        let raised = (0.1 * LEAST_PROBABILITY).sqrt();
+        let sum = background + lowered + raised;
+        for (found, expected) in probabilities.iter().zip([background, lowered, raised]) {
+            assert!((found - expected / sum).abs() < 1e-6, "{probabilities:?}");
+        }
+        let before = probabilities;
+        agree(None, &[], &[], &mut probabilities);
+        assert_eq!(probabilities, before);
     }
 }
