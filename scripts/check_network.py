@@ -147,7 +147,7 @@ if torch:
 def with_torch(tensors, image, levels):
     classes, width = tensors["head.weight"].shape[:2]
     net = UNet(tensors["down.0.conv1.weight"].shape[1], classes, width, levels)
-    state = {name: torch.tensor(value) for name, value in tensors.items() if not name.startswith("novelty.")}
+    state = {name: torch.tensor(value) for name, value in tensors.items() if not name.startswith(("novelty.", "first."))}
     missing, unexpected = net.load_state_dict(state, strict=False)
     assert not unexpected and all(name.endswith("num_batches_tracked") for name in missing), (missing, unexpected)
     with torch.no_grad():

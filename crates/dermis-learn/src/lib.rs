@@ -41,7 +41,7 @@ pub mod train;
 mod weights;
 
 pub use error::LearnError;
-pub use model::{CARD_FORMAT, Model, ModelCard, TrainingRecord, sha256};
+pub use model::{CARD_FORMAT, FirstCard, Model, ModelCard, TrainingRecord, sha256};
 pub use network::Network;
 pub use novelty::Novelty;
 pub use shape::{TensorRole, TensorSpec, UNetShape};

@@ -16,6 +16,8 @@ use crate::weights::Tensors;
 
 /// Version of the card's keys.
 pub const CARD_FORMAT: &str = "dermis-model-1";
+/// What the names of a first network's tensors begin with.
+const FIRST: &str = "first.";
 /// Cards and weights larger than this are none.
 const LARGEST_CARD_BYTES: u64 = 1 << 20;
 const LARGEST_WEIGHTS_BYTES: u64 = 1 << 30;
@@ -50,8 +52,27 @@ pub struct ModelCard {
     pub classes: Vec<String>,
     /// Logits are divided by this.
     pub temperature: f32,
+    /// The network that looks first, whose tensors have names that begin with `first.`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first: Option<FirstCard>,
     /// How it was made.
     pub training: TrainingRecord,
+}
+
+/// What has to be known of a first network, as in the card of its own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FirstCard {
+    /// Architecture.
+    pub shape: UNetShape,
+    /// What the input images are, in order.
+    pub inputs: Vec<String>,
+    /// Factors that the input images are multiplied by.
+    pub input_scale: Vec<f32>,
+    /// Logits are divided by this.
+    pub temperature: f32,
+    /// SHA-256 of the weights that it was trained to, in a file of their own.
+    pub weights_sha256: String,
 }
 
 /// How a model was made, and the figures on frames held out.
@@ -141,7 +162,60 @@ impl Model {
         }
         let tensors = Tensors::from_bytes(bytes, file)?;
         tensors.check(&card.shape, file)?;
-        Ok(Self { card, tensors, file: card_file.to_path_buf() })
+        let model = Self { card, tensors, file: card_file.to_path_buf() };
+        if let Some(first) = model.first()? {
+            first.tensors.check(&first.card.shape, file)?;
+        }
+        Ok(model)
+    }
+
+    /// Puts another model before this one, which is shown what that one makes of a frame.
+    ///
+    /// # Errors
+    /// A first model that has a first one itself.
+    pub fn set_first(&mut self, first: &Model) -> Result<(), LearnError> {
+        let card = &first.card;
+        if card.first.is_some() {
+            return Err(LearnError::content(&first.file, "first", "expected a model without a first one of its own"));
+        }
+        for spec in card.shape.tensors() {
+            if let Some((dims, values)) = first.tensors.get(&spec.name) {
+                self.tensors.insert(format!("{FIRST}{}", spec.name), dims.to_vec(), values.to_vec())?;
+            }
+        }
+        self.card.first = Some(FirstCard {
+            shape: card.shape,
+            inputs: card.inputs.clone(),
+            input_scale: card.input_scale.clone(),
+            temperature: card.temperature,
+            weights_sha256: card.weights_sha256.clone(),
+        });
+        Ok(())
+    }
+
+    /// The model that looks first, for the same skin and images of the same size; it has no novelty score.
+    ///
+    /// # Errors
+    /// Never for models that were read; tensors of another size are named otherwise.
+    pub fn first(&self) -> Result<Option<Model>, LearnError> {
+        let Some(first) = &self.card.first else { return Ok(None) };
+        let mut tensors = Tensors::default();
+        for (name, dims, values) in self.tensors.iter() {
+            if let Some(name) = name.strip_prefix(FIRST) {
+                tensors.insert(name, dims.to_vec(), values.to_vec())?;
+            }
+        }
+        let card = ModelCard {
+            shape: first.shape,
+            inputs: first.inputs.clone(),
+            input_scale: first.input_scale.clone(),
+            temperature: first.temperature,
+            weights_sha256: first.weights_sha256.clone(),
+            first: None,
+            ..self.card.clone()
+        };
+        check_card(&card, &self.file)?;
+        Ok(Some(Self { card, tensors, file: self.file.clone() }))
     }
 
     /// Writes weights and card; neither is left half-written under its name. The weights lie beside the card, under its
@@ -301,6 +375,7 @@ mod tests {
             input_scale: vec![1.0],
             classes: ["background", "damaged", "compressed"].map(String::from).to_vec(),
             temperature: 1.2,
+            first: None,
             training: TrainingRecord::default(),
         };
         Model::new(card, random_tensors(&shape, 5))
@@ -321,6 +396,28 @@ mod tests {
         );
         read.network().unwrap();
         assert!(read.novelty().is_none());
+    }
+
+    #[test]
+    fn a_first_model_is_kept_in_the_same_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("m.json");
+        let (mut model, mut first) = (some_model(), some_model());
+        first.tensors.insert("head.bias", vec![3], vec![0.5, 0.25, 0.125]).unwrap();
+        first.card.temperature = 0.9;
+        first.save(&folder.path().join("first.json")).unwrap();
+        model.set_first(&first).unwrap();
+        model.save(&file).unwrap();
+        let read = Model::load(&file).unwrap();
+        let found = read.first().unwrap().unwrap();
+        assert_eq!(found.tensors, first.tensors);
+        assert_eq!((found.card.temperature, found.card.first), (0.9, None));
+        assert_eq!(read.card.first.as_ref().unwrap().weights_sha256, first.card.weights_sha256);
+        assert_eq!(first.first().unwrap(), None);
+        // What the card says of it is checked too.
+        model.card.first.as_mut().unwrap().shape.width = 5;
+        model.save(&file).unwrap();
+        assert!(Model::load(&file).unwrap_err().to_string().contains("down.0.conv1.weight: expected [5, 1, 3, 3]"));
     }
 
     #[test]

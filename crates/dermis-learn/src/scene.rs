@@ -167,6 +167,17 @@ impl Scene {
         SceneLookup { boxed }
     }
 
+    /// Spreads the contrasts that a tank's objects were drawn with between others, evenly in their logarithm.
+    pub fn spread_contrasts(&mut self, [least, largest]: [f64; 2]) {
+        let [from, to] = OBJECT_CONTRASTS.map(f64::ln);
+        for inclusion in &mut self.inclusions {
+            let log = inclusion.factor.ln();
+            let share = (log.abs() - from) / (to - from);
+            let spread = least.ln() + share * (largest.ln() - least.ln());
+            inclusion.factor = (log.signum() * spread).exp();
+        }
+    }
+
     /// Draws one. `size_m` is half the shorter side of the skin; `inside` says where there is skin, in metres from its
     /// middle; `finest_m` is the width of the narrowest cut (that of a pixel or an element).
     pub fn draw(
@@ -184,6 +195,8 @@ impl Scene {
     }
 }
 
+/// Least and largest contrast that objects in a tank are drawn with.
+const OBJECT_CONTRASTS: [f64; 2] = [5.0, 100.0];
 /// Width of the band that a line cut is labelled with, as a share of half the skin's width.
 const LABELLED_CUT: f64 = 0.08;
 
@@ -289,7 +302,7 @@ impl Painter<'_> {
             if let Some(middle) = free {
                 taken.push((middle, radius));
                 let raised = random.random_bool(0.5);
-                let contrast: f64 = random.random_range(5.0_f64.ln()..100.0_f64.ln()).exp();
+                let contrast: f64 = random.random_range(OBJECT_CONTRASTS[0].ln()..OBJECT_CONTRASTS[1].ln()).exp();
                 let factor = if raised { contrast } else { 1.0 / contrast };
                 let class = if raised { RAISED } else { LOWERED };
                 inclusions.push(Inclusion { figure: self.object(middle, radius, random), factor, class });
@@ -406,6 +419,19 @@ mod tests {
         assert_eq!(scene.at([0.2, 0.0]), (RAISED, 2.0));
         assert_eq!(scene.at([0.7, 0.0]), (LOWERED, 0.1));
         assert_eq!(scene.at([1.7, 0.0]), (BACKGROUND, 1.0));
+    }
+
+    #[test]
+    fn contrasts_are_spread_evenly() {
+        let object = |factor: f64| {
+            let figure = Figure::Ellipse([0.0, 0.0], [1.0, 1.0], 0.0);
+            Inclusion { figure, factor, class: if factor > 1.0 { RAISED } else { LOWERED } }
+        };
+        let mut scene = Scene { inclusions: [5.0, 0.01, 500.0_f64.sqrt()].map(object).to_vec() };
+        scene.spread_contrasts([10.0, 1000.0]);
+        for (inclusion, expected) in scene.inclusions.iter().zip([10.0, 0.001, 100.0]) {
+            assert!((inclusion.factor / expected - 1.0).abs() < 1e-12, "{inclusion:?}");
+        }
     }
 
     #[test]

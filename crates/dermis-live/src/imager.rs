@@ -3,6 +3,7 @@
 
 mod elements;
 mod refine;
+mod refine_about;
 mod weighting;
 
 use std::sync::Arc;
@@ -18,6 +19,7 @@ use crate::prepare::Prepared;
 use crate::reference::Reference;
 pub(crate) use elements::{ElementFrame, ElementImager};
 pub use refine::Refiner;
+pub(crate) use refine_about::GuessRefiner;
 pub use weighting::operator_needs_no_baseline;
 use weighting::{central_touch, weights_need_no_baseline};
 pub(crate) use weighting::{prior_matrix, weighting};

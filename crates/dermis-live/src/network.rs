@@ -6,6 +6,7 @@ mod classes;
 mod classifier;
 mod contact_image;
 mod fingerprint;
+mod first_network;
 mod masks;
 mod network_input;
 

@@ -32,7 +32,7 @@ pub use leave_one_out_residual::LeaveOneOutResidual;
 pub use linear::{DataPrecision, LinearProblem, Operator};
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
-pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
+pub use nonlinear::{GaussNewton, GaussNewtonResult, Guess, GuessCorrelations, NonlinearProblem, ReducedChannels};
 pub use parametric::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;

@@ -65,6 +65,9 @@ pub struct Arguments {
     /// --epochs 0 they stay as they are, and are judged and given a card.
     #[arg(long, value_name = "FILE.safetensors")]
     weights: Option<PathBuf>,
+    /// The model that looks first, of a set that is shown what it sees; it becomes part of the model.
+    #[arg(long, value_name = "MODEL.json")]
+    first: Option<PathBuf>,
     /// Factors that the input images are multiplied by, commas between; where left out those of the model to begin
     /// with, or those that bring each image to a root mean square of 1.
     #[arg(long, value_name = "FACTORS", value_delimiter = ',')]
@@ -75,6 +78,8 @@ impl Arguments {
     /// Trains, and says what each pass brought.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let set = TrainingSet::open(&self.set)?;
+        let first = self.first.as_deref().map(Model::load).transpose()?;
+        check_first(&set, first.as_ref())?;
         let checkpoint = self.out.with_extension("checkpoint");
         let files = [self.out.clone(), self.out.with_extension("safetensors")];
         let stood = files.each_ref().map(|file| file.exists());
@@ -118,6 +123,9 @@ impl Arguments {
         bar.finish_and_clear();
         let mut model = trained?;
         failed?;
+        if let Some(first) = &first {
+            model.set_first(first)?;
+        }
         // Training takes long: what appeared under its names meanwhile is another's.
         let appeared = files.iter().zip(stood).find(|(file, stood)| !stood && file.exists()).map(|(file, _)| file);
         let kept = if appeared.is_some() { self.out.with_extension("finished.json") } else { self.out.clone() };
@@ -154,6 +162,9 @@ impl Arguments {
         let weights =
             if weights.is_empty() { String::new() } else { format!(" --class-weights {}", weights.join(",")) };
         let mut start = self.start.as_deref().map_or(String::new(), |start| format!(" --start {}", name(start)));
+        if let Some(first) = &self.first {
+            start += &format!(" --first {}", name(first));
+        }
         if let Some(file) = &self.weights {
             start += &format!(" --weights {}", name(file));
         }
@@ -176,6 +187,20 @@ impl Arguments {
             self.seed,
             if self.symmetries { " --symmetries" } else { "" }
         )
+    }
+}
+
+/// A set that shows what a first model sees goes with that model, and no other set with any.
+fn check_first(set: &TrainingSet, first: Option<&Model>) -> anyhow::Result<()> {
+    let shown = set.manifest().recipe.get("first_sha256").and_then(|hash| hash.as_str());
+    let given = first.map(|model| model.card.weights_sha256.as_str());
+    match (shown, given) {
+        (Some(_), None) => anyhow::bail!("the set shows what a first model sees: name it by --first"),
+        (None, Some(_)) => anyhow::bail!("--first: the set was made without a first model"),
+        (Some(shown), Some(given)) if shown != given => {
+            anyhow::bail!("--first: the set was made with a model of weights {shown}, not {given}")
+        }
+        _ => Ok(()),
     }
 }
 

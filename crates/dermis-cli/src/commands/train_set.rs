@@ -4,8 +4,9 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use dermis::lab::learning::train_set::{TrainSetRequest, simulate};
+use dermis::lab::learning::train_set::{LostElectrodes, TrainSetRequest, simulate};
 use dermis::live::network::InputImage;
+use dermis_learn::Model;
 use dermis_learn::scene::SceneKind;
 
 use super::skin_word::SkinWord;
@@ -40,15 +41,28 @@ pub struct Arguments {
     /// What scenes are made of; by the skin's layer where left out.
     #[arg(long, value_enum)]
     scenes: Option<Scenes>,
-    /// What the network is shown: image, image*FACTOR (on lambda), refined, contacts, left, coverage; commas between.
+    /// What the network is shown: image, image*FACTOR (on lambda), refined, contacts, left, coverage,
+    /// first-lowered, first-raised, about-first; commas between.
     #[arg(long, value_name = "IMAGES", value_delimiter = ',', default_value = "image")]
     inputs: Vec<InputImage>,
     /// Most electrodes lost; give the input coverage too.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
+    /// Which electrodes are lost.
+    #[arg(long, value_enum, default_value_t = Lost::Mixed)]
+    lost_which: Lost,
     /// Noise of the instrument, dB below the root mean square of a frame.
     #[arg(long, alias = "noise-db", value_name = "DB", default_value_t = 56.8)]
     snr_db: f64,
+    /// How much the whole body's conductivity changes between baseline and frame: standard deviation of its logarithm.
+    #[arg(long, value_name = "DEVIATION", default_value_t = 0.0)]
+    background: f64,
+    /// Least and largest contrast of objects in a tank, a comma between; 5 and 100 where left out.
+    #[arg(long, value_name = "LEAST,LARGEST", value_delimiter = ',')]
+    contrasts: Vec<f64>,
+    /// A model that looks first, for the inputs first-lowered, first-raised and about-first.
+    #[arg(long, value_name = "MODEL.json")]
+    first: Option<PathBuf>,
     /// The folder.
     #[arg(long, value_name = "FOLDER")]
     out: PathBuf,
@@ -63,6 +77,15 @@ enum Scenes {
     Objects,
 }
 
+/// Which electrodes are lost.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Lost {
+    /// Half of the time the first ones, else a run that begins anywhere, or single ones.
+    Mixed,
+    /// The first ones.
+    First,
+}
+
 impl Arguments {
     /// Simulates what is missing and says how long it took.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
@@ -71,7 +94,18 @@ impl Arguments {
         request.seed = self.seed;
         request.inputs = self.inputs;
         request.most_lost = self.lost;
+        request.lost = match self.lost_which {
+            Lost::Mixed => LostElectrodes::Mixed,
+            Lost::First => LostElectrodes::First,
+        };
         request.jitter.noise_db = self.snr_db;
+        request.jitter.background = self.background;
+        request.contrasts = match *self.contrasts.as_slice() {
+            [] => None,
+            [least, largest] => Some([least, largest]),
+            _ => anyhow::bail!("--contrasts: expected two factors, got {}", self.contrasts.len()),
+        };
+        request.first = self.first.as_deref().map(Model::load).transpose()?;
         request.scenes = self.scenes.map(|scenes| match scenes {
             Scenes::TouchesAndCuts => SceneKind::TouchesAndCuts,
             Scenes::Objects => SceneKind::Objects,

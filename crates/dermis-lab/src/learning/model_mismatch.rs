@@ -24,14 +24,23 @@ pub struct Jitter {
     pub gain: f64,
     /// Change of the gain of each drive between baseline and frame, relative.
     pub drift: f64,
+    /// Logarithm of the conductivity of the whole body, between baseline and frame.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub background: f64,
     /// Noise, dB below the root mean square of a frame.
     pub noise_db: f64,
 }
 
 impl Default for Jitter {
     fn default() -> Self {
-        Self { place: 0.003, width: 0.03, contact: 0.5, gain: 0.03, drift: 3e-4, noise_db: 56.8 }
+        Self { place: 0.003, width: 0.03, contact: 0.5, gain: 0.03, drift: 3e-4, background: 0.0, noise_db: 56.8 }
     }
+}
+
+// A reference, since serde asks for one.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Least gap between a pad and the rim, as a share of half the shorter side of the skin.

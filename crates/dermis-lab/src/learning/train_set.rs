@@ -6,7 +6,7 @@ use dermis_live::reference::Reference;
 use std::path::Path;
 
 use dermis_learn::scene::{Scene, SceneKind};
-use dermis_learn::{Manifest, SET_FORMAT, Shard, TrainingSet};
+use dermis_learn::{Manifest, Model, SET_FORMAT, Shard, TrainingSet};
 use dermis_tomo::mesh::PixelGrid;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -22,6 +22,24 @@ use dermis_live::prepare::Prepared;
 use dermis_skin::{Modality, Skin};
 
 pub use super::model_mismatch::Jitter;
+
+/// Which electrodes a shard loses; always an even number of them, each number alike.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LostElectrodes {
+    /// Half of the time the first ones, a quarter of the time a run that begins anywhere, a quarter single ones.
+    #[default]
+    Mixed,
+    /// The first ones.
+    First,
+}
+
+impl LostElectrodes {
+    // A reference, since serde asks for one.
+    fn is_mixed(&self) -> bool {
+        *self == Self::Mixed
+    }
+}
 
 /// What to simulate.
 #[derive(Clone, Debug)]
@@ -40,8 +58,15 @@ pub struct TrainSetRequest {
     pub inputs: Vec<InputImage>,
     /// Most electrodes lost.
     pub most_lost: usize,
+    /// Which ones.
+    pub lost: LostElectrodes,
     /// How far skins and instruments stray.
     pub jitter: Jitter,
+    /// Least and largest contrast of objects in a tank, factors on the conductivity or its inverse; those that scenes
+    /// are drawn with where `None`.
+    pub contrasts: Option<[f64; 2]>,
+    /// The network that looks first, of sets that are shown what it sees.
+    pub first: Option<Model>,
 }
 
 impl TrainSetRequest {
@@ -55,7 +80,10 @@ impl TrainSetRequest {
             scenes: None,
             inputs: vec![InputImage::Step(1.0)],
             most_lost: 0,
+            lost: LostElectrodes::Mixed,
             jitter: Jitter::default(),
+            contrasts: None,
+            first: None,
         }
     }
 
@@ -79,6 +107,12 @@ impl TrainSetRequest {
         if self.inputs.is_empty() {
             return refuse("input images", "at least one", "none".into());
         }
+        if let Some(contrasts) = self.contrasts {
+            let [least, largest] = contrasts;
+            if !(least > 1.0 && largest >= least && largest.is_finite()) {
+                return refuse("contrasts", "two factors above 1, the smaller first", format!("{contrasts:?}"));
+            }
+        }
         Ok(())
     }
 
@@ -96,9 +130,22 @@ impl TrainSetRequest {
         struct Recipe {
             scenes: SceneKind,
             most_lost_electrodes: usize,
+            #[serde(skip_serializing_if = "LostElectrodes::is_mixed")]
+            lost_electrodes: LostElectrodes,
             jitter: Jitter,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            contrasts: Option<[f64; 2]>,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            first_sha256: Option<String>,
         }
-        let recipe = Recipe { scenes: self.scenes(), most_lost_electrodes: self.most_lost, jitter: self.jitter };
+        let recipe = Recipe {
+            scenes: self.scenes(),
+            most_lost_electrodes: self.most_lost,
+            lost_electrodes: self.lost,
+            jitter: self.jitter,
+            contrasts: self.contrasts,
+            first_sha256: self.first.as_ref().map(|first| first.card.weights_sha256.clone()),
+        };
         Manifest {
             format: SET_FORMAT.into(),
             skin: self.skin.name.clone(),
@@ -158,10 +205,10 @@ impl<'a> Simulator<'a> {
     /// Prepares the operators.
     ///
     /// # Errors
-    /// As [`FirstStep::new`].
+    /// As [`FirstStep::with_first`].
     pub fn new(request: &'a TrainSetRequest, prepared: &'a Prepared) -> Result<Self, Error> {
         let reference = Reference::of(prepared, std::slice::from_ref(&prepared.voltages))?;
-        let first_step = FirstStep::new(prepared, &reference, &request.inputs)?;
+        let first_step = FirstStep::with_first(prepared, &reference, &request.inputs, request.first.as_ref())?;
         Ok(Self { request, prepared, first_step })
     }
 
@@ -213,7 +260,10 @@ impl SimulatedFrames {
         let size_m = prepared.half_width_m();
         let one = |solver: &mut Solver, seed: u64| {
             let mut random = StdRng::seed_from_u64(seed);
-            let scene = Scene::draw(request.scenes(), size_m, finest_m, &on_skin, &mut random);
+            let mut scene = Scene::draw(request.scenes(), size_m, finest_m, &on_skin, &mut random);
+            if let Some(contrasts) = request.contrasts {
+                scene.spread_contrasts(contrasts);
+            }
             let voltages = solver.voltages(&scene, &mut random)?;
             let frame = instrument.read(&voltages, true, &mut random);
             let lookup = scene.lookup();
@@ -256,6 +306,7 @@ struct Instrument {
     stimulation: Vec<usize>,
     lost: Vec<bool>,
     noise_share: f64,
+    background: f64,
 }
 
 impl Instrument {
@@ -267,40 +318,44 @@ impl Instrument {
         let own = |random: &mut StdRng| if per_drive { 1.0 + normal(request.jitter.gain, random) } else { 1.0 };
         let gain = (0..drives).map(|_| common * own(random)).collect();
         let drift = (0..drives).map(|_| 1.0 + normal(request.jitter.drift, random)).collect();
-        let gone = lost_electrodes(protocol.electrode_count(), request.most_lost, random);
+        let gone = lost_electrodes(request.lost, protocol.electrode_count(), request.most_lost, random);
         let lost = (0..protocol.channel_count())
             .map(|channel| gone.iter().any(|&electrode| protocol.channel_touches(channel, electrode)))
             .collect();
         let stimulation = protocol.measurements().iter().map(|m| m.stimulation as usize).collect();
-        Self { gain, drift, stimulation, lost, noise_share: 10_f64.powf(-request.jitter.noise_db / 20.0) }
+        let noise_share = 10_f64.powf(-request.jitter.noise_db / 20.0);
+        Self { gain, drift, stimulation, lost, noise_share, background: request.jitter.background }
     }
 
     fn read(&self, voltages: &[f64], drifted: bool, random: &mut StdRng) -> Vec<f64> {
         let square: f64 = voltages.iter().map(|v| v * v).sum::<f64>() / voltages.len().max(1) as f64;
         // A baseline is the mean of many frames.
         let noise = self.noise_share * square.sqrt() * if drifted { 1.0 } else { 0.2 };
+        // Nothing is drawn for bodies that stay as they are.
+        let strays = drifted && self.background > 0.0;
+        let background = if strays { normal(self.background, random).exp() } else { 1.0 };
         voltages
             .iter()
             .enumerate()
             .map(|(channel, voltage)| {
                 let drive = self.stimulation[channel];
                 let gain = self.gain[drive] * if drifted { self.drift[drive] } else { 1.0 };
-                let value = gain * voltage + normal(noise, random);
+                let value = gain * voltage / background + normal(noise, random);
                 if self.lost[channel] { f64::NAN } else { value }
             })
             .collect()
     }
 }
 
-/// An even number of electrodes up to `most` (or `most` itself): half of the draws lose the first ones, a quarter a
-/// run that begins anywhere, a quarter single ones.
-fn lost_electrodes(electrodes: usize, most: usize, random: &mut StdRng) -> Vec<u32> {
+/// An even number of electrodes up to `most` (or `most` itself).
+fn lost_electrodes(which: LostElectrodes, electrodes: usize, most: usize, random: &mut StdRng) -> Vec<u32> {
     if most == 0 {
         return Vec::new();
     }
     let count = (random.random_range(0..=most.div_ceil(2)) * 2).min(most) as u32;
     let electrodes = electrodes as u32;
-    match random.random_range(0..4) {
+    let kind = if which == LostElectrodes::First { 0 } else { random.random_range(0..4) };
+    match kind {
         0 | 1 => (0..count).collect(),
         2 => {
             let start = random.random_range(0..electrodes);

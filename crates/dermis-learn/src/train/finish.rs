@@ -105,6 +105,7 @@ pub(super) fn model(
         input_scale: scale.to_vec(),
         classes: manifest.classes.clone(),
         temperature,
+        first: None,
         training: TrainingRecord {
             command: training.command.into(),
             seed: options.seed,

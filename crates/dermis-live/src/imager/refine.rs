@@ -17,13 +17,13 @@ use crate::reference::Reference;
 /// Refines frames of one skin against one reference.
 #[derive(Debug)]
 pub struct Refiner {
-    problem: NonlinearProblem,
+    pub(super) problem: NonlinearProblem,
     parameters: GaussNewton,
-    polarity: f64,
-    pixels: usize,
-    inside: Vec<u32>,
+    pub(super) polarity: f64,
+    pub(super) pixels: usize,
+    pub(super) inside: Vec<u32>,
     /// Data sides of the sets of missing channels met so far.
-    reduced: HashMap<Vec<u32>, ReducedChannels>,
+    pub(super) reduced: HashMap<Vec<u32>, ReducedChannels>,
 }
 
 /// More sets of missing channels than this are not remembered (each takes some 10 MB with 32 electrodes).
@@ -87,7 +87,7 @@ impl Refiner {
     }
 
     /// One reduction for each set of missing channels that occurs.
-    fn reduce(&mut self, differences: &[Vec<f64>]) -> Result<(), Error> {
+    pub(super) fn reduce(&mut self, differences: &[Vec<f64>]) -> Result<(), Error> {
         if self.reduced.len() >= MOST_SETS {
             self.reduced.clear();
         }
@@ -101,6 +101,6 @@ impl Refiner {
     }
 }
 
-fn absent(frame: &[f64]) -> Vec<u32> {
+pub(super) fn absent(frame: &[f64]) -> Vec<u32> {
     frame.iter().enumerate().filter(|(_, v)| !v.is_finite()).map(|(channel, _)| channel as u32).collect()
 }

@@ -3,7 +3,7 @@
 //! Allocates nothing per frame while the set of missing channels stays the same.
 
 use dermis_learn::metrics::most_likely;
-use dermis_learn::scene::BACKGROUND;
+use dermis_learn::scene::{BACKGROUND, LOWERED, RAISED};
 use dermis_learn::{Model, Network, Novelty};
 use rayon::prelude::*;
 
@@ -27,6 +27,8 @@ pub struct Classifier {
     novelty: Option<Novelty>,
     scale: Vec<f32>,
     temperature: f32,
+    /// Where among the inputs a first network's probabilities are: lowered, raised.
+    first: Option<[usize; 2]>,
     /// The image that thresholds fall back to, its place among the inputs, and the sign that makes it of conductivity.
     step: usize,
     polarity: f32,
@@ -64,7 +66,8 @@ impl Classifier {
     /// # Errors
     /// A model of another skin, or whose inputs, classes or image size do not fit it.
     pub fn with_reference(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
-        Self::of(prepared, model, |inputs| FirstStep::new(prepared, reference, inputs))
+        let first = model.first()?;
+        Self::of(prepared, model, |inputs| FirstStep::with_first(prepared, reference, inputs, first.as_ref()))
     }
 
     fn of(
@@ -75,14 +78,12 @@ impl Classifier {
         model.check_skin(&prepared.skin.name, &imaging_sha256(&prepared.skin))?;
         let card = &model.card;
         let refuse = |expected: String, got: String| Error::Frames { what: "model".into(), expected, got };
-        let inputs: Vec<InputImage> = card
-            .inputs
-            .iter()
-            .map(|name| name.parse().map_err(|reason: String| refuse("inputs that are known".into(), reason)))
-            .collect::<Result<_, Error>>()?;
+        let inputs = inputs_of(model)?;
         let Some(step) = inputs.iter().position(|input| matches!(input, InputImage::Step(_))) else {
             return Err(refuse("an image among the inputs".into(), card.inputs.join(", ")));
         };
+        let place = |class| inputs.iter().position(|input| *input == InputImage::First(class));
+        let first = place(LOWERED).zip(place(RAISED)).map(<[usize; 2]>::from);
         if card.classes != CLASSES {
             return Err(refuse(format!("classes {}", CLASSES.join(", ")), card.classes.join(", ")));
         }
@@ -98,6 +99,7 @@ impl Classifier {
             novelty: model.novelty(),
             scale: card.input_scale.clone(),
             temperature: card.temperature,
+            first,
             step,
             polarity: prepared.skin.imaging.polarity.sign() as f32,
             rule: MaskRule::linear(prepared.skin.touch.smallest_amplitude),
@@ -169,6 +171,7 @@ impl Classifier {
     fn run(&mut self) -> Result<Option<f32>, Error> {
         rescale(&mut self.input, &self.scale);
         self.network.probabilities(&self.input, self.temperature, &mut self.probabilities)?;
+        agree(self.first, &self.scale, &self.input, &mut self.probabilities);
         Ok(self.novelty.as_ref().map(|novelty| novelty.score(self.network.features())))
     }
 
@@ -187,6 +190,7 @@ impl Classifier {
                 rescale(input, &self.scale);
                 let mut probabilities = vec![0.0; count];
                 network.probabilities(input, self.temperature, &mut probabilities)?;
+                agree(self.first, &self.scale, input, &mut probabilities);
                 Ok((probabilities, self.novelty.as_ref().map(|novelty| novelty.score(network.features()))))
             };
             let frames = inputs.par_chunks_exact_mut(values);
@@ -198,20 +202,71 @@ impl Classifier {
     }
 }
 
-/// Refined images are nothing for live frames.
+/// Least probability that a network is believed to be sure by.
+const LEAST_PROBABILITY: f32 = 1e-6;
+
+/// The geometric mean of the probabilities of a second network and of the first one, where its are among the inputs: of
+/// objects unlike those of its training set the second is surer than it should be.
+fn agree(first: Option<[usize; 2]>, scale: &[f32], input: &[f32], probabilities: &mut [f32]) {
+    let Some(places) = first else { return };
+    let pixels = probabilities.len() / CLASSES.len();
+    for pixel in 0..pixels {
+        let [lowered, raised] = places.map(|place| input[place * pixels + pixel] / scale[place]);
+        let of_first = [1.0 - lowered - raised, lowered, raised];
+        let mean = [0, 1, 2].map(|class| {
+            let of_second = probabilities[class * pixels + pixel].max(LEAST_PROBABILITY);
+            (of_first[class].max(LEAST_PROBABILITY) * of_second).sqrt()
+        });
+        let sum: f32 = mean.iter().sum();
+        for (class, value) in mean.into_iter().enumerate() {
+            probabilities[class * pixels + pixel] = value / sum;
+        }
+    }
+}
+
+/// The images that a model is shown.
+///
+/// # Errors
+/// Names that are not known.
+pub(super) fn inputs_of(model: &Model) -> Result<Vec<InputImage>, Error> {
+    let refuse = |got: String| Error::Frames { what: "model".into(), expected: "inputs that are known".into(), got };
+    model.card.inputs.iter().map(|name| name.parse().map_err(refuse)).collect()
+}
+
+/// Refined images, and what a first network makes of them, are nothing for live frames.
 fn refuse_refined(model: &Model) -> Result<(), Error> {
-    let refined = InputImage::Refined.to_string();
-    if model.card.inputs.contains(&refined) {
-        let (expected, got) = ("inputs that a live frame has time for".into(), refined);
+    if let Some(image) = inputs_of(model)?.iter().find(|image| image.takes_long()) {
+        let (expected, got) = ("inputs that a live frame has time for".into(), image.to_string());
         return Err(Error::Frames { what: "model".into(), expected, got });
     }
     Ok(())
 }
 
 /// Images times the factors that the network was trained with.
-fn rescale(input: &mut [f32], scale: &[f32]) {
+pub(super) fn rescale(input: &mut [f32], scale: &[f32]) {
     let pixels = input.len() / scale.len();
     for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
         image.iter_mut().for_each(|value| *value *= factor);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_networks_agree_halfway() {
+        // One pixel, the images scaled by 2 and 4: the first says 0.8, 0.1, 0.1 and the second 0.2, 0.8, 0.0.
+        let mut probabilities = [0.2, 0.8, 0.0];
+        agree(Some([0, 1]), &[2.0, 4.0], &[0.2, 0.4], &mut probabilities);
+        let (background, lowered) = (0.16_f32.sqrt(), 0.08_f32.sqrt());
+        let raised = (0.1 * LEAST_PROBABILITY).sqrt();
+        let sum = background + lowered + raised;
+        for (found, expected) in probabilities.iter().zip([background, lowered, raised]) {
+            assert!((found - expected / sum).abs() < 1e-6, "{probabilities:?}");
+        }
+        let before = probabilities;
+        agree(None, &[], &[], &mut probabilities);
+        assert_eq!(probabilities, before);
     }
 }

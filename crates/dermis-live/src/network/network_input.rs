@@ -5,9 +5,12 @@
 use std::fmt;
 use std::str::FromStr;
 
+use dermis_learn::Model;
+use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_tomo::mesh::PixelGrid;
 
 use super::contact_image::{ContactFitter, FittedTouches, draw_discs};
+use super::first_network::{FirstNetwork, Look};
 use crate::Error;
 use crate::imager::{Imager, Refiner};
 use crate::prepare::Prepared;
@@ -17,8 +20,8 @@ use crate::reference::Reference;
 const FLOOR: f64 = 0.02;
 const SHARE: f64 = 0.1;
 
-/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined`, `contacts`, `left`
-/// or `coverage`.
+/// One image that a network is shown, written `image`, `image*0.3` (lambda times 0.3), `refined`, `contacts`, `left`,
+/// `coverage`, `first-lowered`, `first-raised` or `about-first`.
 ///
 /// ```
 /// use dermis_live::network::InputImage;
@@ -41,6 +44,22 @@ pub enum InputImage {
     /// Sensitivity of the channels that are there relative to that of all: 1 where nothing is lost, 0 where nothing is
     /// left.
     Coverage,
+    /// The probability that a first network gives a class: [`LOWERED`] or [`RAISED`].
+    First(u8),
+    /// The Gauss-Newton image about what a first network makes of the frame: log conductivity.
+    AboutFirst,
+}
+
+impl InputImage {
+    /// Whether only a first network can give it.
+    pub fn is_of_first(self) -> bool {
+        matches!(self, Self::First(_) | Self::AboutFirst)
+    }
+
+    /// Whether live frames have no time for it.
+    pub fn takes_long(self) -> bool {
+        self == Self::Refined || self.is_of_first()
+    }
 }
 
 impl fmt::Display for InputImage {
@@ -52,6 +71,8 @@ impl fmt::Display for InputImage {
             InputImage::Contacts => out.write_str("contacts"),
             InputImage::Left => out.write_str("left"),
             InputImage::Coverage => out.write_str("coverage"),
+            InputImage::First(class) => out.write_str(if *class == LOWERED { "first-lowered" } else { "first-raised" }),
+            InputImage::AboutFirst => out.write_str("about-first"),
         }
     }
 }
@@ -65,11 +86,15 @@ impl FromStr for InputImage {
             _ if text == "refined" => return Ok(InputImage::Refined),
             _ if text == "contacts" => return Ok(InputImage::Contacts),
             _ if text == "left" => return Ok(InputImage::Left),
+            _ if text == "first-lowered" => return Ok(InputImage::First(LOWERED)),
+            _ if text == "first-raised" => return Ok(InputImage::First(RAISED)),
+            _ if text == "about-first" => return Ok(InputImage::AboutFirst),
             None if text == "image" => Some(1.0),
             Some(("image", factor)) => factor.parse().ok().filter(|f: &f64| *f > 0.0 && f.is_finite()),
             _ => None,
         };
-        let known = "image, image*FACTOR with a positive factor on lambda, refined, contacts, left, or coverage";
+        let known = "image, image*FACTOR with a positive factor on lambda, refined, contacts, left, coverage, \
+                     first-lowered, first-raised, or about-first";
         let refused = || format!("{text:?}: expected {known}");
         factor.map(InputImage::Step).ok_or_else(refused)
     }
@@ -82,6 +107,8 @@ pub struct FirstStep {
     /// Fits the touches of frames, where these or what they leave are shown and frames do not bring them along.
     fitter: Option<Box<ContactFitter>>,
     fitted: FittedTouches,
+    /// Looks first, where what it sees is shown.
+    first: Option<Box<FirstNetwork>>,
     grid: PixelGrid,
     pixels: usize,
     /// `W_m J_mp^2`, channels x inside pixels, and its sums over channels.
@@ -100,6 +127,7 @@ enum Source {
     Contacts,
     Left,
     Coverage,
+    First(Look),
 }
 
 /// Frames of a batch that are worked on at a time: bounds memory.
@@ -111,7 +139,22 @@ impl FirstStep {
     /// # Errors
     /// As [`Imager::new`]; images that the skin has not.
     pub fn new(prepared: &Prepared, reference: &Reference, images: &[InputImage]) -> Result<Self, Error> {
-        let mut first_step = Self::beside_fits(prepared, reference, images)?;
+        Self::with_first(prepared, reference, images, None)
+    }
+
+    /// As [`FirstStep::new`], with a network that looks first, for images of what it sees.
+    ///
+    /// # Errors
+    /// As [`FirstStep::new`]; a first network that does not fit the skin.
+    pub fn with_first(
+        prepared: &Prepared,
+        reference: &Reference,
+        images: &[InputImage],
+        first: Option<&Model>,
+    ) -> Result<Self, Error> {
+        let first = first.filter(|_| images.iter().any(|image| image.is_of_first()));
+        let first = first.map(|model| FirstNetwork::new(prepared, reference, model)).transpose()?;
+        let mut first_step = Self::of(prepared, reference, images, first)?;
         if first_step.shows_fits() {
             first_step.fitter = Some(Box::new(ContactFitter::new(prepared)?));
         }
@@ -124,6 +167,15 @@ impl FirstStep {
     /// # Errors
     /// As [`FirstStep::new`].
     pub fn beside_fits(prepared: &Prepared, reference: &Reference, images: &[InputImage]) -> Result<Self, Error> {
+        Self::of(prepared, reference, images, None)
+    }
+
+    fn of(
+        prepared: &Prepared,
+        reference: &Reference,
+        images: &[InputImage],
+        first: Option<FirstNetwork>,
+    ) -> Result<Self, Error> {
         let fits = [InputImage::Contacts, InputImage::Left];
         if let Some(image) = images.iter().find(|image| fits.contains(image) && !prepared.skin.refines_touches()) {
             let (expected, got) = ("touch.refine in the skin file".into(), prepared.skin.name.clone());
@@ -135,7 +187,15 @@ impl FirstStep {
         }
         let mut sources = Vec::with_capacity(images.len());
         for image in images {
+            if let Some(look) = first.as_ref().and_then(|first| first.look(*image)) {
+                sources.push(Source::First(look));
+                continue;
+            }
             sources.push(match image {
+                InputImage::First(_) | InputImage::AboutFirst => {
+                    let (expected, got) = ("a first network".into(), "none".into());
+                    return Err(Error::Frames { what: format!("input image \"{image}\""), expected, got });
+                }
                 InputImage::Coverage => Source::Coverage,
                 InputImage::Refined => Source::Refiner(Box::new(refiner(prepared, reference)?)),
                 InputImage::Contacts => Source::Contacts,
@@ -162,7 +222,8 @@ impl FirstStep {
         let mut coverage = vec![0.0; pixels];
         inside.iter().for_each(|&pixel| coverage[pixel as usize] = 1.0);
         let (fitter, fitted) = (None, FittedTouches::default());
-        Ok(Self { sources, fitter, fitted, grid, pixels, sensitivity, whole, inside, absent, coverage })
+        let first = first.map(Box::new);
+        Ok(Self { sources, fitter, fitted, first, grid, pixels, sensitivity, whole, inside, absent, coverage })
     }
 
     fn shows_fits(&self) -> bool {
@@ -181,7 +242,7 @@ impl FirstStep {
     /// As [`Imager::image`].
     pub fn images_of(&mut self, difference: &[f64], out: &mut [f32]) -> Result<(), Error> {
         self.check_length(out)?;
-        if self.sources.iter().any(|source| matches!(source, Source::Refiner(_))) {
+        if self.sources.iter().any(|source| matches!(source, Source::Refiner(_) | Source::First(_))) {
             self.refine(&[difference.to_vec()], out)?;
         }
         self.image(difference, out)
@@ -225,9 +286,17 @@ impl FirstStep {
         Ok(())
     }
 
-    /// The refined images of frames, into their places.
+    /// The refined images of frames, and what a first network sees in them, into their places.
     fn refine(&mut self, differences: &[Vec<f64>], out: &mut [f32]) -> Result<(), Error> {
         let values = self.images() * self.pixels;
+        if let Some(first) = &mut self.first {
+            let look = |(place, source): (usize, &Source)| match source {
+                Source::First(look) => Some((place, *look)),
+                _ => None,
+            };
+            let places: Vec<(usize, Look)> = self.sources.iter().enumerate().filter_map(look).collect();
+            first.show(differences, &places, self.sources.len(), out)?;
+        }
         for (place, source) in self.sources.iter_mut().enumerate() {
             if let Source::Refiner(refiner) = source {
                 let refined = refiner.images(differences, || ())?;
@@ -263,7 +332,7 @@ impl FirstStep {
                 Source::Coverage => image.copy_from_slice(&self.coverage),
                 Source::Imager(_, imager) => imager.image(difference, image)?,
                 Source::Contacts => draw_discs(&self.grid, &self.inside, &fitted.discs, image),
-                Source::Left | Source::Refiner(_) => {}
+                Source::Left | Source::Refiner(_) | Source::First(_) => {}
             }
             image.iter_mut().filter(|value| !value.is_finite()).for_each(|value| *value = 0.0);
         }
@@ -289,7 +358,7 @@ impl FirstStep {
 }
 
 /// As the skin file says, at the live image's lambda.
-fn refiner(prepared: &Prepared, reference: &Reference) -> Result<Refiner, Error> {
+pub(super) fn refiner(prepared: &Prepared, reference: &Reference) -> Result<Refiner, Error> {
     let Some(refinement) = &prepared.skin.imaging.refinement else {
         let (expected, got) = ("imaging.refinement in the skin file".into(), prepared.skin.name.clone());
         return Err(Error::Frames { what: "input image \"refined\"".into(), expected, got });

@@ -13,6 +13,10 @@
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
+mod about_guess;
+
+pub use about_guess::{Guess, GuessCorrelations};
+
 use super::check::positive;
 use super::{InverseError, PriorMatrix, SmoothCovariance, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
@@ -295,13 +299,14 @@ impl ReducedChannels {
     }
 }
 
-/// Toward `next`, by the whole step or as much of it as allowed.
-fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) {
+/// Toward `next`, by the whole step or as much of it as allowed: the share that was made of it.
+fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) -> f64 {
     let largest = image.iter().zip(next).map(|(old, new)| (new - old).abs()).fold(0.0, f64::max);
     let share = if largest > parameters.largest_step { parameters.largest_step / largest } else { 1.0 };
     for (old, new) in image.iter_mut().zip(next) {
         *old = (*old + share * (new - *old)).clamp(-parameters.limit, parameters.limit);
     }
+    share
 }
 
 fn linearise(
@@ -319,19 +324,19 @@ fn linearise(
 impl FactoredPrior {
     fn new(matrix: &PriorMatrix) -> Self {
         let factor = match matrix {
-            PriorMatrix::Covariance(covariance) => pivoted_cholesky(covariance),
+            PriorMatrix::Covariance(covariance) => pivoted_cholesky(covariance, NEGLECTED),
             _ => None,
         };
         Self { matrix: matrix.clone(), factor }
     }
 }
 
-/// U with `U U'` a covariance up to a [`NEGLECTED`] share of its largest variance in every variance; `None` where that
+/// U with `U U'` a covariance up to a neglected share of its largest variance in every variance; `None` where that
 /// takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
-fn pivoted_cholesky(covariance: &SmoothCovariance) -> Option<Mat<f64>> {
+fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) -> Option<Mat<f64>> {
     let size = covariance.len();
     let mut left: Vec<f64> = (0..size).map(|k| covariance.variance(k)).collect();
-    let enough = NEGLECTED * left.iter().copied().fold(0.0, f64::max);
+    let enough = neglected * left.iter().copied().fold(0.0, f64::max);
     let mut columns: Vec<Vec<f64>> = Vec::new();
     loop {
         let (pivot, &variance) = left.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;

@@ -2,7 +2,7 @@
 //! frames are told apart by thresholds, and models are refused where they do not belong.
 
 use dermis::lab::learning::segment::{Method, Segmenter};
-use dermis::lab::learning::train_set::{Jitter, SimulatedFrames, TrainSetRequest, simulate};
+use dermis::lab::learning::train_set::{Jitter, LostElectrodes, SimulatedFrames, TrainSetRequest, simulate};
 use dermis::lab::twin_bench::Rig;
 use dermis::live::network::{
     CLASSES, Classes, Classifier, FirstStep, InputImage, MaskRule, built_in, imaging_sha256, masks_of_image, suits,
@@ -88,13 +88,42 @@ fn the_simulated_skin_is_not_the_model_of_the_images() {
     assert!((1e-4..0.1).contains(&error), "{error}");
 }
 
+/// Objects that conduct nearly as the liquid does leave what the liquid itself does.
+#[test]
+fn the_liquid_strays_as_a_whole_and_the_first_electrodes_are_lost() {
+    let prepared = Prepared::new(skin()).unwrap();
+    let mut request = request(12);
+    request.lost = LostElectrodes::First;
+    request.contrasts = Some([1.0 + 1e-9, 1.0 + 1e-8]);
+    request.jitter = Jitter { background: 0.05, drift: 0.0, noise_db: 200.0, ..Jitter::default() };
+    for number in 0..4 {
+        let frames = SimulatedFrames::new(&request, &prepared, number, 3).unwrap();
+        let touches = |channel: usize, electrode: u32| prepared.protocol.channel_touches(channel, electrode);
+        let is_lost = |electrode: u32| {
+            (0..prepared.channels()).all(|channel| !touches(channel, electrode) || frames.baseline[channel].is_nan())
+        };
+        let lost: Vec<u32> = (0..12).filter(|electrode| is_lost(*electrode)).collect();
+        assert!(lost.len() <= 4 && lost.iter().enumerate().all(|(k, electrode)| k as u32 == *electrode), "{lost:?}");
+        for frame in &frames.frames {
+            let ratios = frame.iter().zip(&frames.baseline).map(|(after, before)| after / before);
+            let ratios: Vec<f64> = ratios.filter(|ratio| ratio.is_finite()).collect();
+            assert!((ratios[0] - 1.0).abs() > 1e-6 && (ratios[0] - 1.0).abs() < 0.25, "{}", ratios[0]);
+            assert!(ratios.iter().all(|ratio| (ratio / ratios[0] - 1.0).abs() < 1e-4));
+        }
+    }
+    request.contrasts = Some([0.5, 2.0]);
+    let error = simulate(&request, std::path::Path::new("nowhere"), |_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("contrasts"), "{error}");
+}
+
 /// In a sandwich touches are contacts with a floating shortcut and cuts are cut: no channel knows a word of classes,
 /// yet touches let the drive's own voltage fall and cuts let it rise.
 #[test]
 fn touches_and_cuts_of_a_sandwich_change_voltages_in_their_own_ways() {
     let prepared = Prepared::new(Skin::open("healing-square").unwrap()).unwrap();
     let mut request = TrainSetRequest::new(prepared.skin.clone(), 24);
-    request.jitter = Jitter { place: 0.0, width: 0.0, contact: 0.0, gain: 0.0, drift: 0.0, noise_db: 300.0 };
+    request.jitter =
+        Jitter { place: 0.0, width: 0.0, contact: 0.0, gain: 0.0, drift: 0.0, background: 0.0, noise_db: 300.0 };
     let frames = SimulatedFrames::new(&request, &prepared, 0, 24).unwrap();
     let size = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>().sqrt();
     let gap: Vec<f64> = frames.baseline.iter().zip(&prepared.voltages).map(|(a, b)| a - b).collect();
@@ -182,6 +211,7 @@ fn made_up(inputs: &[&str]) -> Model {
         input_scale: vec![2.0; inputs.len()],
         classes: CLASSES.map(String::from).to_vec(),
         temperature: 1.0,
+        first: None,
         training: TrainingRecord::default(),
     };
     Model::new(card, tensors)
@@ -234,6 +264,54 @@ fn live_classes_are_those_of_the_network_until_a_frame_is_unlike_the_training_se
         assert_eq!(classes.of_class(*label).unwrap()[pixel], 1.0);
     }
     assert!(Classifier::new(&prepared, &made_up(&["coverage"])).unwrap_err().to_string().contains("an image among"));
+}
+
+#[test]
+fn a_second_network_is_shown_what_the_first_makes_of_a_frame() {
+    let text = SKIN.replace("grid = 16", "grid = 40\nrefinement = { steps = 2 }");
+    let prepared = Prepared::new(Skin::parse(&text, "small").unwrap()).unwrap();
+    let request = TrainSetRequest::new(prepared.skin.clone(), 2);
+    let frames = SimulatedFrames::new(&request, &prepared, 1, 2).unwrap();
+    let reference = Reference::of(&prepared, std::slice::from_ref(&frames.baseline)).unwrap();
+    let difference = reference.difference(&frames.frames[0], None);
+    let of_skin = |inputs: &[&str]| {
+        let mut model = made_up(inputs);
+        (model.card.rows, model.card.columns) = (40, 40);
+        model.card.skin_sha256 = imaging_sha256(&prepared.skin);
+        model
+    };
+    let first = of_skin(&["refined"]);
+    let inputs = [InputImage::Step(1.0), InputImage::First(RAISED), InputImage::AboutFirst, InputImage::Refined];
+    let mut images = vec![0.0; 4 * 1600];
+    let mut step = FirstStep::with_first(&prepared, &reference, &inputs, Some(&first)).unwrap();
+    step.images_of(&difference, &mut images).unwrap();
+    let mut refined = vec![0.0; 1600];
+    let mut plain = FirstStep::new(&prepared, &reference, &[InputImage::Refined]).unwrap();
+    plain.images_of(&difference, &mut refined).unwrap();
+    assert_eq!(images[4800..], refined);
+    // What the first network is shown, times its scale.
+    refined.iter_mut().for_each(|value| *value *= 2.0);
+    let mut expected = vec![0.0; 4800];
+    first.network().unwrap().probabilities(&refined, 1.0, &mut expected).unwrap();
+    let inside = prepared.map.inside_mask();
+    for pixel in 0..1600 {
+        let probability = if inside[pixel] { expected[3200 + pixel] } else { 0.0 };
+        assert_eq!(images[1600 + pixel], probability, "{pixel}");
+        assert!(images[3200 + pixel].is_finite() && (inside[pixel] || images[3200 + pixel] == 0.0), "{pixel}");
+    }
+    assert!(images[3200..4800].iter().any(|value| value.abs() > 0.1));
+
+    // As one model it labels frames; without its first part, and live, it is refused.
+    let mut second = of_skin(&["image", "first-raised", "about-first"]);
+    let error =
+        |model: &Model| Segmenter::new(&prepared, &reference, Some(model), 40).map(|_| ()).unwrap_err().to_string();
+    assert!(error(&second).contains("a first network"), "{}", error(&second));
+    second.set_first(&first).unwrap();
+    assert!(first.clone().set_first(&second).is_err());
+    let labelled = Segmenter::new(&prepared, &reference, Some(&second), 40).unwrap().label(&[difference], |_, _| {});
+    assert!(matches!(labelled.unwrap()[0].method, Method::Network { novelty: None }));
+    let error = Classifier::new(&prepared, &second).unwrap_err().to_string();
+    assert!(error.contains("time for") && error.contains("first-raised"), "{error}");
 }
 
 #[test]

@@ -127,3 +127,34 @@ fn what_cannot_be_is_refused() {
     let none = GaussNewton::new(0, 1.0);
     assert!(problem.solve(&none, &reduced, &vec![0.0; channels], |_| {}).is_err());
 }
+
+#[test]
+fn about_a_guess_the_image_is_nearer_than_the_guess_whatever_the_common_factor() {
+    let tank = Tank::new();
+    let (_, weighting, prior) = tank.parts();
+    let problem =
+        NonlinearProblem::new(tank.body.clone(), &tank.protocol, &tank.map, REST, &weighting, &prior).unwrap();
+    let reduced = problem.reduce(&[]).unwrap();
+    let (dv, truth) = tank.blob(1.5);
+    let rest = tank.model().solve(&vec![REST; tank.map.element_count()]).unwrap().voltages();
+    // Half of the blob, and unsure about it.
+    let centres = tank.map.inside_centres_m();
+    let guess: Vec<f64> = centres.iter().zip(&truth).map(|(p, y)| if p[0] < 0.03 { *y } else { 0.0 }).collect();
+    let near = |p: &[f64; 2]| (p[0] - 0.03).hypot(p[1] + 0.02) < 0.045;
+    let deviation: Vec<f64> = centres.iter().map(|p| if near(p) { 1.0 } else { 0.05 }).collect();
+    let positions: Vec<[f64; 3]> = centres.iter().map(|p| [p[0], p[1], 0.0]).collect();
+    let covariance = SmoothCovariance::new(&positions, 0.04, None).unwrap();
+    let correlations = GuessCorrelations::new(&covariance, 0.01).unwrap();
+    let solve = |frame: &[f64], guess: &[f64]| {
+        let guess = Guess { log_conductivity: guess, deviation: &deviation, common_deviation: 0.05 };
+        problem.solve_about(&GaussNewton::new(3, 0.05), &reduced, frame, &guess, &correlations)
+    };
+    for factor in [0.95, 1.0, 1.05] {
+        let frame: Vec<f64> = dv.iter().zip(&rest).map(|(dv, v)| factor * (dv + v) - v).collect();
+        let found = solve(&frame, &guess).unwrap();
+        let (before, after) = (distance(&guess, &truth), distance(&found, &truth));
+        assert!(after < 0.9 * before, "factor {factor}: {after} of {before}");
+    }
+    let message = solve(&dv, &guess[1..]).unwrap_err().to_string();
+    assert!(message.contains("pixels of the guess"), "{message}");
+}
