@@ -3,7 +3,7 @@
 //! `cargo run -p dermis-touch --release --example calibration_curve -- DIR [SISTER_DIR] [POKES]...`
 //!
 //! DIR holds `positions.csv` (x_m, y_m, depth_m) and `differences.csv`, or files that end in `positions.csv`,
-//! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of three random orders is held out. With a second
+//! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of some random orders is held out: 16 of ten pokes, fewer of more. With a second
 //! folder of the same form, a calibration of it on all its pokes is the prior of the first lines. Numbers choose how
 //! many pokes are fitted to; more than 2,000 are tried on one order.
 
@@ -181,7 +181,11 @@ fn note(report: &FusedReport) -> String {
     if report.companded {
         text.push_str(", companded");
     }
-    for (what, part) in [("sister's map", report.sister_map), ("sister's covariance", report.sister_covariance)] {
+    for (what, part) in [
+        ("sister's map", report.sister_map),
+        ("sister's covariance", report.sister_covariance),
+        ("sister's turn", report.sister_turn),
+    ] {
         if let Some(part) = part {
             text.push_str(&format!(", {what} {} ({:+.2})", if part.used { "used" } else { "not used" }, part.gain));
         }
@@ -190,6 +194,16 @@ fn note(report: &FusedReport) -> String {
         text.push_str(&format!(", {} doubtful", report.doubtful.len()));
     }
     text
+}
+
+/// How many random orders so many pokes are tried in.
+fn orders(pokes: usize) -> u64 {
+    match pokes {
+        ..=10 => 16,
+        11..=20 => 8,
+        21..=2000 => 3,
+        _ => 1,
+    }
 }
 
 fn main() -> Result<(), Failure> {
@@ -204,15 +218,15 @@ fn main() -> Result<(), Failure> {
     let pokes = load(Path::new(folder))?;
     let (count, map, options) = (pokes.frames.len(), pokes.map()?, FusedOptions::default());
     let test = 500.min(count / 5);
-    println!("{folder}: {count} pokes, the last {test} of three random orders held out; mm: median / 90th percentile");
+    println!("{folder}: {count} pokes, the last {test} of some random orders held out; mm: median / 90th percentile");
     println!("           pokes |  error, mm    | % in s. | dep | fit, s | us    | last fit");
     if let Some(other) = folders.get(1) {
         let sister = load(Path::new(other))?;
         let all = shuffled(sister.frames.len(), 0);
         let known = FusedLocator::fit(&sister.examples(&all[..all.len().min(2000)])?, &map, &options)?;
-        for n in [10, 20, 50] {
+        for &n in counts.iter().filter(|n| **n <= 100) {
             let mut line = Line::default();
-            for seed in 0..8 {
+            for seed in 0..orders(n) {
                 let order = shuffled(count, seed);
                 let start = Instant::now();
                 let examples = pokes.examples(&order[..n])?;
@@ -224,12 +238,7 @@ fn main() -> Result<(), Failure> {
     }
     for n in counts.into_iter().filter(|n| *n <= count - test) {
         let mut line = Line::default();
-        let orders = match n {
-            ..=20 => 8,
-            21..=2000 => 3,
-            _ => 1,
-        };
-        for seed in 0..orders {
+        for seed in 0..orders(n) {
             let order = shuffled(count, seed);
             let examples = pokes.examples(&order[..n])?;
             let start = Instant::now();

@@ -300,3 +300,72 @@ fn few_pokes_of_many_noisy_channels_foretell_the_error_on_others() {
     let tenth_m = errors[errors.len() * 9 / 10];
     assert!(tenth_m < 5e-3, "every tenth press is off by {tenth_m} m");
 }
+
+/// Electrodes round the rim of a skin that looks the same from each, and what is measured from each.
+const DRIVES: usize = 12;
+const KINDS: usize = 6;
+
+/// A skin with its electrodes numbered one way round or the other, and a look of its own.
+struct Ring {
+    sense: f64,
+    look: f64,
+}
+
+impl Ring {
+    /// What a touch reads, drive by drive: channel after channel at the same distance from its drive.
+    fn frame(&self, p: [f64; 2]) -> Vec<f64> {
+        let value = |k: usize| {
+            let (drive, kind) = ((k / KINDS) as f64, (k % KINDS) as f64);
+            let angle = self.sense * std::f64::consts::TAU * drive / DRIVES as f64;
+            let x = angle.cos() * p[0] + angle.sin() * p[1];
+            let y = angle.cos() * p[1] - angle.sin() * p[0];
+            let centre = [0.03 * (self.look + 1.1 * kind).cos(), 0.03 * (self.look + 1.7 * kind).sin()];
+            let distance2 = (x - centre[0]).powi(2) + (y - self.sense * centre[1]).powi(2);
+            let own = 1.0 + 0.2 * (3.0 * drive + kind + self.look).sin();
+            own * ((-distance2 / 0.0004).exp() - 0.3 * (x / 0.04))
+        };
+        (0..DRIVES * KINDS).map(value).collect()
+    }
+
+    fn pokes(&self, count: usize, seed: u64) -> (Vec<Vec<f64>>, Vec<[f64; 2]>) {
+        let mut random = Random(0x9e37_79b9_7f4a_7c15 ^ (seed + 1));
+        let places: Vec<[f64; 2]> = (0..count).map(|_| [0, 1].map(|_| 0.08 * random.next() - 0.04)).collect();
+        let noisy = |p: &[f64; 2], random: &mut Random| {
+            self.frame(*p).into_iter().map(|v| v + 0.02 * random.normal()).collect::<Vec<f64>>()
+        };
+        (places.iter().map(|p| noisy(p, &mut random)).collect(), places)
+    }
+}
+
+/// A sister whose map is of no use, because it looks different and is numbered the other way round, shows that the skin
+/// looks the same from each of its electrodes: ten pokes are then worth many more.
+#[test]
+fn ten_pokes_are_turned_as_a_sister_shows() {
+    let channels = DRIVES * KINDS;
+    let examples = |(frames, places): (Vec<Vec<f64>>, Vec<[f64; 2]>)| {
+        Examples::new(channels, frames.concat(), places).expect("valid pokes")
+    };
+    let (skin, other) = (Ring { sense: -1.0, look: 2.0 }, Ring { sense: 1.0, look: 0.0 });
+    let map = SignatureMap::without_physics(channels, map()).expect("a map");
+    let options = FusedOptions::default();
+    let sister = FusedLocator::fit(&examples(other.pokes(400, 6)), &map, &options).expect("a locator");
+    let few = examples(skin.pokes(10, 7));
+    let alone = FusedLocator::fit(&few, &map, &options).expect("a locator");
+    let helped = FusedLocator::fit_with_prior(&few, &map, &options, &sister).expect("a locator");
+    let turned = helped.report().sister_turn.expect("a sister that looks the same from each electrode");
+    assert!(turned.used, "{turned:?}");
+    assert!(alone.report().sister_turn.is_none());
+    let (frames, places) = skin.pokes(300, 97);
+    let error = |locator: &FusedLocator| {
+        let mut errors: Vec<f64> = frames
+            .iter()
+            .zip(&places)
+            .map(|(frame, p)| locator.predict(frame).map(|found| (found.x_m - p[0]).hypot(found.y_m - p[1])))
+            .collect::<Result<_, _>>()
+            .expect("places");
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    };
+    let (before, after) = (error(&alone), error(&helped));
+    assert!(after < 0.7 * before, "{after} m with a sister, {before} m without");
+}

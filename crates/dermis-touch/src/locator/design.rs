@@ -6,6 +6,8 @@ use faer::{Mat, Side};
 
 use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
+use super::regression::matern52;
+use super::turn::{APART, Copies};
 use crate::typical::median;
 
 /// Channel noise below this fraction of the median is raised to it, so that a channel stuck at one value does not rule.
@@ -22,6 +24,8 @@ pub(super) struct Design {
     pub amplitude: Vec<f64>,
     /// Where each example was, metres.
     pub positions_m: Vec<[f64; 2]>,
+    /// Which rows are turned copies of others, where there are any.
+    pub copies: Option<Copies>,
     /// Weight of each channel; 0 for one that is never used.
     pub weights: Vec<f64>,
     /// Mean square of each channel of z.
@@ -67,6 +71,7 @@ impl Design {
             z,
             amplitude,
             positions_m: examples.positions_m.clone(),
+            copies: None,
             weights,
             energy,
             missing,
@@ -101,12 +106,32 @@ impl Design {
         self.measure_energy();
     }
 
-    /// The rows named, as a design of their own.
+    /// Variance of a frame about the map that no example tells: that of copies, which are never wholly alike.
+    pub(super) fn apart(&self) -> f64 {
+        self.copies.as_ref().map_or(0.0, |_| APART)
+    }
+
+    /// Correlations of the rows at one length.
+    pub(super) fn correlations_among(&self, length_m: f64) -> Mat<f64> {
+        let (n, places) = (self.positions_m.len(), &self.positions_m);
+        let factor = |i: usize, j: usize| self.copies.as_ref().map_or(1.0, |copies| copies.between(i, j));
+        Mat::from_fn(n, n, |i, j| factor(i, j) * matern52(places[i], places[j], length_m))
+    }
+
+    /// Correlations of the map at `positions` (rows) with the design's rows (columns).
+    pub(super) fn correlations_to(&self, positions: &[[f64; 2]], length_m: f64) -> Mat<f64> {
+        let (n, places) = (self.positions_m.len(), &self.positions_m);
+        let factor = |i: usize| self.copies.as_ref().map_or(1.0, |copies| copies.with_map(i));
+        Mat::from_fn(positions.len(), n, |p, i| factor(i) * matern52(positions[p], places[i], length_m))
+    }
+
+    /// The rows named, of a design without copies, as one of their own.
     pub(super) fn subset(&self, rows: &[usize]) -> Self {
         Self {
             z: Mat::from_fn(rows.len(), self.z.ncols(), |i, k| self.z[(rows[i], k)]),
             amplitude: rows.iter().map(|&i| self.amplitude[i]).collect(),
             positions_m: rows.iter().map(|&i| self.positions_m[i]).collect(),
+            copies: None,
             weights: self.weights.clone(),
             energy: self.energy.clone(),
             missing: Vec::new(),

@@ -2,6 +2,7 @@
 
 use faer::Mat;
 
+use super::channel_covariance::ChannelPrior;
 use super::data::{
     Examples, Hyperparameters, LeaveOneOut, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES, Selection, SignatureMap,
 };
@@ -9,9 +10,10 @@ use super::design::{Design, Prior, basis};
 use super::error::{LocatorError, check_length};
 use super::load::{LoadLaw, root_mean_square};
 use super::model::Locator;
-use super::posterior::{Calibration, Spread, Trial, calibrate, extent, moments, quantile};
-use super::regression::{ChannelPrior, FittedMap, WorkedOut, example_noise, smoothed};
+use super::posterior::{CHOSEN_QUANTITIES, Calibration, Spread, Trial, calibrate, extent, moments, quantile};
+use super::regression::{FittedMap, WorkedOut, example_noise, smoothed};
 use super::state::{LOCATOR_VERSION, LocatorState, check_hyperparameters};
+use super::turn::Turn;
 use crate::typical::{median, spacing};
 
 /// Passes of filling missing channels of the examples with what the regression makes of the others.
@@ -26,6 +28,9 @@ pub(super) const SELECTION_MARGIN: f64 = 1.0;
 /// Parts into which the examples are split by direction from their centroid, to see how well one part of the skin is
 /// located by the others.
 pub(super) const SECTORS: usize = 4;
+/// Up to so many examples with turned copies are left out one by one; more in so many parts.
+const SINGLY: usize = 20;
+const PARTS: usize = 10;
 /// Shrinkages tried.
 const SHRINKAGES: [f64; 4] = [0.9, 0.6, 0.3, 0.97];
 /// The candidates of [`Locator::fit`].
@@ -46,6 +51,8 @@ pub(super) struct Fitting<'a> {
     pub(super) basis: Option<&'a Mat<f64>>,
     pub(super) spacing_m: f64,
     pub(super) channel_prior: Option<&'a ChannelPrior>,
+    /// Turns under which every example has copies.
+    pub(super) turn: Option<&'a Turn>,
     pub(super) grid: Grid,
 }
 
@@ -56,6 +63,15 @@ pub(super) struct Judged {
     pub(super) calibration: Calibration,
     pub(super) left_out: Mat<f64>,
     pub(super) misfits: Vec<f64>,
+    /// Remaining variance of the map (positions by examples) without each example, where it was fitted anew for that.
+    refitted_variance: Option<Mat<f64>>,
+}
+
+impl Judged {
+    /// Remaining variance of the map at position `p` without example `i`.
+    pub(super) fn left_out_variance(&self, i: usize, p: usize) -> f64 {
+        self.refitted_variance.as_ref().map_or_else(|| self.map.left_out_variance(i, p), |variance| variance[(p, i)])
+    }
 }
 
 impl Locator {
@@ -76,7 +92,7 @@ impl Locator {
         let basis = basis(&design, &prior, options.max_rank)?;
         let spacing_m = spacing(&physics.positions_m);
         let (positions, basis) = (&physics.positions_m, basis.as_ref());
-        let fitting = Fitting { positions, basis, spacing_m, channel_prior: None, grid: GRID };
+        let fitting = Fitting { positions, basis, spacing_m, channel_prior: None, turn: None, grid: GRID };
         let hyper = match options.selection {
             Selection::Fixed(hyper) => hyper,
             Selection::LeaveOneOut => {
@@ -90,7 +106,7 @@ impl Locator {
         let judged = fitting.judge(&design, &prior, &hyper, &mut WorkedOut::default())?;
         let near = fitting.near_trials(&design, &judged);
         let far = fitting.far_trials(&design, &prior, &hyper, judged.calibration.temperature)?;
-        let spread = Spread::fit(&near, &far);
+        let spread = Spread::fit(&near, &far, CHOSEN_QUANTITIES);
         let load = match &examples.loads {
             None => None,
             Some(loads) => {
@@ -156,12 +172,60 @@ impl Fitting<'_> {
         hyper: &Hyperparameters,
         worked_out: &mut WorkedOut,
     ) -> Result<Judged, LocatorError> {
-        let map = FittedMap::new(design, prior, self.positions, self.basis, hyper, self.channel_prior, worked_out)?;
-        let mut left_out = Mat::<f64>::zeros(self.positions.len(), map.examples());
-        let misfits =
-            (0..map.examples()).map(|i| map.left_out_log_likelihood(i, left_out.col_as_slice_mut(i))).collect();
+        let map = self.fit_map(design, prior, hyper, worked_out)?;
+        let n = design.positions_m.len();
+        let mut left_out = Mat::<f64>::zeros(self.positions.len(), n);
+        let (misfits, refitted_variance) = match self.turn {
+            None => ((0..n).map(|i| map.left_out_log_likelihood(i, left_out.col_as_slice_mut(i))).collect(), None),
+            Some(_) => {
+                let (misfits, variance) = self.refit_without(design, prior, hyper, &mut left_out)?;
+                (misfits, Some(variance))
+            }
+        };
         let calibration = calibrate(self.positions, &left_out, &design.positions_m, self.spacing_m);
-        Ok(Judged { map, calibration, left_out, misfits })
+        Ok(Judged { map, calibration, left_out, misfits, refitted_variance })
+    }
+
+    /// The map of these examples, and of their turned copies where there are any, about nothing then.
+    pub(super) fn fit_map(
+        &self,
+        design: &Design,
+        prior: &Prior,
+        hyper: &Hyperparameters,
+        worked_out: &mut WorkedOut,
+    ) -> Result<FittedMap, LocatorError> {
+        let (positions, basis, channel_prior) = (self.positions, self.basis, self.channel_prior);
+        let Some(turn) = self.turn else {
+            return FittedMap::new(design, prior, positions, basis, hyper, channel_prior, worked_out);
+        };
+        let copies = turn.copies(design);
+        let nothing = Prior::nothing(copies.z.nrows(), positions.len(), copies.z.ncols());
+        FittedMap::new(&copies, &nothing, positions, basis, hyper, channel_prior, worked_out)
+    }
+
+    /// Log-likelihoods of the examples by maps that were fitted without them and their copies, a part of them at a time,
+    /// with their misfits and the variance that the maps have left.
+    fn refit_without(
+        &self,
+        design: &Design,
+        prior: &Prior,
+        hyper: &Hyperparameters,
+        left_out: &mut Mat<f64>,
+    ) -> Result<(Vec<f64>, Mat<f64>), LocatorError> {
+        let n = design.positions_m.len();
+        let parts = if n <= SINGLY { n } else { PARTS };
+        let noise = example_noise(design, hyper.noise);
+        let (mut misfits, mut variance) = (vec![0.0; n], Mat::<f64>::zeros(self.positions.len(), n));
+        for part in 0..parts {
+            let (inside, outside): (Vec<usize>, Vec<usize>) = (0..n).partition(|i| i % parts == part);
+            let (some, about) = (design.subset(&outside), prior.subset(&outside));
+            let map = self.fit_map(&some, &about, hyper, &mut WorkedOut::default())?;
+            for i in inside {
+                misfits[i] = map.log_likelihood(design.z.row(i), noise[i], left_out.col_as_slice_mut(i));
+                variance.col_as_slice_mut(i).copy_from_slice(map.variance());
+            }
+        }
+        Ok((misfits, variance))
     }
 
     /// Goes once through the candidates of each hyperparameter, from a start with its score, and keeps what the
@@ -202,7 +266,7 @@ impl Fitting<'_> {
         let temperature = judged.calibration.temperature;
         let trial = |i: usize| {
             let left_out = judged.left_out.col_as_slice(i);
-            let variance = |p: usize| judged.map.left_out_variance(i, p);
+            let variance = |p: usize| judged.left_out_variance(i, p);
             self.trial(left_out, variance, design.positions_m[i], temperature, &mut weights)
         };
         (0..judged.misfits.len()).map(trial).collect()
@@ -228,8 +292,7 @@ impl Fitting<'_> {
                 return Ok(Vec::new());
             }
             let (some, about) = (design.subset(&outside), prior.subset(&outside));
-            let new = &mut WorkedOut::default();
-            let map = FittedMap::new(&some, &about, self.positions, self.basis, hyper, self.channel_prior, new)?;
+            let map = self.fit_map(&some, &about, hyper, &mut WorkedOut::default())?;
             for &i in &order[inside] {
                 map.log_likelihood(design.z.row(i), noise[i], &mut log_likelihood);
                 let variance = |p: usize| map.variance()[p];

@@ -15,6 +15,7 @@
 //!
 //! The module is pure and knows no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
+mod channel_covariance;
 mod correction;
 mod data;
 mod design;
@@ -30,6 +31,8 @@ mod regression;
 mod rows;
 mod state;
 mod suggest;
+mod turn;
+mod turn_search;
 
 pub use correction::{PlaceCorrection, SeenPoke, TypicalAmplitude};
 pub use data::{

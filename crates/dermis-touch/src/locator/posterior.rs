@@ -18,7 +18,7 @@ pub(super) const ONE_SIGMA: f64 = 0.6827;
 /// Number of quantities that the examples chose and that leaving one out does not undo (length, noise, shrinkage,
 /// common gain, temperature, both terms of sigma): left-out errors are too small by about that many parts in their
 /// number.
-const CHOSEN_QUANTITIES: f64 = 7.0;
+pub(super) const CHOSEN_QUANTITIES: f64 = 7.0;
 
 /// Mean and covariance of a posterior over positions.
 #[derive(Debug, Clone, Copy)]
@@ -198,8 +198,9 @@ impl Spread {
     }
 
     /// Finds both terms: extrapolation from `far`, examples located by those of other parts of the skin, the factor
-    /// from `near`, examples located by all the others, so that 68 % of the errors of each lie within one sigma.
-    pub(super) fn fit(near: &[Trial], far: &[Trial]) -> Self {
+    /// from `near`, examples located by all the others, so that 68 % of the errors of each lie within one sigma; raised
+    /// for what the examples `chose`.
+    pub(super) fn fit(near: &[Trial], far: &[Trial], chose: f64) -> Self {
         let alone = Self::factor_for(near, 0.0);
         let needed = |t: &Trial, axis: usize| {
             let rest = t.error_m[axis].powi(2) - t.variance_m2[axis] * alone * alone;
@@ -208,7 +209,7 @@ impl Spread {
         let ratios: Vec<f64> = far.iter().flat_map(|t| [needed(t, 0), needed(t, 1)]).collect();
         let extrapolation_m = if ratios.is_empty() { 0.0 } else { quantile(&ratios, ONE_SIGMA) };
         let factor = Self::factor_for(near, extrapolation_m).max(0.3 * alone);
-        Self { factor: factor * (1.0 + CHOSEN_QUANTITIES / near.len() as f64), extrapolation_m }
+        Self { factor: factor * (1.0 + chose / near.len() as f64), extrapolation_m }
     }
 
     /// The factor from `near` for a given extrapolation, raised for what the examples chose.

@@ -10,6 +10,7 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, RowRef, Side};
 
+use super::channel_covariance::{ChannelPrior, channel_factor};
 use super::data::Hyperparameters;
 use super::design::{Design, Prior, squared_distance};
 use super::error::LocatorError;
@@ -60,10 +61,11 @@ pub(super) fn smoothed(design: &Design, prior: &Prior, hyper: &Hyperparameters) 
     Ok(Mat::from_fn(alpha.nrows(), alpha.ncols(), |i, k| design.z[(i, k)] - noise[i] * alpha[(i, k)]))
 }
 
-/// Noise variance of every example.
+/// Noise variance of every example; of copies with what they never tell of the map.
 pub(super) fn example_noise(design: &Design, noise: f64) -> Vec<f64> {
     let median = median(&design.amplitude);
-    design.amplitude.iter().map(|&a| noise_variance(noise, a, median)).collect()
+    let apart = design.apart();
+    design.amplitude.iter().map(|&a| apart + noise_variance(noise, a, median)).collect()
 }
 
 /// The fitted map in whitened coordinates y = T z, in which the covariance between channels is the identity, with what
@@ -123,13 +125,13 @@ struct Known(Arc<Mutex<Vec<AtLength>>>);
 type AtLength = (f64, Arc<Correlations>);
 
 impl Known {
-    fn at(&self, positions: &[[f64; 2]], poked: &[[f64; 2]], length_m: f64) -> Arc<Correlations> {
+    fn at(&self, positions: &[[f64; 2]], design: &Design, length_m: f64) -> Arc<Correlations> {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, known)) = known.iter().find(|(of, _)| *of == length_m) {
             return known.clone();
         }
-        let to_map = correlations(positions, poked, length_m);
-        let new = Arc::new(Correlations { among_examples: correlations(poked, poked, length_m), to_map });
+        let to_map = design.correlations_to(positions, length_m);
+        let new = Arc::new(Correlations { among_examples: design.correlations_among(length_m), to_map });
         known.push((length_m, new.clone()));
         new
     }
@@ -162,7 +164,7 @@ impl WorkedOut {
         if let Some((_, known)) = self.unwhitened.as_ref().filter(|(of, _)| *of == key) {
             return Ok(known.clone());
         }
-        let correlations = self.correlations.at(positions, &design.positions_m, hyper.length_m);
+        let correlations = self.correlations.at(positions, design, hyper.length_m);
         let unwhitened = Arc::new(UnwhitenedMap::new(design, prior, &correlations, basis, hyper)?);
         self.unwhitened = Some((key, unwhitened.clone()));
         Ok(unwhitened)
@@ -188,7 +190,7 @@ impl UnwhitenedMap {
         let is_zero = prior.over_map.norm_max() == 0.0;
         Ok(Self {
             without_prior: is_zero.then(|| correlations.clone()),
-            variance: remaining_variance(&correlations.to_map, &influence),
+            variance: remaining_variance(&correlations.to_map, &influence, design.apart()),
             inverse_diagonal: (0..noise.len()).map(|i| inverse[(i, i)]).collect(),
             noise,
             z,
@@ -272,27 +274,29 @@ impl FittedMap {
         &self.unwhitened.variance
     }
 
-    /// Number of examples.
-    pub(super) fn examples(&self) -> usize {
-        self.frames.ncols()
-    }
-
     /// Remaining variance of the map at position `p` under the fit without example `i`.
     pub(super) fn left_out_variance(&self, i: usize, p: usize) -> f64 {
         let UnwhitenedMap { variance, influence, inverse_diagonal, .. } = &*self.unwhitened;
         variance[p] + influence[(p, i)].powi(2) / inverse_diagonal[i]
     }
 
-    /// Log-likelihood over the map of a frame of a design that this fit has not seen.
-    pub(super) fn log_likelihood(&self, z: RowRef<'_, f64>, noise: f64, out: &mut [f64]) {
+    /// Log-likelihood over the map of a frame of a design that this fit has not seen; returns the misfit at the best
+    /// position.
+    pub(super) fn log_likelihood(&self, z: RowRef<'_, f64>, noise: f64, out: &mut [f64]) -> f64 {
         let frame = self.transform() * z.transpose();
         let along = self.signatures().transpose() * &frame;
         let (frame_frame, rank) = (frame.squared_norm_l2(), self.frames.nrows() as f64);
+        let mut best = (f64::NEG_INFINITY, 0.0);
         for (p, value) in out.iter_mut().enumerate() {
             let products = Products { frame_frame, frame_map: along[p], map_map: self.squares[p] };
             let variance = self.variance()[p] + noise;
-            *value = -0.5 * (products.misfit() / variance + rank * variance.ln());
+            let misfit = products.misfit() / variance;
+            *value = -0.5 * (misfit + rank * variance.ln());
+            if *value > best.0 {
+                best = (*value, misfit);
+            }
         }
+        best.1 / rank
     }
 
     /// Log-likelihood over the map of example `i` under the fit without it; returns the misfit at the best position.
@@ -357,42 +361,10 @@ impl Products {
     }
 }
 
-/// What another skin of the family says about the covariance between channels, in the coordinates of the regression:
-/// the mode of an inverse Wishart prior, worth `examples` pokes. Only its shape counts, not its scale.
-#[derive(Debug, Clone)]
-pub(super) struct ChannelPrior {
-    pub covariance: Mat<f64>,
-    pub examples: f64,
-}
-
-/// Cholesky factor of the residual covariance between channels, shrunk to its diagonal, with `least` on that.
-fn channel_factor(
-    residual: &Mat<f64>,
-    alpha: &Mat<f64>,
-    shrinkage: f64,
-    least: f64,
-    prior: Option<&ChannelPrior>,
-) -> Result<Mat<f64>, LocatorError> {
-    let (n, c) = (residual.nrows() as f64, residual.ncols());
-    let sample = residual.transpose() * alpha;
-    let trace: f64 = (0..c).map(|k| sample[(k, k)]).sum::<f64>() / n;
-    let floor = 1e-3 * trace / c as f64;
-    let prior_trace = prior.map_or(0.0, |p| (0..c).map(|k| p.covariance[(k, k)]).sum::<f64>());
-    let prior = prior.filter(|_| prior_trace > 0.0);
-    let worth = prior.map_or(0.0, |p| p.examples);
-    let covariance = Mat::from_fn(c, c, |i, j| {
-        let expected = prior.map_or(0.0, |p| p.covariance[(i, j)] * worth * trace / prior_trace);
-        let value = ((sample[(i, j)] + sample[(j, i)]) * 0.5 + expected) / (n + worth);
-        if i == j { value + shrinkage * floor + least } else { (1.0 - shrinkage) * value }
-    });
-    let what = "covariance between channels";
-    Ok(covariance.llt(Side::Lower).map_err(|_| LocatorError::Singular { what })?.L().to_owned())
-}
-
-/// 1 - k K^-1 k' at every map position, never below a small positive number.
-fn remaining_variance(to_map: &Mat<f64>, influence: &Mat<f64>) -> Vec<f64> {
+/// 1 - k K^-1 k' at every map position, never below a small positive number, and what is `apart` from it.
+fn remaining_variance(to_map: &Mat<f64>, influence: &Mat<f64>, apart: f64) -> Vec<f64> {
     let explained = |p: usize| (0..to_map.ncols()).map(|i| to_map[(p, i)] * influence[(p, i)]).sum::<f64>();
-    (0..to_map.nrows()).map(|p| (1.0 - explained(p)).max(1e-6)).collect()
+    (0..to_map.nrows()).map(|p| (1.0 - explained(p)).max(1e-6) + apart).collect()
 }
 
 #[cfg(test)]
@@ -409,6 +381,7 @@ mod tests {
             z: Mat::from_fn(n, channels, |i, k| smooth(positions_m[i], k) + scattered(i, k + 2)),
             amplitude: vec![1.0; n],
             positions_m,
+            copies: None,
             weights: vec![1.0; channels],
             energy: vec![1.0; channels],
             missing: Vec::new(),

@@ -46,20 +46,24 @@ fn pokes_alone_teach_a_skin_of_unknown_wiring() {
     }
 }
 
-/// On these two skins a sister's calibration makes little difference; it must do no harm.
+/// The maps of these two skins say little of each other, and their electrodes are numbered in opposite senses; that a
+/// skin looks the same from each of its electrodes is what one learns from the other.
 #[test]
-fn a_sister_makes_ten_pokes_no_worse() {
+fn ten_pokes_are_worth_more_with_a_sister() {
     let (Some(plain), Some(circles)) = (load("plain"), load("circles")) else { return };
-    let sister = circles.calibrate(&drawn(1000)).unwrap();
     let pokes = drawn(10 * DRAWS);
-    let over_draws = |start: &[Calibration]| -> [f64; 2] {
-        let errors = pokes.chunks_exact(10).map(|draw| test(&plain, &plain.calibrate_from(draw, start).unwrap()).0);
-        errors.fold([0.0; 2], |sum, error| [0, 1].map(|k| sum[k] + error[k] / DRAWS as f64))
-    };
-    let (alone, started) = (over_draws(&[]), over_draws(std::slice::from_ref(&sister)));
-    println!("{DRAWS} times 10 pokes: alone {alone:.2?} mm, with the sister {started:.2?} mm");
-    // The difference of the means scatters by some 3 %.
-    assert!((0..2).all(|k| started[k] <= 1.05 * alone[k]), "{started:?} {alone:?}");
-    // Asked for are 5 and 13 mm; ten pokes of one draw scatter by half, the mean of these draws by a fifth.
-    assert!(started[0] <= 6.0 && started[1] <= 15.6, "{started:?}");
+    // Asked for are 5 and 13 mm on the plain skin. Without the sister it is some 5.4 and 13 mm, and 14 and 36 mm on the
+    // other; ten pokes of one draw scatter by half, the mean of these draws by a fifth.
+    for (name, skin, sister, most_mm) in
+        [("plain", &plain, &circles, [5.0, 13.0]), ("circles", &circles, &plain, [10.0, 29.0])]
+    {
+        let sister = sister.calibrate(&drawn(1000)).unwrap();
+        let over_draws = |start: &[Calibration]| -> [f64; 2] {
+            let errors = pokes.chunks_exact(10).map(|draw| test(skin, &skin.calibrate_from(draw, start).unwrap()).0);
+            errors.fold([0.0; 2], |sum, error| [0, 1].map(|k| sum[k] + error[k] / DRAWS as f64))
+        };
+        let (alone, started) = (over_draws(&[]), over_draws(std::slice::from_ref(&sister)));
+        println!("{name}, {DRAWS} times 10 pokes: alone {alone:.2?} mm, with the sister {started:.2?} mm");
+        assert!((0..2).all(|k| started[k] <= 0.95 * alone[k] && started[k] <= most_mm[k]), "{started:?} {alone:?}");
+    }
 }

@@ -90,7 +90,11 @@ pub(super) fn print_experts(
         None if differences => writeln!(out, "physics of the skin file: not tried")?,
         None => {}
     }
-    for (what, part) in [("map of the sister skin", report.sister_map), ("its noise", report.sister_covariance)] {
+    for (what, part) in [
+        ("map of the sister skin", report.sister_map),
+        ("its noise", report.sister_covariance),
+        ("pokes turned as it shows", report.sister_turn),
+    ] {
         if let Some(part) = part {
             writeln!(out, "{what}: {}", brought(part))?;
         }

@@ -1,7 +1,7 @@
 //! Fitting both experts and what joins them.
 
 use super::features::{Features, fill_from_neighbours, in_frame};
-use super::form::{Form, GRID, choose_form, forward_examples};
+use super::form::{Form, GRID, MOST_TURNED, TELLING, choose_form, forward_examples, projection};
 use super::fusion::{Cells, Fusion};
 use super::inverse::{Guess, LeftOutPlaces, Memory, Regression};
 use super::live::unit_length;
@@ -10,13 +10,13 @@ use super::prior::Sister;
 use super::report::{Accuracy, FusedReport};
 use super::state::{FUSED_VERSION, FusedState};
 use crate::locator::data::{Examples, LeaveOneOut, LeftOut, MIN_EXAMPLES, SignatureMap};
-use crate::locator::design::{Design, Prior, basis, nearest};
+use crate::locator::design::{Design, Prior, nearest};
 use crate::locator::error::{LocatorError, check_length};
 use crate::locator::fit::{Fitting, Judged, SECTORS, by_direction, evenly, prepare};
 use crate::locator::load::LoadLaw;
 use crate::locator::model::Locator;
-use crate::locator::posterior::{ONE_SIGMA, Spread, Trial, quantile};
-use crate::locator::regression::{FittedMap, WorkedOut, example_noise};
+use crate::locator::posterior::{CHOSEN_QUANTITIES, ONE_SIGMA, Spread, Trial, quantile};
+use crate::locator::regression::{WorkedOut, example_noise};
 use crate::locator::state::LocatorState;
 use crate::typical::spacing;
 
@@ -37,6 +37,8 @@ const DOUBTFUL_MEDIANS: f64 = 10.0;
 /// At most this part of the examples is left out as doubtful, and only from at most so many.
 const MOST_DOUBTFUL: f64 = 0.1;
 const REFIT_AT_MOST: usize = 1000;
+/// Of few examples with turned copies those left out choose sigma alone.
+const CHOSEN_BESIDE_COPIES: f64 = 1.0;
 /// From so many examples x and y have factors on sigma of their own.
 const OWN_FACTORS: usize = 100;
 
@@ -80,7 +82,8 @@ impl FusedLocator {
         sister: &FusedLocator,
     ) -> Result<Self, LocatorError> {
         check_length("channels of the prior", examples.channels(), sister.channels())?;
-        fit(examples, map, options, Some(&Sister::new(sister)?))
+        let few = examples.len() <= MOST_TURNED;
+        fit(examples, map, options, Some(&Sister::new(sister, few)?))
     }
 }
 
@@ -227,12 +230,13 @@ fn fit_all(
     let (form, uses) = choose_form(examples, &features, map, &rows, sister)?;
     let seen = forward_examples(examples, &form.features, &rows)?;
     let (design, prior) = prepare(&seen, &form.map, &form.hyper)?;
-    let projection = basis(&design, &prior, crate::locator::LocatorOptions::default().max_rank)?;
+    let projection = projection(&design, &prior, form.turn.as_ref())?;
     let fitting = Fitting {
         positions: &map.positions_m,
         basis: projection.as_ref(),
         spacing_m: spacing(&map.positions_m),
         channel_prior: form.prior.as_ref(),
+        turn: form.turn.as_ref(),
         grid: GRID,
     };
     let judged = fitting.judge(&design, &prior, &form.hyper, &mut WorkedOut::default())?;
@@ -241,12 +245,13 @@ fn fit_all(
         .transpose()?;
     let inverse = Inverse::fit(&units, whitened, &examples.positions_m, &rows)?;
     let joining = evenly(rows.len(), JOINING);
+    let alone = form.turn.is_some() && rows.len() < TELLING;
     let left_out: Vec<(&[f64], Option<Guess>, [f64; 2])> = joining
         .iter()
         .map(|&i| (judged.left_out.col_as_slice(i), Some(inverse.guesses[i]), design.positions_m[i]))
         .collect();
     let cells = Cells::new(&map.positions_m, fitting.spacing_m);
-    let fusion = Fusion::choose(&map.positions_m, &cells, &left_out);
+    let fusion = if alone { Fusion::UNTOLD } else { Fusion::choose(&map.positions_m, &cells, &left_out) };
     let near = near_trials(&fitting, &cells, &fusion, &judged, &inverse.guesses, &design.positions_m);
     let far = Far { fitting: &fitting, cells: &cells, fusion: &fusion, form: &form, inverse: &inverse, rows: &rows };
     let (far_fused, far_forward) = far.trials(&design, &prior, judged.calibration.temperature)?;
@@ -254,7 +259,8 @@ fn fit_all(
         let own = |t: &Trial| Trial { error_m: [t.error_m[axis]; 2], variance_m2: [t.variance_m2[axis]; 2], ..*t };
         trials.iter().map(own).collect()
     };
-    let both = Spread::fit(&near, &far_fused);
+    let chose = if alone { CHOSEN_BESIDE_COPIES } else { CHOSEN_QUANTITIES };
+    let both = Spread::fit(&near, &far_fused, chose);
     let mut sigma_factors = [both.factor; 2];
     if near.len() >= OWN_FACTORS {
         let factor = |a: usize| Spread::factor_with(&axis(&near, a), both.extrapolation_m);
@@ -273,7 +279,7 @@ fn fit_all(
         law.relative_error = law.relative_error.max(quantile(&errors, ONE_SIGMA));
     }
     let near_forward = fitting.near_trials(&design, &judged);
-    let forward_spread = Spread::fit(&near_forward, &far_forward);
+    let forward_spread = Spread::fit(&near_forward, &far_forward, chose);
     let (hyper, load_error) = (form.hyper, load.as_ref().map(|law| law.relative_error));
     let state = LocatorState::assemble(&design, &prior, &fitting, &judged, forward_spread, hyper, load);
     let spreads = sigma_factors.map(|factor| Spread { factor, extrapolation_m: both.extrapolation_m });
@@ -298,6 +304,7 @@ fn fit_all(
         physics: uses[0],
         sister_map: uses[1],
         sister_covariance: uses[2],
+        sister_turn: uses[3],
         doubtful,
         doubtful_left_out: false,
     };
@@ -361,7 +368,7 @@ fn near_trials(
         Trial {
             error_m: [found.mean_m[0] - truth[i][0], found.mean_m[1] - truth[i][1]],
             variance_m2: [found.covariance_m2[0], found.covariance_m2[1]],
-            unexplained: weights.iter().enumerate().map(|(p, w)| w * judged.map.left_out_variance(i, p)).sum(),
+            unexplained: weights.iter().enumerate().map(|(p, w)| w * judged.left_out_variance(i, p)).sum(),
         }
     };
     (0..truth.len()).map(trial).collect()
@@ -403,9 +410,7 @@ impl Far<'_> {
                 return Ok((Vec::new(), Vec::new()));
             }
             let (part, about) = (design.subset(&outside), prior.subset(&outside));
-            let (basis, channel_prior) = (self.fitting.basis, self.fitting.channel_prior);
-            let (hyper, new) = (&self.form.hyper, &mut WorkedOut::default());
-            let map = FittedMap::new(&part, &about, positions, basis, hyper, channel_prior, new)?;
+            let map = self.fitting.fit_map(&part, &about, &self.form.hyper, &mut WorkedOut::default())?;
             let features: Vec<&Vec<f64>> = outside.iter().map(|&i| rows[i]).collect();
             let regression = self.inverse.plain.refitted(&features, &part.positions_m)?;
             for &i in &order[inside] {

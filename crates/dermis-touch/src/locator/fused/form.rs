@@ -6,12 +6,14 @@ use faer::Mat;
 use super::features::{Features, in_frame};
 use super::prior::Sister;
 use super::report::PriorUse;
+use crate::locator::channel_covariance::ChannelPrior;
 use crate::locator::data::{Examples, Hyperparameters, LocatorOptions, SignatureMap};
 use crate::locator::design::{Design, Prior, basis};
 use crate::locator::error::LocatorError;
 use crate::locator::fit::{Fitting, Grid, SELECTION_MARGIN, default_hyperparameters, evenly, prepare};
 use crate::locator::posterior::extent;
-use crate::locator::regression::{ChannelPrior, WorkedOut};
+use crate::locator::regression::WorkedOut;
+use crate::locator::turn::{Turn, log_density};
 use crate::typical::spacing;
 
 /// Candidates of the forward expert's hyperparameters, wider than those of [`Locator::fit`].
@@ -29,16 +31,23 @@ const SISTER_WORTH: f64 = 10.0;
 /// With fewer pokes than this, leaving one out tells too little to choose by. Beside a sister's calibration its form
 /// and covariance are then taken over, and the search for hyperparameters starts here (the length relative to the
 /// skin's radius).
-const TELLING: usize = 30;
+pub(super) const TELLING: usize = 30;
 const UNTOLD: Hyperparameters = Hyperparameters { length_m: 0.4, noise: 0.04, shrinkage: 0.95 };
 /// Gain in total log score that a mean of the map must then bring.
 const UNTOLD_MARGIN: f64 = 1.0;
+
+/// Up to so many pokes have turned copies, of more there are enough; and how they are then seen (the length relative to
+/// the skin's radius). Chosen on two measured skins, with ten pokes, and not by the pokes at hand.
+pub(super) const MOST_TURNED: usize = 60;
+const TURNED: Hyperparameters = Hyperparameters { length_m: 0.35, noise: 0.06, shrinkage: 1.0 };
 
 /// What the forward expert is to be made from.
 pub(super) struct Form {
     pub features: Features,
     pub map: SignatureMap,
     pub prior: Option<ChannelPrior>,
+    /// Under which turns every poke has copies.
+    pub turn: Option<Turn>,
     pub hyper: Hyperparameters,
 }
 
@@ -70,6 +79,7 @@ impl<'a> Begun<'a> {
             basis: self.projection.as_ref(),
             spacing_m,
             channel_prior: self.channel_prior.as_ref(),
+            turn: None,
             grid: GRID,
         }
     }
@@ -135,7 +145,7 @@ pub(super) fn choose_form<'a>(
     map: &'a SignatureMap,
     rows: &[usize],
     sister: Option<&'a Sister>,
-) -> Result<(Form, [Option<PriorUse>; 3]), LocatorError> {
+) -> Result<(Form, [Option<PriorUse>; 4]), LocatorError> {
     let chosen: Vec<usize> = evenly(rows.len(), CHOOSING).into_iter().map(|r| rows[r]).collect();
     let radius = extent(&map.positions_m);
     let tries_all = chosen.len() < DECIDED;
@@ -162,7 +172,7 @@ pub(super) fn choose_form<'a>(
             let about = mean_map(mean, &coarse, &features)?;
             for lent in [None, akin].into_iter().take(1 + usize::from(akin.is_some())) {
                 let (design, prior) = prepare(&seen, &about, &start)?;
-                let projection = basis(&design, &prior, LocatorOptions::default().max_rank)?;
+                let projection = projection(&design, &prior, None)?;
                 let channel_prior = lent.map(|s| channel_prior(s, projection.as_ref()));
                 let features = features.clone();
                 let mut worked_out = known.elsewhere();
@@ -171,6 +181,7 @@ pub(super) fn choose_form<'a>(
                     basis: projection.as_ref(),
                     spacing_m,
                     channel_prior: channel_prior.as_ref(),
+                    turn: None,
                     grid: GRID,
                 };
                 let score = fitting.judge(&design, &prior, &start, &mut worked_out)?.calibration.score;
@@ -209,14 +220,103 @@ pub(super) fn choose_form<'a>(
         let gain = best(with) - best(&|f| !with(f));
         given.then(|| PriorUse { used: with(&forms[winner]), gain }).filter(|u| u.gain.is_finite())
     };
-    let uses = [
+    let score = forms[winner].score;
+    let mut uses = [
         compare(means.len() > 1 + usize::from(sister.is_some()), &|f| matches!(f.mean, Mean::Physics)),
         compare(sister.is_some(), &|f| matches!(f.mean, Mean::Sister(_))),
         compare(sister.is_some(), &|f| f.prior.is_some()),
+        None,
     ];
+    let turn = sister.and_then(|s| s.turn.as_ref()).filter(|_| chosen.len() <= MOST_TURNED);
+    let turned = turn.map(|turn| turned_form(examples, features, map, &coarse, &chosen, &means, turn)).transpose()?;
+    if let Some((turned, reached)) = turned.flatten() {
+        let gain = reached - score;
+        let used = untold || gain > margin;
+        uses[3] = Some(PriorUse { used, gain });
+        if used {
+            uses.iter_mut().take(3).flatten().for_each(|part| part.used = false);
+            return Ok((turned, uses));
+        }
+    }
     let Tried { features, prior, hyper, mean, .. } = forms.swap_remove(winner);
     let map = mean_map(mean, map, &features)?;
-    Ok((Form { features, map, prior, hyper }, uses))
+    Ok((Form { features, map, prior, turn: None, hyper }, uses))
+}
+
+/// The form in which every poke has copies, turned as a sister's map shows, with its score; `None` where the pokes are
+/// likelier without, or about one of the `means`. The skin may be numbered the other way round than the sister: the
+/// pokes tell.
+fn turned_form(
+    examples: &Examples,
+    features: &Features,
+    map: &SignatureMap,
+    coarse: &SignatureMap,
+    chosen: &[usize],
+    means: &[Mean],
+    turn: &Turn,
+) -> Result<Option<(Form, f64)>, LocatorError> {
+    // Companded, channels are of one size, whatever their noise.
+    let features = Features { companded: true, ..features.clone() };
+    let hyper = Hyperparameters { length_m: TURNED.length_m * extent(&map.positions_m), ..TURNED };
+    let about = SignatureMap::without_physics(map.channels, coarse.positions_m.clone())?;
+    let (design, prior) = prepare(&forward_examples(examples, &features, chosen)?, &about, &hyper)?;
+    let mut best = (0.0, None);
+    for mean in means {
+        best.0 = evidence_of(*mean, examples, &features, coarse, chosen, &hyper)?.max(best.0);
+    }
+    for turn in [turn.clone(), turn.reversed()] {
+        let evidence = turn.evidence(&design, &hyper)?;
+        if evidence > best.0 {
+            best = (evidence, Some(turn));
+        }
+    }
+    let Some(turn) = best.1 else { return Ok(None) };
+    let projection = projection(&design, &prior, Some(&turn))?;
+    let fitting = Fitting {
+        positions: &about.positions_m,
+        basis: projection.as_ref(),
+        spacing_m: spacing(&about.positions_m),
+        channel_prior: None,
+        turn: Some(&turn),
+        grid: GRID,
+    };
+    let score = fitting.judge(&design, &prior, &hyper, &mut WorkedOut::default())?.calibration.score;
+    let map = SignatureMap::without_physics(map.channels, map.positions_m.clone())?;
+    Ok(Some((Form { features, map, prior: None, turn: Some(turn), hyper }, score)))
+}
+
+/// By how much the examples are likelier about a mean of the map than about nothing.
+fn evidence_of(
+    mean: Mean,
+    examples: &Examples,
+    features: &Features,
+    map: &SignatureMap,
+    chosen: &[usize],
+    hyper: &Hyperparameters,
+) -> Result<f64, LocatorError> {
+    let companded = match mean {
+        Mean::Zero => return Ok(0.0),
+        Mean::Physics => features.companded,
+        Mean::Sister(sister) => sister.companded,
+    };
+    let features = Features { companded, ..features.clone() };
+    let about = mean_map(mean, map, &features)?;
+    let (design, expected) = prepare(&forward_examples(examples, &features, chosen)?, &about, hyper)?;
+    let rest = Design { z: &design.z - &expected.at_examples, ..design.clone() };
+    Ok(log_density(&rest, hyper)? - log_density(&design, hyper)?)
+}
+
+/// What frames of very many channels are projected on.
+pub(super) fn projection(
+    design: &Design,
+    prior: &Prior,
+    turn: Option<&Turn>,
+) -> Result<Option<Mat<f64>>, LocatorError> {
+    let most = LocatorOptions::default().max_rank;
+    match turn {
+        Some(turn) => basis(&turn.copies(design), prior, most),
+        None => basis(design, prior, most),
+    }
 }
 
 /// Every second of a map's positions, as the fields of one colour on a board of chess where they lie on a square

@@ -1,4 +1,5 @@
-//! What a calibration of another skin of the family gives: the covariance between channels, and the map itself.
+//! What a calibration of another skin of the family gives: the covariance between channels, the map itself, and what
+//! turning the skin does to its channels.
 
 use faer::linalg::solvers::Solve;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
@@ -8,6 +9,7 @@ use super::model::FusedLocator;
 use crate::locator::data::SignatureMap;
 use crate::locator::design::nearest;
 use crate::locator::error::LocatorError;
+use crate::locator::turn::Turn;
 
 /// A sister's calibration in the channels' own coordinates.
 #[derive(Debug, Clone)]
@@ -16,14 +18,16 @@ pub(super) struct Sister {
     pub companded: bool,
     /// Covariance between channels.
     pub covariance: Mat<f64>,
+    /// Under which turns it looks the same, if any.
+    pub turn: Option<Turn>,
     positions_m: Vec<[f64; 2]>,
     /// Signatures: channels by positions.
     signatures: Mat<f64>,
 }
 
 impl Sister {
-    /// Undoes the whitening of a fitted locator.
-    pub(super) fn new(other: &FusedLocator) -> Result<Self, LocatorError> {
+    /// Undoes the whitening of a fitted locator; looks for turns only where they are `wanted`.
+    pub(super) fn new(other: &FusedLocator, wanted: bool) -> Result<Self, LocatorError> {
         let state = &other.state.forward.state;
         let (rank, channels) = (state.rank, state.weights.len());
         let transform = Mat::from_fn(rank, channels, |r, k| f64::from(state.transform[r * channels + k]));
@@ -38,12 +42,17 @@ impl Sister {
             factor.solve(&transform).transpose().to_owned()
         };
         let whitened = Mat::from_fn(rank, state.positions_m.len(), |r, p| f64::from(state.signatures[p * rank + r]));
-        Ok(Self {
+        let mut sister = Self {
             companded: other.state.features.companded,
             covariance: &coloured * coloured.transpose(),
             positions_m: state.positions_m.clone(),
             signatures: &coloured * &whitened,
-        })
+            turn: None,
+        };
+        if wanted {
+            sister.turn = Turn::find(channels, &state.positions_m, |places| sister.map_at(places))?;
+        }
+        Ok(sister)
     }
 
     /// Its signatures at other positions.

@@ -58,6 +58,9 @@ pub struct FusedReport {
     pub sister_map: Option<PriorUse>,
     /// What the covariance between channels of another skin brought, where one was given.
     pub sister_covariance: Option<PriorUse>,
+    /// What it brought that the skin looks the same when it is turned, where another skin was given that does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sister_turn: Option<PriorUse>,
     /// Indices of examples that the others contradict by far: look whether their positions were written down right.
     pub doubtful: Vec<usize>,
     /// Whether the doubtful ones took no part in the fit.
