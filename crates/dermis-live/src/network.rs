@@ -7,13 +7,17 @@ mod classifier;
 mod contact_image;
 mod fingerprint;
 mod first_network;
+mod input_image;
 mod masks;
 mod network_input;
+mod plain_images;
 
 pub use built_in::built_in;
 pub use classes::{CLASSES, Classes, UNLIKE};
 pub use classifier::{Classifier, Seen};
 pub use contact_image::{FittedTouches, draw_discs};
 pub use fingerprint::{imaging_sha256, suits};
+pub use input_image::InputImage;
 pub use masks::{MaskRule, PRESENCE, PresenceRule, enlarge, masks_of_image};
-pub use network_input::{BATCH, FirstStep, InputImage};
+pub use network_input::FirstStep;
+pub use plain_images::BATCH;

@@ -10,8 +10,10 @@ use rayon::prelude::*;
 use super::classes::{CLASSES, Classes, UNLIKE};
 use super::contact_image::FittedTouches;
 use super::fingerprint::imaging_sha256;
+use super::input_image::{InputImage, inputs_of, rescale};
 use super::masks::{MaskRule, label_image};
-use super::network_input::{BATCH, FirstStep, InputImage};
+use super::network_input::FirstStep;
+use super::plain_images::BATCH;
 use crate::Error;
 use crate::prepare::Prepared;
 use crate::reference::Reference;
@@ -224,15 +226,6 @@ fn agree(first: Option<[usize; 2]>, scale: &[f32], input: &[f32], probabilities:
     }
 }
 
-/// The images that a model is shown.
-///
-/// # Errors
-/// Names that are not known.
-pub(super) fn inputs_of(model: &Model) -> Result<Vec<InputImage>, Error> {
-    let refuse = |got: String| Error::Frames { what: "model".into(), expected: "inputs that are known".into(), got };
-    model.card.inputs.iter().map(|name| name.parse().map_err(refuse)).collect()
-}
-
 /// Refined images, and what a first network makes of them, are nothing for live frames.
 fn refuse_refined(model: &Model) -> Result<(), Error> {
     if let Some(image) = inputs_of(model)?.iter().find(|image| image.takes_long()) {
@@ -240,14 +233,6 @@ fn refuse_refined(model: &Model) -> Result<(), Error> {
         return Err(Error::Frames { what: "model".into(), expected, got });
     }
     Ok(())
-}
-
-/// Images times the factors that the network was trained with.
-pub(super) fn rescale(input: &mut [f32], scale: &[f32]) {
-    let pixels = input.len() / scale.len();
-    for (image, factor) in input.chunks_exact_mut(pixels).zip(scale) {
-        image.iter_mut().for_each(|value| *value *= factor);
-    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use dermis_learn::Model;
 use dermis_skin::{Backend, Electronics, Skin};
 
-use super::network_input::InputImage;
+use super::input_image::InputImage;
 
 /// SHA-256 of what images depend on: modality, frontend, backend without its electronics, and imaging. A network fits
 /// skins of the same fingerprint.

@@ -5,8 +5,8 @@ use dermis_learn::{Model, Network};
 use rayon::prelude::*;
 
 use super::classes::CLASSES;
-use super::classifier::{inputs_of, rescale};
-use super::network_input::{FirstStep, InputImage, refiner};
+use super::input_image::{InputImage, inputs_of, rescale};
+use super::plain_images::{PlainImages, refiner};
 use crate::Error;
 use crate::imager::GuessRefiner;
 use crate::prepare::Prepared;
@@ -27,7 +27,7 @@ pub(super) enum Look {
 #[derive(Debug)]
 pub(super) struct FirstNetwork {
     inputs: Vec<InputImage>,
-    first_step: FirstStep,
+    plain: PlainImages,
     network: Network,
     scale: Vec<f32>,
     temperature: f32,
@@ -41,11 +41,11 @@ impl FirstNetwork {
     /// A model whose inputs do not fit the skin; a skin without `imaging.refinement`.
     pub(super) fn new(prepared: &Prepared, reference: &Reference, model: &Model) -> Result<Self, Error> {
         let inputs = inputs_of(model)?;
-        let first_step = FirstStep::new(prepared, reference, &inputs)?;
+        let plain = PlainImages::new(prepared, reference, &inputs, &[], false)?;
         let about = GuessRefiner::new(prepared, refiner(prepared, reference)?)?;
         Ok(Self {
             inputs,
-            first_step,
+            plain,
             network: model.network()?,
             scale: model.card.input_scale.clone(),
             temperature: model.card.temperature,
@@ -68,7 +68,7 @@ impl FirstNetwork {
     /// Writes images of frames into their places, `images` of them to a frame.
     ///
     /// # Errors
-    /// As [`FirstStep::images_of_all`].
+    /// As [`PlainImages::images_of_all`].
     pub(super) fn show(
         &mut self,
         differences: &[Vec<f64>],
@@ -76,8 +76,8 @@ impl FirstNetwork {
         images: usize,
         out: &mut [f32],
     ) -> Result<(), Error> {
-        let mut shown = Vec::new();
-        self.first_step.images_of_all(differences, &mut shown)?;
+        let mut shown = vec![0.0; differences.len() * self.plain.values()];
+        self.plain.images_of_all(differences, &mut shown)?;
         let values = self.inputs.len() * self.pixels;
         let probabilities: Vec<Vec<f32>> = shown
             .par_chunks_exact(values)
