@@ -32,6 +32,7 @@ const SKINS: &[(&str, &[(&str, &str)])] = &[
             ("imaging.hyperparameter", "{ noise-figure = 0.5 }"),
             ("health", "{ full_scale_mv = 100.0, recover_frames = 9 }"),
             ("damage", "{ begin_sigma = 8.0, smallest_depth = 0.05, confirm_s = 1.5, healed_scar_mm = 8.7 }"),
+            ("touch.model_error_mm", "1.0"),
             ("twin.seed", "1"),
             ("twin.phase_error_deg", "1.0"),
             (

@@ -15,7 +15,10 @@ fn lines(text: &str) -> Vec<Value> {
 #[test]
 fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
     let desk = Desk::with(&[]);
-    for (skin, frames) in [("ionic-disc", 70_usize), ("em-8", 70)] {
+    // Priors leave nothing out beyond six correlation lengths any more, by which images differ by 2e-8 and fits end
+    // elsewhere, by some 1e-5 mm. Since then a liquid's weight counts beside its membrane's tension: places on the ionic
+    // disc have moved by up to half a millimetre. Everything else is the same.
+    for (skin, frames, place_mm) in [("ionic-disc", 70_usize, 0.6), ("em-8", 70, 1e-3)] {
         let recording = earlier(&format!("{skin}.mcap")).display().to_string();
         let info: Value = serde_json::from_str(&desk.done(&["info", &recording, "--json"])).expect("JSON");
         assert_eq!((&info["frames"], &info["whole"]), (&Value::from(frames), &Value::from(true)), "{info}");
@@ -26,15 +29,14 @@ fn a_replay_finds_the_touches_that_the_version_that_recorded_them_found() {
             assert_eq!((&now["sequence"], &now["time_s"]), (&then["sequence"], &then["time_s"]), "{skin}");
             let touches = |line: &Value| line["touches"].as_array().cloned().unwrap_or_default();
             assert_eq!(touches(now).len(), touches(then).len(), "{skin}: {now} {then}");
-            // Sigmas hold the model's error by now. Priors leave nothing out beyond six correlation lengths any more,
-            // by which images differ by 2e-8 and fits end elsewhere, by some 1e-5 mm; everything else is the same.
+            // Sigmas hold the model's error by now.
             for (now, then) in touches(now).iter().zip(&touches(then)) {
                 for key in ["id", "phase", "area_mm2"] {
                     assert_eq!(now[key], then[key], "{skin}, {key}");
                 }
-                for (key, tolerance) in [("x_mm", 1e-3), ("y_mm", 1e-3), ("amplitude", 1e-4)] {
+                for (key, tolerance) in [("x_mm", place_mm), ("y_mm", place_mm), ("amplitude", 1e-4)] {
                     let [now, then] = [now, then].map(|touch| touch[key].as_f64().expect("a number"));
-                    assert!((now - then).abs() < tolerance * then.abs().max(1.0), "{skin}, {key}: {now} and {then}");
+                    assert!((now - then).abs() < tolerance, "{skin}, {key}: {now} and {then}");
                 }
             }
         }

@@ -14,8 +14,15 @@ use crate::reference::Reference;
 #[derive(Debug)]
 pub struct FirstStep {
     plain: PlainImages,
-    /// Looks first, where what it sees is shown, and the places of that.
-    first: Option<(Box<FirstNetwork>, Vec<(usize, Look)>)>,
+    /// Looks first, where what it sees is shown.
+    first: Option<Box<FirstLook>>,
+}
+
+/// A first network, and where among the images what it sees is shown.
+#[derive(Debug)]
+struct FirstLook {
+    network: FirstNetwork,
+    places: Vec<(usize, Look)>,
 }
 
 impl FirstStep {
@@ -41,10 +48,10 @@ impl FirstStep {
         let first = first.map(|model| FirstNetwork::new(prepared, reference, model)).transpose()?;
         let first = first.map(|network| {
             let look = |(place, image): (usize, &InputImage)| network.look(*image).map(|look| (place, look));
-            let places: Vec<(usize, Look)> = images.iter().enumerate().filter_map(look).collect();
-            (Box::new(network), places)
+            let places = images.iter().enumerate().filter_map(look).collect();
+            Box::new(FirstLook { network, places })
         });
-        let others: Vec<usize> = first.iter().flat_map(|(_, places)| places.iter().map(|(place, _)| *place)).collect();
+        let others: Vec<usize> = first.iter().flat_map(|first| first.places.iter().map(|(place, _)| *place)).collect();
         Ok(Self { plain: PlainImages::new(prepared, reference, images, &others, false)?, first })
     }
 
@@ -103,6 +110,7 @@ impl FirstStep {
     /// What a first network sees in frames, into its places.
     fn look(&mut self, differences: &[Vec<f64>], out: &mut [f32]) -> Result<(), Error> {
         let images = self.images();
-        self.first.as_mut().map_or(Ok(()), |(network, places)| network.show(differences, places, images, out))
+        let Some(FirstLook { network, places }) = self.first.as_deref_mut() else { return Ok(()) };
+        network.show(differences, places, images, out)
     }
 }

@@ -7,7 +7,6 @@ use dermis_tomo::mesh::Outline;
 use dermis_touch::Contact;
 
 use crate::prepare::Prepared;
-use crate::stages::refinement::Refinement;
 
 /// Where the skin file does not say, touches that the image alone places are wrong by this share of half the shorter
 /// side (one sigma of each coordinate), and so are those of a frame that their fit does not explain.
@@ -96,7 +95,7 @@ impl ModelError {
                     ..both(ELEMENTS_CELLS * x.max(y))
                 });
             }
-            _ if !Refinement::is_wanted(prepared, None) => return by_image,
+            _ if !skin.refines_touches() => return by_image,
             Layer::Sandwich(_) => by_place(SANDWICH, half_width_m),
             layer if layer.is_open_tank() => {
                 OfRefined::ByRadius(skin.outline(), TANK_AT_WALL, (TANK_EVERYWHERE * half_width_m).powi(2))

@@ -44,7 +44,7 @@ impl Turn {
             .map(|p| [0, 1].map(|axis| centre_m[axis] + p[axis]))
             .collect();
         let mut best: Option<(f64, Self)> = None;
-        for turns in ELECTRODES.filter(|turns| channels % turns == 0) {
+        for turns in ELECTRODES.filter(|turns| channels.is_multiple_of(*turns)) {
             let angle = TAU / turns as f64;
             let turn = Self { channels: Vec::new(), resemblance: vec![1.0; turns], angle, centre_m };
             let maps = (0..turns)

@@ -15,8 +15,9 @@ fn load(name: &str) -> Option<Presses> {
 /// Median and 90th percentile of the error on the presses held out, mm, and the share within one sigma of x and y.
 fn test(presses: &Presses, calibration: &Calibration) -> ([f64; 2], [f64; 2]) {
     let found = presses.judge(&held_out(), Some(calibration)).unwrap();
-    // A press that leaves no trace is passed over: a few in a hundred at most.
-    assert!(found.errors_mm.len() as f64 >= 0.96 * found.presses as f64, "{} found", found.errors_mm.len());
+    // A press that leaves no trace is passed over: a few in a hundred, and some more where the weakest of ten pokes is
+    // strong.
+    assert!(found.errors_mm.len() as f64 >= 0.9 * found.presses as f64, "{} found", found.errors_mm.len());
     assert_eq!(found.extra, 0, "one touch a press");
     ([0.5, 0.9].map(|share| found.quantile_mm(share)), found.within)
 }
