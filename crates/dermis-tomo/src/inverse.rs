@@ -4,6 +4,7 @@
 //! `J` is channels x unknowns (pixels or elements), `W` the inverse noise covariance of the channels, `R` the prior's
 //! inverse covariance up to `lambda^2` (the hyperparameter enters squared, as in EIDORS), `dv` the difference data.
 
+mod about_guess;
 mod check;
 mod error;
 mod greit;
@@ -23,6 +24,7 @@ mod spectrum;
 mod total_variation;
 mod weighting;
 
+pub use about_guess::{Guess, GuessCorrelations};
 pub(crate) use check::check_finite;
 pub use check::check_hyperparameter;
 pub use error::InverseError;
@@ -32,7 +34,7 @@ pub use leave_one_out_residual::LeaveOneOutResidual;
 pub use linear::{DataPrecision, LinearProblem, Operator};
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
-pub use nonlinear::{GaussNewton, GaussNewtonResult, Guess, GuessCorrelations, NonlinearProblem, ReducedChannels};
+pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
 pub use parametric::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;

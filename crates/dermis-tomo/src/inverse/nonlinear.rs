@@ -13,10 +13,6 @@
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
-mod about_guess;
-
-pub use about_guess::{Guess, GuessCorrelations};
-
 use super::check::positive;
 use super::{InverseError, PriorMatrix, SmoothCovariance, Weighting};
 use crate::eit::{EitError, ForwardModel, Jacobian, Pattern, Protocol, ProtocolError};
@@ -47,7 +43,7 @@ impl GaussNewton {
         Self { steps, hyperparameter, largest_step: 1.5, limit: 3.0 }
     }
 
-    fn check(&self) -> Result<(), InverseError> {
+    pub(super) fn check(&self) -> Result<(), InverseError> {
         for (what, value) in [
             ("Gauss-Newton steps", self.steps as f64),
             ("hyperparameter", self.hyperparameter),
@@ -73,14 +69,14 @@ pub struct GaussNewtonResult {
 /// A forward model with weights and prior, to be inverted frame by frame.
 #[derive(Debug)]
 pub struct NonlinearProblem {
-    model: ForwardModel,
-    map: PixelMap,
+    pub(super) model: ForwardModel,
+    pub(super) map: PixelMap,
     rest_conductivity: f64,
     weighting: Weighting,
     prior: FactoredPrior,
     /// B: channels x transfer impedances.
     combination: Mat<f64>,
-    at_rest: Linearisation,
+    pub(super) at_rest: Linearisation,
 }
 
 /// The prior, as steps use it.
@@ -97,13 +93,13 @@ pub struct ReducedChannels {
     /// `e^-1/2 Q' B'W`: rows x channels, zero for missing ones.
     project: Mat<f64>,
     /// `e^1/2 Q'`: rows x transfer impedances.
-    combine: Mat<f64>,
+    pub(super) combine: Mat<f64>,
 }
 
 /// Transfer impedances and their derivative with respect to log conductivity.
 #[derive(Debug)]
-struct Linearisation {
-    transfers: Vec<f64>,
+pub(super) struct Linearisation {
+    pub(super) transfers: Vec<f64>,
     jacobian: Jacobian,
     /// `J U` of a smooth prior.
     along_prior: Option<Mat<f64>>,
@@ -266,7 +262,7 @@ impl NonlinearProblem {
         Ok(step.iter().copied().collect())
     }
 
-    fn conductivity(&self, log_conductivity: &[f64]) -> Vec<f64> {
+    pub(super) fn conductivity(&self, log_conductivity: &[f64]) -> Vec<f64> {
         (0..self.map.element_count())
             .map(|element| {
                 let mean: f64 =
@@ -278,7 +274,7 @@ impl NonlinearProblem {
 }
 
 impl ReducedChannels {
-    fn data(&self, dv: &[f64]) -> Result<faer::Col<f64>, InverseError> {
+    pub(super) fn data(&self, dv: &[f64]) -> Result<faer::Col<f64>, InverseError> {
         if dv.len() != self.project.ncols() {
             return Err(InverseError::Size {
                 what: "channels of the frame",
@@ -300,7 +296,7 @@ impl ReducedChannels {
 }
 
 /// Toward `next`, by the whole step or as much of it as allowed: the share that was made of it.
-fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) -> f64 {
+pub(super) fn advance(image: &mut [f64], next: &[f64], parameters: &GaussNewton) -> f64 {
     let largest = image.iter().zip(next).map(|(old, new)| (new - old).abs()).fold(0.0, f64::max);
     let share = if largest > parameters.largest_step { parameters.largest_step / largest } else { 1.0 };
     for (old, new) in image.iter_mut().zip(next) {
@@ -333,7 +329,7 @@ impl FactoredPrior {
 
 /// U with `U U'` a covariance up to a neglected share of its largest variance in every variance; `None` where that
 /// takes more than half as many columns as rows (Higham, Wiley Interdiscip. Rev. Comput. Stat. 1, 2009, algorithm 3).
-fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) -> Option<Mat<f64>> {
+pub(super) fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) -> Option<Mat<f64>> {
     let size = covariance.len();
     let mut left: Vec<f64> = (0..size).map(|k| covariance.variance(k)).collect();
     let enough = neglected * left.iter().copied().fold(0.0, f64::max);
@@ -364,7 +360,7 @@ fn pivoted_cholesky(covariance: &SmoothCovariance, neglected: f64) -> Option<Mat
 
 /// `du/dy` of pixels from `du/dsigma` of elements: `dsigma/dy = sigma`, and an element's y is the mean of its pixels'
 /// weighted by overlap.
-fn log_jacobian(of_elements: &Jacobian, map: &PixelMap, conductivity: &[f64]) -> Jacobian {
+pub(super) fn log_jacobian(of_elements: &Jacobian, map: &PixelMap, conductivity: &[f64]) -> Jacobian {
     let (rows, columns) = (of_elements.rows, map.inside_count());
     let mut values = vec![0.0; rows * columns];
     for (row, target) in values.chunks_exact_mut(columns).enumerate() {

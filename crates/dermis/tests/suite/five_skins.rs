@@ -13,11 +13,9 @@ fn load(name: &str) -> Option<Presses> {
 }
 
 /// Median and 90th percentile of the error on the presses held out, mm, and the share within one sigma of x and y.
-fn test(presses: &Presses, calibration: &Calibration) -> ([f64; 2], [f64; 2]) {
+fn test(presses: &Presses, calibration: &Calibration, least_found: f64) -> ([f64; 2], [f64; 2]) {
     let found = presses.judge(&held_out(), Some(calibration)).unwrap();
-    // A press that leaves no trace is passed over: a few in a hundred, and some more where the weakest of ten pokes is
-    // strong.
-    assert!(found.errors_mm.len() as f64 >= 0.9 * found.presses as f64, "{} found", found.errors_mm.len());
+    assert!(found.errors_mm.len() as f64 >= least_found * found.presses as f64, "{} found", found.errors_mm.len());
     assert_eq!(found.extra, 0, "one touch a press");
     ([0.5, 0.9].map(|share| found.quantile_mm(share)), found.within)
 }
@@ -37,7 +35,8 @@ fn pokes_alone_teach_a_skin_of_unknown_wiring() {
     for (name, median_mm, p90_mm) in [("plain", 1.7, 3.8), ("circles", 2.7, 5.5)] {
         let Some(data) = load(name) else { return };
         let calibration = data.calibrate(&drawn(400)).unwrap();
-        let (error, within) = test(&data, &calibration);
+        // A press that leaves no trace is passed over: a few in a hundred at most.
+        let (error, within) = test(&data, &calibration, 0.96);
         println!("{name}, 400 pokes: {error:.2?} mm, within one sigma {within:.2?}");
         assert!(error[0] <= 1.25 * median_mm && error[1] <= 1.25 * p90_mm, "{error:?}");
         // 60 to 76 % are asked for over many draws; 500 tests scatter by 2 %, the choice of the pokes by more.
@@ -60,7 +59,9 @@ fn ten_pokes_are_worth_more_with_a_sister() {
     {
         let sister = sister.calibrate(&drawn(1000)).unwrap();
         let over_draws = |start: &[Calibration]| -> [f64; 2] {
-            let errors = pokes.chunks_exact(10).map(|draw| test(skin, &skin.calibrate_from(draw, start).unwrap()).0);
+            // Where the weakest of ten pokes is strong, one press in seven is passed over.
+            let errors =
+                pokes.chunks_exact(10).map(|draw| test(skin, &skin.calibrate_from(draw, start).unwrap(), 0.75).0);
             errors.fold([0.0; 2], |sum, error| [0, 1].map(|k| sum[k] + error[k] / DRAWS as f64))
         };
         let (alone, started) = (over_draws(&[]), over_draws(std::slice::from_ref(&sister)));

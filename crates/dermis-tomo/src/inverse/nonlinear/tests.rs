@@ -1,6 +1,6 @@
 use super::*;
 use crate::eit::{Drive, Driven, Measure, Order, ProtocolSpec};
-use crate::inverse::{ImageBasis, LinearProblem, Prior};
+use crate::inverse::{Guess, GuessCorrelations, ImageBasis, LinearProblem, Prior};
 use crate::mesh::{Direction, Outline, PixelGrid, SheetSpec};
 
 const REST: f64 = 0.4;

@@ -4,9 +4,9 @@
 
 use faer::{ColRef, Mat, Side, linalg::solvers::Solve};
 
-use super::{GaussNewton, NonlinearProblem, ReducedChannels, advance, log_jacobian, pivoted_cholesky};
-use crate::inverse::check::positive;
-use crate::inverse::{InverseError, SmoothCovariance};
+use super::check::positive;
+use super::nonlinear::{GaussNewton, NonlinearProblem, ReducedChannels, advance, log_jacobian, pivoted_cholesky};
+use super::{InverseError, SmoothCovariance};
 
 /// What is believed of a frame's image before its data are looked at again.
 #[derive(Clone, Copy, Debug)]
