@@ -32,8 +32,8 @@ const NEAR_CELLS: f64 = 2.5;
 const HALF_APART_CELLS: f64 = 0.6;
 /// The same while halves are compared, in so many trials.
 const FEW_TRIALS: usize = 5;
-/// A fit is believed where it leaves at most this share of the frame beyond what noise leaves, both in units of noise and
-/// model error squared.
+/// A fit is believed where it leaves at most this share of the frame beyond what noise leaves, both in units of noise
+/// and model error squared.
 const MOST_LEFT: f64 = 0.02;
 /// What noise leaves: so many standard deviations above its mean.
 const NOISE_DEVIATIONS: f64 = 1.5;
@@ -325,7 +325,8 @@ mod tests {
         }
     }
 
-    /// The contacts found where the image showed these, under presses of these places (mm), radius (mm) and pressure (kPa).
+    /// The contacts found where the image showed these, under presses of these places and radii (mm) and pressures
+    /// (kPa).
     fn found(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]]) -> Vec<Contact> {
         let (mut stage, mut coils, noise_h) = bench(name);
         let press = |[x, y, radius, pressure]: &[f64; 4]| Press {

@@ -1,5 +1,5 @@
-//! The fit of round presses to the readings of coils: place, radius and pressure of each by Levenberg and Marquardt, with
-//! priors of radius and pressure that are wide, so that what the readings do not tell stays usual.
+//! The fit of round presses to the readings of coils: place, radius and pressure of each by Levenberg and Marquardt,
+//! with priors of radius and pressure that are wide, so that what the readings do not tell stays usual.
 
 use dermis_mit::MitError;
 use dermis_tomo::least_squares::{

@@ -1,6 +1,7 @@
 //! What round presses do to elements on sponge or springs. A press is a disc of even pressure with a soft edge; each
-//! element carries what lies on its cell, `F = p area(disc within cell)`, drags its neighbours along, `(k + c L) x = F` with L the Laplacian of
-//! the grid's graph, and its spring stiffens near the end of its travel, `t = x / (1 + (x/l)^n)^(1/n)`.
+//! element carries what lies on its cell, `F = p area(disc within cell)`, drags its neighbours along,
+//! `(k + c L) x = F` with L the Laplacian of the grid's graph, and its spring stiffens near the end of its travel,
+//! `t = x / (1 + (x/l)^n)^(1/n)`.
 
 use dermis_mit::MitError;
 use dermis_skin::{Elements, ElementsLayer};
@@ -18,8 +19,8 @@ const NODES: [(f64, f64); 4] = [
     (0.796_666_477_413_626_7, 0.222_381_034_453_374_47),
     (0.960_289_856_497_536_3, 0.101_228_536_290_376_26),
 ];
-/// Softness of a press's edge, a standard deviation in cells: without it a small press within one cell could lie anywhere
-/// on it. Discs of three radii with these weights stand for it (the rule of Gauss and Hermite).
+/// Softness of a press's edge, a standard deviation in cells: without it a small press within one cell could lie
+/// anywhere on it. Discs of three radii with these weights stand for it (the rule of Gauss and Hermite).
 const SOFTNESS_CELLS: f64 = 0.125;
 const SOFT_EDGE: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
