@@ -4,10 +4,9 @@
 
 use faer::{Mat, Side};
 
+use super::copies::{APART, Copies, matern52, squared_distance};
 use super::data::{Examples, MIN_CHANNELS, SignatureMap};
 use super::error::{LocatorError, check_length};
-use super::regression::matern52;
-use super::turn::{APART, Copies};
 use crate::typical::median;
 
 /// Channel noise below this fraction of the median is raised to it, so that a channel stuck at one value does not rule.
@@ -272,11 +271,6 @@ pub(super) fn nearest(positions: &[[f64; 2]], at: [f64; 2]) -> Vec<(usize, f64)>
     let soft = 1e-4 * best[best.len() - 1].1 + f64::MIN_POSITIVE;
     let total: f64 = best.iter().map(|b| 1.0 / (b.1 + soft)).sum();
     best.iter().map(|b| (b.0, 1.0 / ((b.1 + soft) * total))).collect()
-}
-
-/// Squared distance between two positions.
-pub(super) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
 }
 
 /// Orthonormal directions (channels by rank) that hold examples and prior; `None` when there are no more than

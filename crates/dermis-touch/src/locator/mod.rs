@@ -16,6 +16,7 @@
 //! The module is pure and knows no forward model: physics arrives as plain arrays ([`SignatureMap`]).
 
 mod channel_covariance;
+mod copies;
 mod correction;
 mod data;
 mod design;

@@ -246,6 +246,6 @@ pub(super) fn quantile(values: &[f64], fraction: f64) -> f64 {
 pub(super) fn extent(positions: &[[f64; 2]]) -> f64 {
     let n = positions.len() as f64;
     let centre = [0, 1].map(|axis| positions.iter().map(|p| p[axis]).sum::<f64>() / n);
-    let mean = positions.iter().map(|p| super::design::squared_distance(*p, centre)).sum::<f64>() / n;
+    let mean = positions.iter().map(|p| super::copies::squared_distance(*p, centre)).sum::<f64>() / n;
     (2.0 * mean).sqrt()
 }

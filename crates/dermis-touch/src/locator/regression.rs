@@ -11,8 +11,9 @@ use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::{Mat, Par, RowRef, Side};
 
 use super::channel_covariance::{ChannelPrior, channel_factor};
+use super::copies::matern52;
 use super::data::Hyperparameters;
-use super::design::{Design, Prior, squared_distance};
+use super::design::{Design, Prior};
 use super::error::LocatorError;
 use crate::typical::median;
 
@@ -22,12 +23,6 @@ const AMPLITUDE_INDEPENDENT_NOISE: f64 = 0.2;
 /// Noise variance, relative to the map's prior variance, of a frame of `amplitude`.
 pub(super) fn noise_variance(noise: f64, amplitude: f64, median_amplitude: f64) -> f64 {
     noise * (AMPLITUDE_INDEPENDENT_NOISE + (median_amplitude / amplitude).powi(2))
-}
-
-/// Matern 5/2 correlation of two positions in metres, Rasmussen & Williams eq. 4.17.
-pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
-    let s = (5.0 * squared_distance(a, b)).sqrt() / length_m;
-    (1.0 + s + s * s / 3.0) * (-s).exp()
 }
 
 /// Correlations of all `a` (rows) with all `b` (columns).

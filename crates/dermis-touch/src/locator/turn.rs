@@ -9,13 +9,12 @@
 
 use faer::{Mat, Side};
 
+use super::copies::Copies;
 use super::data::Hyperparameters;
 use super::design::{Design, Prior};
 use super::error::LocatorError;
 use super::regression::example_noise;
 
-/// Variance of a frame, relative to the map's prior variance, about a map of copies, whatever the amplitude.
-pub(super) const APART: f64 = 0.17;
 /// Variance of a channel below this part of the mean counts as that much.
 const SMALLEST_SHARE: f64 = 1e-3;
 
@@ -30,27 +29,6 @@ pub(super) struct Turn {
     pub angle: f64,
     /// What it is turned about, metres.
     pub centre_m: [f64; 2],
-}
-
-/// Which rows of a design are turned copies.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Copies {
-    /// How often each row is turned.
-    steps: Vec<usize>,
-    resemblance: Vec<f64>,
-}
-
-impl Copies {
-    /// Factor on the correlation of two rows.
-    pub(super) fn between(&self, i: usize, j: usize) -> f64 {
-        let turns = self.resemblance.len();
-        self.resemblance[(turns + self.steps[i] - self.steps[j]) % turns]
-    }
-
-    /// Factor on the correlation of the map with a row.
-    pub(super) fn with_map(&self, i: usize) -> f64 {
-        self.resemblance[self.steps[i]]
-    }
 }
 
 impl Turn {

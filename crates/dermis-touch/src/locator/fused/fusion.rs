@@ -11,7 +11,7 @@
 use std::collections::HashMap;
 
 use super::inverse::Guess;
-use crate::locator::design::squared_distance;
+use crate::locator::copies::squared_distance;
 use crate::locator::posterior::{ONE_SIGMA, log_student, quantile};
 use crate::locator::rows::exponentials;
 

@@ -3,8 +3,8 @@
 use super::features::Features;
 use super::inverse::{Guess, Memory};
 use super::model::FusedLocator;
+use crate::locator::copies::squared_distance;
 use crate::locator::data::{LoadEstimate, Located};
-use crate::locator::design::squared_distance;
 use crate::locator::error::{LocatorError, check_length};
 use crate::locator::live::LocatorScratch;
 use crate::locator::posterior::Spread;

@@ -1,0 +1,35 @@
+//! Correlations of examples by the distance between their places, and of turned copies of examples.
+
+/// Variance of a frame, relative to the map's prior variance, about a map of copies, whatever the amplitude.
+pub(super) const APART: f64 = 0.17;
+/// Squared distance between two positions.
+pub(super) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
+}
+
+/// Matern 5/2 correlation of two positions in metres, Rasmussen & Williams eq. 4.17.
+pub(super) fn matern52(a: [f64; 2], b: [f64; 2], length_m: f64) -> f64 {
+    let s = (5.0 * squared_distance(a, b)).sqrt() / length_m;
+    (1.0 + s + s * s / 3.0) * (-s).exp()
+}
+
+/// Which rows of a design are turned copies.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Copies {
+    /// How often each row is turned.
+    pub(super) steps: Vec<usize>,
+    pub(super) resemblance: Vec<f64>,
+}
+
+impl Copies {
+    /// Factor on the correlation of two rows.
+    pub(super) fn between(&self, i: usize, j: usize) -> f64 {
+        let turns = self.resemblance.len();
+        self.resemblance[(turns + self.steps[i] - self.steps[j]) % turns]
+    }
+
+    /// Factor on the correlation of the map with a row.
+    pub(super) fn with_map(&self, i: usize) -> f64 {
+        self.resemblance[self.steps[i]]
+    }
+}
