@@ -30,7 +30,7 @@ const SURELY_WORTH: f64 = 160.0;
 const NEAR_CELLS: f64 = 2.5;
 /// Where a press is divided, its halves begin so many cells from its middle.
 const HALF_APART_CELLS: f64 = 0.6;
-/// The same while halves are compared, in so many trials.
+/// While such divisions are compared with each other, a fit has so many trials.
 const FEW_TRIALS: usize = 5;
 /// A fit is believed where it leaves at most this share of the frame beyond what noise leaves, both in units of noise
 /// and model error squared.

@@ -2,6 +2,7 @@
 
 /// Variance of a frame, relative to the map's prior variance, about a map of copies, whatever the amplitude.
 pub(super) const APART: f64 = 0.17;
+
 /// Squared distance between two positions.
 pub(super) fn squared_distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)
