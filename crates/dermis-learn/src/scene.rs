@@ -52,6 +52,8 @@ pub enum SceneKind {
     TouchesAndCuts,
     /// A tank with one to four objects of any outline, insulating or metallic.
     Objects,
+    /// The same, of which almost every third is of thin bars that cross or meet: a cross, a T, a star.
+    ObjectsAndCrosses,
 }
 
 impl Figure {
@@ -190,13 +192,16 @@ impl Scene {
         let painter = Painter { size_m, finest_m, inside };
         match kind {
             SceneKind::TouchesAndCuts => painter.touches_and_cuts(random),
-            SceneKind::Objects => painter.objects(random),
+            SceneKind::Objects => painter.objects(0.0, random),
+            SceneKind::ObjectsAndCrosses => painter.objects(CROSSES, random),
         }
     }
 }
 
 /// Least and largest contrast that objects in a tank are drawn with.
 const OBJECT_CONTRASTS: [f64; 2] = [5.0, 100.0];
+/// Share of crosses, Ts and stars among objects, where these are wanted.
+const CROSSES: f64 = 0.3;
 /// Width of the band that a line cut is labelled with, as a share of half the skin's width.
 const LABELLED_CUT: f64 = 0.08;
 
@@ -289,7 +294,8 @@ impl Painter<'_> {
         Inclusion { figure, factor: random.random_range(0.005_f64.ln()..0.1_f64.ln()).exp(), class: LOWERED }
     }
 
-    fn objects(&self, random: &mut StdRng) -> Scene {
+    /// Objects, a share of which are bars that cross.
+    fn objects(&self, crosses: f64, random: &mut StdRng) -> Scene {
         let count = [1, 1, 2, 2, 2, 3, 3, 3, 4][random.random_range(0..9)];
         let mut taken: Vec<([f64; 2], f64)> = Vec::new();
         let mut inclusions = Vec::new();
@@ -305,7 +311,10 @@ impl Painter<'_> {
                 let contrast: f64 = random.random_range(OBJECT_CONTRASTS[0].ln()..OBJECT_CONTRASTS[1].ln()).exp();
                 let factor = if raised { contrast } else { 1.0 / contrast };
                 let class = if raised { RAISED } else { LOWERED };
-                inclusions.push(Inclusion { figure: self.object(middle, radius, random), factor, class });
+                let is_crossed = crosses > 0.0 && random.random_bool(crosses);
+                let figure =
+                    if is_crossed { bars(middle, radius, random) } else { self.object(middle, radius, random) };
+                inclusions.push(Inclusion { figure, factor, class });
             }
         }
         Scene { inclusions }
@@ -351,6 +360,24 @@ impl Painter<'_> {
             }
         }
     }
+}
+
+/// Three to five bars from a middle, thin or not: a cross, a T, a star.
+fn bars(middle: [f64; 2], radius: f64, random: &mut StdRng) -> Figure {
+    let turn = random.random_range(0.0..TAU);
+    let thick = radius * random.random_range(0.18..0.5);
+    let (arms, length) = (random.random_range(3..6), radius - 0.5 * thick);
+    // A T is a cross without one of its arms.
+    let of = if arms == 3 && random.random_bool(0.5) { 4 } else { arms };
+    let others = if random.random_bool(0.5) { 1.0 } else { random.random_range(0.5..1.0) };
+    let mut chain = Vec::with_capacity(2 * arms + 1);
+    for arm in 0..arms {
+        let angle = turn + TAU * arm as f64 / of as f64;
+        let reach = length * if arm % 2 == 0 { 1.0 } else { others };
+        chain.push(middle);
+        chain.push([middle[0] + reach * angle.cos(), middle[1] + reach * angle.sin()]);
+    }
+    Figure::Stroke(chain, thick)
 }
 
 fn ring(middle: [f64; 2], count: usize, turn: f64, radius: impl Fn(usize) -> f64) -> Vec<[f64; 2]> {
@@ -452,10 +479,21 @@ mod tests {
         assert!(near(count(&|s| s.inclusions.is_empty()), 0.08));
         assert_eq!(draw(SceneKind::Objects, 3), draw(SceneKind::Objects, 3));
         assert_ne!(draw(SceneKind::Objects, 3), draw(SceneKind::Objects, 4));
+        let (mut crossed, mut all) = (0, 0);
         for seed in 0..400 {
-            for inclusion in draw(SceneKind::Objects, seed).inclusions {
-                assert_eq!(inclusion.class == RAISED, inclusion.factor > 1.0);
+            for kind in [SceneKind::Objects, SceneKind::ObjectsAndCrosses] {
+                for inclusion in draw(kind, seed).inclusions {
+                    assert_eq!(inclusion.class == RAISED, inclusion.factor > 1.0);
+                    // Bars begin in the middle again and again.
+                    let is_crossed = matches!(&inclusion.figure, Figure::Stroke(chain, _) if chain.len() > 4 && chain[0] == chain[2]);
+                    assert!(!is_crossed || kind == SceneKind::ObjectsAndCrosses);
+                    if kind == SceneKind::ObjectsAndCrosses {
+                        (crossed, all) = (crossed + u32::from(is_crossed), all + 1);
+                    }
+                }
             }
         }
+        // Some 900 objects: four standard deviations are 0.06.
+        assert!((f64::from(crossed) / f64::from(all) - CROSSES).abs() < 0.06, "{crossed} of {all}");
     }
 }

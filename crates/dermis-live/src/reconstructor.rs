@@ -73,8 +73,12 @@ impl Reconstructor {
         if let (None, Some(elements), Some(fit)) = (imposed, &mut self.elements, self.imager.heights()) {
             elements.place(fit, self.touches.contacts_mut());
         }
-        if let (None, Some(presses), Some(frame)) = (imposed, &mut self.presses, self.imager.element_frame()?) {
-            presses.place(frame, self.touches.contacts_mut())?;
+        if let (None, Some(presses)) = (imposed, &mut self.presses) {
+            if self.touches.contacts().is_empty() {
+                presses.forget();
+            } else if let Some(frame) = self.imager.element_frame()? {
+                presses.place(frame, self.touches.contacts_mut())?;
+            }
         }
         if imposed.is_none() {
             self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;

@@ -160,7 +160,8 @@ impl CoilSpec {
         self.turns / self.layers
     }
 
-    fn even_pitch_m(&self) -> f64 {
+    /// Distance of the middles of turns beside each other that fill the width evenly, metres.
+    pub fn even_pitch_m(&self) -> f64 {
         0.5 * (self.outer_m - self.inner_m) / self.turns_per_layer() as f64
     }
 

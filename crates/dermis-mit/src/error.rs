@@ -79,7 +79,8 @@ pub enum MitError {
     },
     /// Wire inside the sphere around a body, where multipoles do not hold.
     #[error(
-        "body {body} at {position_m:?} m: wire of coil {coil} is {distance_m} m from its centre, within its sphere of {radius_m} m"
+        "body {body}, its centre at {} mm: wire of coil {coil} is {:.2} mm away, and the sphere around the body has a radius of {:.2} mm; let bodies rest higher or travel less, or make them smaller",
+        in_mm(position_m), 1e3 * distance_m, 1e3 * radius_m
     )]
     WireInside {
         /// Number of the body, from 1.
@@ -160,4 +161,10 @@ pub(crate) fn frequency(value_hz: f64) -> Result<(), MitError> {
         return Ok(());
     }
     Err(MitError::Value { field: "frequency_hz", value: value_hz, expected: "1 Hz to 1 MHz" })
+}
+
+/// A place in millimetres, to a hundredth.
+fn in_mm(place_m: &[f64; 3]) -> String {
+    let [x, y, z] = place_m.map(|value| 1e3 * value);
+    format!("({x:.2}, {y:.2}, {z:.2})")
 }

@@ -198,7 +198,8 @@ impl LiftOff {
         Ok(LiftOffFit { travel_m: travel, deviation_m, misfit, steps, converged })
     }
 
-    /// Inverse variances of changes of magnitudes (henries) by noise of these standard deviations and the model's error.
+    /// Inverse variances of changes of magnitudes (henries) by noise of these standard deviations and the model's
+    /// error.
     ///
     /// # Errors
     /// Counts that disagree, deviations or options that are not positive.

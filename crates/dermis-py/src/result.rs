@@ -209,7 +209,8 @@ impl PyFrameResult {
         Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
     }
 
-    /// ``sound``, the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from 0.
+    /// ``sound``, the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
+    /// 0.
     #[getter]
     fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let health = PyDict::new(py);

@@ -30,7 +30,8 @@ const INTERACTIONS: f64 = 2.2;
 const FIELDS: f64 = 8.0;
 /// Bytes of a number in double precision.
 const NUMBER: f64 = 8.0;
-/// Matrices of examples x examples, or of landmarks x landmarks, that are in memory at once while a calibration is fitted.
+/// Matrices of examples x examples, or of landmarks x landmarks, that are in memory at once while a calibration is
+/// fitted.
 const CORRELATIONS: f64 = 12.0;
 /// Of landmarks x examples, in single precision.
 const TO_LANDMARKS: f64 = 1.5;

@@ -264,6 +264,7 @@ impl Coils {
                 checker.length_mm(&key("conductor.track.thickness_mm"), thickness_mm)?;
             }
         }
+        self.check_room(checker)?;
         if let Some(inductance_uh) = self.inductance_uh {
             checker.within(&key("inductance_uh"), inductance_uh, INDUCTANCE_UH[0], INDUCTANCE_UH[1])?;
         }
@@ -272,6 +273,28 @@ impl Coils {
         }
         // Windings, places and the shield against each other.
         self.array().map(|_| ()).map_err(|error| checker.refused("frontend.coils", "as given", error.to_string()))
+    }
+
+    /// Whether the conductor fits between its neighbours.
+    fn check_room(&self, checker: &Checker<'_>) -> Result<(), Error> {
+        let (key, width_mm) = match self.conductor {
+            CoilConductor::PitchShare(_) => return Ok(()),
+            CoilConductor::Wire { diameter_mm } => ("frontend.coils.conductor.wire.diameter_mm", diameter_mm),
+            CoilConductor::Track { width_mm, .. } => ("frontend.coils.conductor.track.width_mm", width_mm),
+        };
+        let (turns, layers) = (self.turns, self.layers);
+        if !turns.is_multiple_of(layers) {
+            return Err(checker.refused("frontend.coils.layers", layers, format!("a divisor of turns = {turns}")));
+        }
+        let room_mm = self.spec().even_pitch_m() / MM;
+        if width_mm <= room_mm * (1.0 + 1e-9) {
+            return Ok(());
+        }
+        let expected = format!(
+            "at most {room_mm:.3} mm, the distance of {} turns side by side between inner_mm and outer_mm",
+            turns / layers
+        );
+        Err(checker.refused(key, width_mm, expected))
     }
 }
 

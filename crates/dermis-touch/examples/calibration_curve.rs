@@ -3,9 +3,9 @@
 //! `cargo run -p dermis-touch --release --example calibration_curve -- DIR [SISTER_DIR] [POKES]...`
 //!
 //! DIR holds `positions.csv` (x_m, y_m, depth_m) and `differences.csv`, or files that end in `positions.csv`,
-//! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of some random orders is held out: 16 of ten pokes, fewer of more. With a second
-//! folder of the same form, a calibration of it on all its pokes is the prior of the first lines. Numbers choose how
-//! many pokes are fitted to; more than 2,000 are tried on one order.
+//! `before.csv` and `pressed.csv`. The last fifth, or the last 500, of some random orders is held out: 16 of ten pokes,
+//! fewer of more. With a second folder of the same form, a calibration of it on all its pokes is the prior of the first
+//! lines. Numbers choose how many pokes are fitted to; more than 2,000 are tried on one order.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;

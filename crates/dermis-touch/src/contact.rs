@@ -236,6 +236,29 @@ pub struct Contact {
 }
 
 impl Contact {
+    /// A strong contact of one value (image units, not 0) all over an area (m^2) about a place, in an image without
+    /// noise; nothing is fitted to it, and no calibration has read it.
+    pub fn even(position_m: [f64; 2], value: f64, area_m2: f64) -> Self {
+        Self {
+            peak_m: position_m,
+            peak_value: value,
+            centroid_m: position_m,
+            area_m2,
+            amplitude: value.abs(),
+            volume: value.abs() * area_m2,
+            covariance_m2: [[0.0; 2]; 2],
+            significance: f64::INFINITY,
+            sign: if value < 0.0 { ContactSign::Negative } else { ContactSign::Positive },
+            strength: ContactStrength::Strong,
+            force: None,
+            radius_m: None,
+            model_variance_m2: 0.0,
+            load: None,
+            other_place: None,
+            is_single: false,
+        }
+    }
+
     pub(crate) fn sign_order(&self) -> u8 {
         match self.sign {
             ContactSign::Positive => 0,
@@ -243,7 +266,8 @@ impl Contact {
         }
     }
 
-    /// One of several touches that the image shows as this contact: at a place of its own, with a share of the strength.
+    /// One of several touches that the image shows as this contact: at a place of its own, with a share of the
+    /// strength.
     #[must_use]
     pub fn share_at(&self, position_m: [f64; 2], share: f64) -> Self {
         Self {

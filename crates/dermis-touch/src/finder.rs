@@ -253,23 +253,14 @@ impl<L: Lattice> FinderOn<L> {
         let unit_m2 = lattice.unit_m() * lattice.unit_m();
         let begins =
             region.peak >= self.params.k_on as f32 * sigma && region.peak >= self.params.relative_on as f32 * strongest;
+        let value = sign.factor() * peak;
         Contact {
             peak_m: lattice.position_m([x + shift[0], y + shift[1]]),
-            peak_value: sign.factor() * peak,
-            centroid_m: lattice.position_m(centre),
-            area_m2: region.area * unit_m2,
-            amplitude: peak,
             volume: region.value * unit_m2,
             covariance_m2,
             significance: f64::from(region.peak) / f64::from(sigma),
-            sign,
             strength: if begins { ContactStrength::Strong } else { ContactStrength::Weak },
-            force: None,
-            radius_m: None,
-            model_variance_m2: 0.0,
-            load: None,
-            other_place: None,
-            is_single: false,
+            ..Contact::even(lattice.position_m(centre), value, region.area * unit_m2)
         }
     }
 

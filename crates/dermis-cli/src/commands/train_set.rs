@@ -75,6 +75,8 @@ enum Scenes {
     TouchesAndCuts,
     /// One to four objects in a tank, insulating or metallic.
     Objects,
+    /// The same, with crosses, Ts and stars among them.
+    ObjectsAndCrosses,
 }
 
 /// Which electrodes are lost.
@@ -109,6 +111,7 @@ impl Arguments {
         request.scenes = self.scenes.map(|scenes| match scenes {
             Scenes::TouchesAndCuts => SceneKind::TouchesAndCuts,
             Scenes::Objects => SceneKind::Objects,
+            Scenes::ObjectsAndCrosses => SceneKind::ObjectsAndCrosses,
         });
         let begun = Instant::now();
         let set = with_progress("samples", |progress| simulate(&request, &self.out, progress))?;

@@ -69,8 +69,8 @@ pub fn parse(content: &[u8], file: &Path) -> Result<NumberTable, DeviceError> {
     parse_cells(content, file, None)
 }
 
-/// As [`parse`]. Where complex cells are welcome, `imaginary` gets the imaginary part of every cell up to the last complex
-/// one; without any it stays empty.
+/// As [`parse`]. Where complex cells are welcome, `imaginary` gets the imaginary part of every cell up to the last
+/// complex one; without any it stays empty.
 fn parse_cells(content: &[u8], file: &Path, mut imaginary: Option<&mut Vec<f64>>) -> Result<NumberTable, DeviceError> {
     let mut lines = lines(text_of(content, file, EXPECTED)?).peekable();
     let empty = || DeviceError::Empty { file: file.to_owned() };

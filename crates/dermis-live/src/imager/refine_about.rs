@@ -1,5 +1,5 @@
-//! Offline images about a network's first look at a frame: its probabilities give a guess at the conductivity and how it
-//! may be wrong, and Gauss-Newton steps linearised there show what of the data the guess leaves unexplained
+//! Offline images about a network's first look at a frame: its probabilities give a guess at the conductivity and how
+//! it may be wrong, and Gauss-Newton steps linearised there show what of the data the guess leaves unexplained
 //! ([`dermis_tomo::inverse::NonlinearProblem::solve_about`]).
 
 use dermis_learn::scene::{LOWERED, RAISED};
@@ -42,8 +42,8 @@ impl GuessRefiner {
         Ok(Self { refiner, correlations: GuessCorrelations::new(&covariance, NEGLECTED)? })
     }
 
-    /// For each difference frame (model volts, `NaN` where missing) and its probabilities (classes x pixels) a row-major
-    /// image of `log(sigma / sigma at rest)`, polarity included, 0 outside.
+    /// For each difference frame (model volts, `NaN` where missing) and its probabilities (classes x pixels) a
+    /// row-major image of `log(sigma / sigma at rest)`, polarity included, 0 outside.
     ///
     /// # Errors
     /// As [`Refiner::images`].

@@ -82,8 +82,8 @@ impl FirstStep {
         Ok(())
     }
 
-    /// As [`FirstStep::images_of`] of a frame to which this has been fitted; refined images, for which live frames have no
-    /// time, are left as they are.
+    /// As [`FirstStep::images_of`] of a frame to which this has been fitted; refined images, for which live frames have
+    /// no time, are left as they are.
     ///
     /// # Errors
     /// As [`FirstStep::images_of`].

@@ -1,6 +1,6 @@
-//! What a network is shown of a frame alone: first-step images at one or more hyperparameters, the refined image where the
-//! skin file asks for one, and how well the channels that are left see each place. The coverage image is what makes one
-//! network serve all sets of lost electrodes.
+//! What a network is shown of a frame alone: first-step images at one or more hyperparameters, the refined image where
+//! the skin file asks for one, and how well the channels that are left see each place. The coverage image is what makes
+//! one network serve all sets of lost electrodes.
 
 use dermis_tomo::mesh::PixelGrid;
 

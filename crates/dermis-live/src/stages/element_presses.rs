@@ -10,7 +10,7 @@ use std::f64::consts::PI;
 use dermis_skin::Layer;
 use dermis_touch::{Contact, ContactSign};
 
-use self::fit::{FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, fit, moments_along};
+use self::fit::{FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, covariances, fit, moments_along};
 use self::mechanics::{Mechanics, Press};
 use crate::Error;
 use crate::imager::ElementFrame;
@@ -91,8 +91,8 @@ impl ElementPresses {
         self.last.clone_from(&found.presses);
         let all_press = found.forces_n.iter().all(|force| *force > 0.0);
         if all_press && found.left <= MOST_LEFT * energy + self.noise_leaves(&frame) {
-            let found = self.with_moments(&mut frame, found)?;
-            self.turn_into(&found, contacts);
+            let (found, covariance_m2) = self.with_moments(&mut frame, found)?;
+            self.turn_into(&found, &covariance_m2, contacts);
         }
         Ok(())
     }
@@ -148,13 +148,18 @@ impl ElementPresses {
         centres.iter().map(|centre| self.start_at(*centre)).collect()
     }
 
-    /// The same with places that are not sure where all that is possible has its middle, and with that variance.
-    fn with_moments(&self, frame: &mut ElementFrame<'_>, mut found: FittedPresses) -> Result<FittedPresses, Error> {
+    /// The same with places that are not sure where all that is possible has its middle, and the covariance of x and y
+    /// of each, square metres.
+    fn with_moments(
+        &self,
+        frame: &mut ElementFrame<'_>,
+        mut found: FittedPresses,
+    ) -> Result<(FittedPresses, Vec<[[f64; 2]; 2]>), Error> {
+        let mut covariance_m2 = covariances(&self.mechanics, &self.usual, frame, &found.presses)?;
         let cell_m = self.mechanics.cell_m[0].min(self.mechanics.cell_m[1]);
         let [unsure_m2, step_m2] = [UNSURE_CELLS, SCANNED_CELLS].map(|cells| (cells * cell_m).powi(2));
-        for number in 0..found.presses.len() {
-            let covariance = found.covariance_m2[number];
-            let ((major, minor), direction) = principal(covariance);
+        for (number, covariance_m2) in covariance_m2.iter_mut().enumerate() {
+            let ((major, minor), direction) = principal(*covariance_m2);
             let (mut variances, mut moved) = ([major, minor], [0.0; 2]);
             let across = [-direction[1], direction[0]];
             for (k, along) in [direction, across].into_iter().enumerate() {
@@ -171,11 +176,11 @@ impl ElementPresses {
                 }
             }
             (0..2).for_each(|axis| found.presses[number].centre_m[axis] += moved[axis]);
-            found.covariance_m2[number] = [0, 1].map(|a| {
+            *covariance_m2 = [0, 1].map(|a| {
                 [0, 1].map(|b| variances[0] * direction[a] * direction[b] + variances[1] * across[a] * across[b])
             });
         }
-        Ok(found)
+        Ok((found, covariance_m2))
     }
 
     /// The same with a press less, or with two joined, that explain the frame as well.
@@ -256,7 +261,7 @@ impl ElementPresses {
     }
 
     /// Contacts at these presses: each is the nearest one of the image, or like the strongest where none is left.
-    fn turn_into(&self, found: &FittedPresses, contacts: &mut Vec<Contact>) {
+    fn turn_into(&self, found: &FittedPresses, covariance_m2: &[[[f64; 2]; 2]], contacts: &mut Vec<Contact>) {
         let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
             contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);
         let strongest = of_image.iter().copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));
@@ -269,7 +274,7 @@ impl ElementPresses {
             let Some(mut contact) = nearest.map(|k| of_image.swap_remove(k)).or(strongest) else { continue };
             contact.centroid_m = press.centre_m;
             contact.radius_m = Some(press.radius_m());
-            contact.covariance_m2 = found.covariance_m2[number].map(|row| row.map(|value| excess * value));
+            contact.covariance_m2 = covariance_m2[number].map(|row| row.map(|value| excess * value));
             if nearest.is_none() {
                 contact.peak_m = press.centre_m;
             }
@@ -306,22 +311,9 @@ mod tests {
 
     fn contact(centroid_m: [f64; 2]) -> Contact {
         Contact {
-            peak_m: centroid_m,
-            peak_value: 0.5,
-            centroid_m,
-            area_m2: 1e-4,
-            amplitude: 0.5,
-            volume: 5e-5,
             covariance_m2: [[1e-6, 0.0], [0.0, 1e-6]],
             significance: 30.0,
-            sign: ContactSign::Positive,
-            strength: dermis_touch::ContactStrength::Strong,
-            force: None,
-            radius_m: None,
-            model_variance_m2: 0.0,
-            load: None,
-            other_place: None,
-            is_single: false,
+            ..Contact::even(centroid_m, 0.5, 1e-4)
         }
     }
 

@@ -26,14 +26,17 @@ struct Refined {
     fades: f64,
 }
 
-/// In shares of half the shorter side: sheets and liquids under a membrane, whose fields are steep near the rim,
-const SMOOTH: Refined = Refined { everywhere: 0.001, at_rim: 0.0065, within: 0.24, fades: 0.04 };
+/// In shares of half the shorter side: liquids under a membrane, which spreads what presses,
+const MEMBRANE: Refined = Refined { everywhere: 0.0017, at_rim: 0.005, within: 0.21, fades: 0.04 };
 /// and sandwiches.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
 /// In pitches of patches, which conduct as a whole, and which the rim cuts.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
-/// In an open tank, in shares of half the shorter side and, at the wall, in radii of the touch: the surface takes the
-/// shape of what presses, whose edge and that of a spot part there.
+/// On a sheet, in shares of half the shorter side and, near the rim, in radii of the touch: fields are steep there, and a
+/// spot is not shaped like what presses.
+const SHEET_EVERYWHERE: f64 = 0.001;
+const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.1, fades: 0.63 };
+/// The same in an open tank: the surface takes the shape of what presses, whose edge and that of a spot part at the wall.
 const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 
@@ -41,8 +44,8 @@ const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.
 /// radius. What is within the noise, or is not known to be more, counts for nothing.
 const OF_SHAPE: f64 = 1.0;
 const AS_NOISE: f64 = 1.3;
-/// Where a place is uncertain by this share of half the shorter side, it is uncertain by as much again, because a step so
-/// long is not linear.
+/// Where a place is uncertain by this share of half the shorter side, it is uncertain by as much again, because a step
+/// so long is not linear.
 const CURVED: f64 = 0.03;
 
 impl Refined {
@@ -87,6 +90,9 @@ impl ModelError {
         }
         let by_image = both(BY_IMAGE * half_width_m);
         let by_place = |refined: Refined, unit_m: f64| OfRefined::ByPlace(skin.outline(), refined.times(unit_m));
+        let by_radius = |refined: Refined, everywhere: f64| {
+            OfRefined::ByRadius(skin.outline(), refined, (everywhere * half_width_m).powi(2))
+        };
         let refined = match &skin.frontend.layer {
             Layer::Elements(_) => {
                 let cell_m = skin.frontend.elements.as_ref().map(|elements| elements.cell_m());
@@ -97,10 +103,9 @@ impl ModelError {
             }
             _ if !skin.refines_touches() => return by_image,
             Layer::Sandwich(_) => by_place(SANDWICH, half_width_m),
-            layer if layer.is_open_tank() => {
-                OfRefined::ByRadius(skin.outline(), TANK_AT_WALL, (TANK_EVERYWHERE * half_width_m).powi(2))
-            }
-            Layer::Sheet(_) | Layer::Liquid(_) => by_place(SMOOTH, half_width_m),
+            layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE),
+            Layer::Sheet(_) => by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE),
+            Layer::Liquid(_) => by_place(MEMBRANE, half_width_m),
             Layer::Patches(layer) => by_place(PATCHES, 1e-3 * layer.pitch_mm),
         };
         Self { refined, ..by_image }
@@ -148,28 +153,10 @@ impl SpotError {
 mod tests {
     use super::*;
     use dermis_skin::Skin;
-    use dermis_touch::{ContactSign, ContactStrength};
 
     fn sigma_mm(error: &ModelError, x_mm: f64, radius_mm: Option<f64>) -> f64 {
-        let place_m = [1e-3 * x_mm, 0.0];
-        let contact = Contact {
-            peak_m: place_m,
-            peak_value: 1.0,
-            centroid_m: place_m,
-            area_m2: 1e-4,
-            amplitude: 1.0,
-            volume: 1e-4,
-            covariance_m2: [[0.0; 2]; 2],
-            significance: 10.0,
-            sign: ContactSign::Positive,
-            strength: ContactStrength::Strong,
-            force: None,
-            radius_m: radius_mm.map(|mm| 1e-3 * mm),
-            model_variance_m2: 0.0,
-            load: None,
-            other_place: None,
-            is_single: true,
-        };
+        let radius_m = radius_mm.map(|mm| 1e-3 * mm);
+        let contact = Contact { radius_m, ..Contact::even([1e-3 * x_mm, 0.0], 1.0, 1e-4) };
         1e3 * error.variance_m2(&contact).sqrt()
     }
 
@@ -181,8 +168,8 @@ mod tests {
         };
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
         // Half the shorter side is 87 mm, and 4 mm from the rim is near.
-        near(of("ionic-disc", 0.0, Some(4.0)), 0.087);
-        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * (1.0_f64 + 6.5 * 6.5).sqrt());
+        near(of("ionic-disc", 0.0, Some(4.0)), 0.1479);
+        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 1.7_f64.hypot(5.0));
         near(of("ionic-disc", 0.0, None), 1.305);
         // A tank of 200 mm: beside its wall by the touch's radius.
         near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);

@@ -143,8 +143,9 @@ impl SpotStage {
         contacts.sort_unstable_by(|a, b| b.amplitude.total_cmp(&a.amplitude));
     }
 
-    /// Removes what the image shows beside the touches that explain the frame: contacts whose spots have the other sign,
-    /// are far weaker than the strongest, or were not needed to explain it. Where a touch begins, the strongest does.
+    /// Removes what the image shows beside the touches that explain the frame: contacts whose spots have the other
+    /// sign, are far weaker than the strongest, or were not needed to explain it. Where a touch begins, the strongest
+    /// does.
     fn drop_lobes(&self, contacts: &mut Vec<Contact>) {
         let press_of = |contact: &Contact, spot: &Spot| match contact.sign.factor() * spot.amplitude > 0.0 {
             true => press(spot),
@@ -363,10 +364,11 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let jacobian = prepared.jacobian.as_mat();
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
     let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
-    let response = match &prepared.skin.frontend.layer {
-        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => &pressed * membrane(prepared, layer)?,
-        _ => pressed,
+    let spread = match &prepared.skin.frontend.layer {
+        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Some(membrane(prepared, layer)?),
+        _ => None,
     };
+    let response = spread.as_ref().map(|spread| &pressed * spread);
     let positions: Vec<[f64; 2]> = prepared.basis.positions.iter().map(|p| [p[0], p[1]]).collect();
     let (half_width, pixel_m) = (prepared.half_width_m(), prepared.map.grid().pixel_m);
     let options = SpotOptions {
@@ -375,7 +377,13 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
         typical_radius_m: TYPICAL_RADIUS * half_width,
         most_spots: MOST_SPOTS,
     };
-    Ok(SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?)
+    let response = response.as_ref().unwrap_or(&pressed);
+    let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
+    // A membrane's dents take a third of the liquid away and more.
+    match &spread {
+        Some(spread) => Ok(model.with_large_changes(pressed.as_ref(), Some(spread.as_ref()), &positions, polarity)?),
+        None => Ok(model),
+    }
 }
 
 /// As [`spot_model`], before any noise was measured.
@@ -386,7 +394,8 @@ pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error
 
 /// What a load on one pixel (columns) does to the depth of a liquid under a closed membrane in all (rows), in units in
 /// which a typical spot in the middle makes 1 there: `T lap w = -p + c - rho gz w`, `w = 0` at the rim, no volume lost.
-/// The liquid's weight narrows a dent beyond `sqrt(T / rho |gz|)`, 78 mm of water under 60 N/m; the depth only scales it.
+/// The liquid's weight narrows a dent beyond `sqrt(T / rho |gz|)`, 78 mm of water under 60 N/m; the depth only scales
+/// it.
 fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error> {
     let mesh = &prepared.body.mesh.mesh;
     // Gravity along the skin changes how it rests, not how it answers.

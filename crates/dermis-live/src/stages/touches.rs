@@ -3,8 +3,8 @@
 use dermis_touch::force::ForceCalibration;
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
-    Contact, ContactFinder, ContactParams, ContactSign, ContactSigns, ContactStrength, PixelNoise, Touch, TouchEvent,
-    TouchLoad, Tracker, TrackerParams,
+    Contact, ContactFinder, ContactParams, ContactSigns, ContactStrength, PixelNoise, Touch, TouchEvent, TouchLoad,
+    Tracker, TrackerParams,
 };
 
 use crate::Error;
@@ -98,9 +98,9 @@ impl TouchStage {
         self.track_contacts(time_ns)
     }
 
-    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, or the two
-    /// of it, and how strong, where it knows: it takes the place of the image's contacts, whose strongest lends its area
-    /// and, where it does not, its amplitude.
+    /// Finds the contacts of an image. A `placement` is where a calibration puts the only touch of the frame, or the
+    /// two of it, and how strong, where it knows: it takes the place of the image's contacts, whose strongest lends its
+    /// area and, where it does not, its amplitude.
     ///
     /// # Errors
     /// An image of another size.
@@ -193,25 +193,10 @@ impl TouchStage {
         let cells = self.finder.cells();
         let cell = cells.cell_at(position_m)?;
         let value = image.get(cell).copied().filter(|value| value.is_finite() && *value != 0.0)?;
-        let area_m2 = cells.area_m2(cell);
         let amplitude = f64::from(value.abs());
         Some(Contact {
-            peak_m: position_m,
-            peak_value: amplitude,
-            centroid_m: position_m,
-            area_m2,
-            amplitude,
-            volume: amplitude * area_m2,
-            covariance_m2: [[0.0; 2]; 2],
             significance: amplitude / f64::from(self.noise[cell]),
-            sign: ContactSign::Positive,
-            strength: ContactStrength::Strong,
-            force: None,
-            radius_m: None,
-            model_variance_m2: 0.0,
-            load: None,
-            other_place: None,
-            is_single: false,
+            ..Contact::even(position_m, amplitude, cells.area_m2(cell))
         })
     }
 

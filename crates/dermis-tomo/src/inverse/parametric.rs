@@ -10,8 +10,12 @@
 //! are fitted together by Levenberg and Marquardt. The inverse of the Fisher matrix, times the mean square of the
 //! whitened residual where that exceeds the noise, is the covariance: the Cramer-Rao bound where the model is right
 //! (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
+//!
+//! Where changes may be large ([`SpotModel::with_large_changes`]) the fit goes on with what its spots do beyond proportion
+//! taken out of the frame at every trial.
 
 mod fit;
+mod large;
 mod model;
 mod options;
 mod responses;

@@ -60,10 +60,10 @@ impl DamageMonitor {
         Ok(Some(damage.id))
     }
 
-    /// Takes an image that another operator has made of what is left of a known damage: place, extent and depth are those
-    /// in it from now on, and it stays what it is in all else. `left` is the share of its worst that the image shows.
-    /// Where the image is of this damage alone, its deepest region is the damage; otherwise the nearest one. Where no
-    /// region is deep enough, place and extent stay.
+    /// Takes an image that another operator has made of what is left of a known damage: place, extent and depth are
+    /// those in it from now on, and it stays what it is in all else. `left` is the share of its worst that the image
+    /// shows. Where the image is of this damage alone, its deepest region is the damage; otherwise the nearest one.
+    /// Where no region is deep enough, place and extent stay.
     ///
     /// # Errors
     /// [`TouchError::Length`].

@@ -203,8 +203,8 @@ impl Fitting<'_> {
         FittedMap::new(&copies, &nothing, positions, basis, hyper, channel_prior, worked_out)
     }
 
-    /// Log-likelihoods of the examples by maps that were fitted without them and their copies, a part of them at a time,
-    /// with their misfits and the variance that the maps have left.
+    /// Log-likelihoods of the examples by maps that were fitted without them and their copies, a part of them at a
+    /// time, with their misfits and the variance that the maps have left.
     fn refit_without(
         &self,
         design: &Design,

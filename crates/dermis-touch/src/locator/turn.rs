@@ -1,6 +1,7 @@
-//! A skin that looks the same when it is turned. On a skin whose electrodes stand round its rim, turning by one electrode
-//! puts every channel in the place of another: with t the turn of the skin and P that of the channels, what is read at
-//! t p is about P z(p). A poke is then worth one at each of the turned places, the less the farther it was turned:
+//! A skin that looks the same when it is turned. On a skin whose electrodes stand round its rim, turning by one
+//! electrode puts every channel in the place of another: with t the turn of the skin and P that of the channels, what
+//! is read at t p is about P z(p). A poke is then worth one at each of the turned places, the less the farther it was
+//! turned:
 //!
 //! cov(z_c(p), z_c'(p')) = r(s) k(p, t^s p') S_c where c = P^s c', r the resemblance after s turns.
 //!

@@ -1,7 +1,7 @@
-//! Finds what turning does to the channels of a skin in a map of its signatures. Channels are taken to be listed drive by
-//! drive, in as many equal blocks as there are electrodes, and round the skin within a block; where a block begins need
-//! not be known: block after block is brought back to the place of the first and begun where it agrees best with the
-//! others. Of all numbers of electrodes and both senses the one is taken under which the map is likeliest.
+//! Finds what turning does to the channels of a skin in a map of its signatures. Channels are taken to be listed drive
+//! by drive, in as many equal blocks as there are electrodes, and round the skin within a block; where a block begins
+//! need not be known: block after block is brought back to the place of the first and begun where it agrees best with
+//! the others. Of all numbers of electrodes and both senses the one is taken under which the map is likeliest.
 
 use std::f64::consts::TAU;
 
@@ -24,8 +24,8 @@ const LEAST_TOLD: f64 = 0.3;
 const UNTOLD_VARIANCE: f64 = 1e-3;
 
 impl Turn {
-    /// The turn under which the channels of a map tell most of each other; `None` where they tell little. `map_at` gives
-    /// the map at any places.
+    /// The turn under which the channels of a map tell most of each other; `None` where they tell little. `map_at`
+    /// gives the map at any places.
     pub(super) fn find(
         channels: usize,
         positions_m: &[[f64; 2]],

@@ -1,7 +1,7 @@
 //! Images of Gaussian touches, and noise, for the tests.
 #![allow(dead_code)] // Each test binary uses its own part.
 
-use dermis_touch::{Contact, ContactSign, ContactStrength, GridGeometry};
+use dermis_touch::{Contact, ContactStrength, GridGeometry};
 
 /// One bell-shaped touch.
 #[derive(Debug, Clone, Copy)]
@@ -66,24 +66,13 @@ impl Noise {
 
 /// A contact as the finder would report it, at (x, y) in mm, radius 8 mm.
 pub fn contact(x_mm: f64, y_mm: f64, strength: ContactStrength) -> Contact {
-    let position = [x_mm * 1e-3, y_mm * 1e-3];
+    let area_m2 = std::f64::consts::PI * 64e-6;
     Contact {
-        peak_m: position,
-        peak_value: 1.0,
-        centroid_m: position,
-        area_m2: std::f64::consts::PI * 64e-6,
-        amplitude: 1.0,
         volume: 1e-4,
         covariance_m2: [[1e-7, 0.0], [0.0, 1e-7]],
         significance: 10.0,
-        sign: ContactSign::Positive,
         strength,
-        force: None,
-        radius_m: None,
-        model_variance_m2: 0.0,
-        load: None,
-        other_place: None,
-        is_single: false,
+        ..Contact::even([x_mm * 1e-3, y_mm * 1e-3], 1.0, area_m2)
     }
 }
 

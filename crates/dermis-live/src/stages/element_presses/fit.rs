@@ -65,8 +65,6 @@ pub(super) struct FittedPresses {
     pub forces_n: Vec<f64>,
     /// Readings less unknowns.
     pub degrees_of_freedom: usize,
-    /// Covariance of x and y of each, square metres.
-    pub covariance_m2: Vec<[[f64; 2]; 2]>,
 }
 
 /// Fits presses from these starts, in so many trials at most.
@@ -85,10 +83,24 @@ pub(super) fn fit(
     way.mechanics.travels(&way.presses, false, &mut way.travels);
     let forces_n = way.travels.forces_n.clone();
     let degrees_of_freedom = way.residual.len().saturating_sub(unknowns);
-    let mut equations = NormalEquations::new(unknowns);
+    Ok(FittedPresses { forces_n, presses: way.presses, cost: info.cost, left, degrees_of_freedom })
+}
+
+/// Covariance of x and y of each press where it stands, square metres: the inverse of the normal matrix.
+///
+/// # Errors
+/// Travels that the model of the coils refuses.
+pub(super) fn covariances(
+    mechanics: &Mechanics,
+    usual: &Usual,
+    frame: &mut ElementFrame<'_>,
+    presses: &[Press],
+) -> Result<Vec<[[f64; 2]; 2]>, MitError> {
+    let mut way = Way::new(mechanics, usual, frame, presses);
+    way.cost()?;
+    let mut equations = NormalEquations::new(way.unknowns());
     way.linearise(&mut equations)?;
-    let covariance_m2 = covariances(&equations, mechanics.cell_m);
-    Ok(FittedPresses { forces_n, presses: way.presses, cost: info.cost, left, degrees_of_freedom, covariance_m2 })
+    Ok(inverse_of_places(&equations, mechanics.cell_m))
 }
 
 /// Where a press of a fit may lie along a direction: mean offset and variance (metres, square metres) of what these
@@ -148,8 +160,8 @@ pub(super) fn cost_of(
     Way::new(mechanics, usual, frame, presses).cost()
 }
 
-/// Covariances of places, of the inverse of a normal matrix.
-fn covariances(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<[[f64; 2]; 2]> {
+/// The parts of the inverse of a normal matrix that belong to places.
+fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<[[f64; 2]; 2]> {
     let n = equations.unknowns();
     let normal = MatRef::from_row_major_slice(&equations.normal, n, n);
     let Ok(factor) = Llt::new(normal, Side::Lower) else {

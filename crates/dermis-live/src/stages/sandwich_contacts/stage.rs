@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use dermis_tomo::eit::contacts::{ContactFit, ContactPatch, FitOptions, PatchFit};
-use dermis_touch::{Contact, ContactSign, ContactStrength};
+use dermis_touch::{Contact, ContactStrength};
 
 use super::gathered::Gathered;
 use super::plausible::{BELIEVED, most_radius_m, plausible};
@@ -309,22 +309,12 @@ impl PatchStage {
             let (patch, c) = (&fit.patch, &fit.covariance);
             let amplitude = self.rule.effect_m2(patch) / unit;
             Contact {
-                peak_m: patch.position_m,
-                peak_value: amplitude,
-                centroid_m: patch.position_m,
-                area_m2: area(patch.radius_m),
-                amplitude,
-                volume: amplitude * area(patch.radius_m),
                 covariance_m2: [0, 1].map(|row| [0, 1].map(|column| factor * c[row][column])),
                 significance: significance * self.rule.effect_m2(patch) / strongest,
-                sign: ContactSign::Positive,
                 strength,
-                force: None,
                 radius_m: Some(patch.radius_m),
-                model_variance_m2: 0.0,
-                load: None,
-                other_place: None,
                 is_single: true,
+                ..Contact::even(patch.position_m, amplitude, area(patch.radius_m))
             }
         }));
         contacts.retain(|contact| contact.amplitude >= self.rule.smallest_amplitude);

@@ -3,8 +3,8 @@
 /// Model error that frames are judged by: shares of the channel's own change and of the frame's root mean square.
 const SHARE: f64 = 0.02;
 const FLOOR: f64 = 0.005;
-/// The usual square of the model's error over that: touches of one to three presses at random on twins of sandwiches are
-/// off by so much.
+/// The usual square of the model's error over that: touches of one to three presses at random on twins of sandwiches
+/// are off by so much.
 const USUAL_MODEL_SHARE: f64 = 0.1;
 
 /// The change of the channels in one frame, with its deviations.
@@ -19,9 +19,9 @@ pub(super) struct Whitened {
 }
 
 impl Whitened {
-    /// What a fit's covariance is multiplied by, where the fit leaves this misfit (the mean square over the deviations).
-    /// The deviations hold a model error that is not to be trusted below it, so that fits are not refused; on a sound
-    /// skin it is smaller, and what the fit leaves says where it is not.
+    /// What a fit's covariance is multiplied by, where the fit leaves this misfit (the mean square over the
+    /// deviations). The deviations hold a model error that is not to be trusted below it, so that fits are not refused;
+    /// on a sound skin it is smaller, and what the fit leaves says where it is not.
     pub fn covariance_factor(&self, misfit: f64) -> f64 {
         misfit.max(self.noise_share + USUAL_MODEL_SHARE * (1.0 - self.noise_share))
     }

@@ -1,6 +1,7 @@
 //! The fit of spots to a frame, in memory that is kept.
 
 use super::SpotModel;
+use super::large::LargeScratch;
 use crate::inverse::InverseError;
 use crate::least_squares::{
     Acceptance, Control, Damping, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise,
@@ -42,8 +43,8 @@ const MOST_STEPS: usize = 12;
 const CONVERGED: f64 = 2e-3;
 /// Standard deviation of the logarithm of the radius before anything is measured.
 const LOG_RADIUS_DEVIATION: f64 = 0.7;
-/// The noise's own energy, which is 1, is known to so much: from 32 frames at rest, and as far as it is even. What exceeds
-/// 1 by less is no error of the model.
+/// The noise's own energy, which is 1, is known to so much: from 32 frames at rest, and as far as it is even. What
+/// exceeds 1 by less is no error of the model.
 const NOISE_UNKNOWN: f64 = 0.3;
 /// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide
 /// spots.
@@ -70,6 +71,12 @@ const PARAMS: Params = Params {
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
     data: Vec<f32>,
+    /// What the spots of a trial do beyond proportion, where the fit looks at that yet: in the combinations of the
+    /// table, and of the model.
+    beyond_tabulated: Vec<f32>,
+    beyond: Vec<f32>,
+    large: LargeScratch,
+    looks_beyond: bool,
     /// A response in the combinations of the table.
     tabulated: Vec<f32>,
     /// Response and derivatives of every spot.
@@ -106,6 +113,10 @@ impl SpotModel {
         let parameters = OF_SPOT * most + 1;
         FitScratch {
             data: vec![0.0; length],
+            beyond_tabulated: vec![0.0; self.large.as_ref().map_or(0, |_| self.responses.tabulated())],
+            beyond: vec![0.0; length],
+            large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch()),
+            looks_beyond: false,
             tabulated: self.responses.scratch(),
             rows: vec![0.0; OF_SPOT * length * most],
             trial_rows: vec![0.0; OF_SPOT * length * most],
@@ -136,18 +147,45 @@ impl SpotModel {
         let FitScratch { data, .. } = scratch;
         self.project(difference, data);
         let energy: f64 = data.iter().map(|v| f64::from(*v).powi(2)).sum();
-        let uniform = self.begin(starts_m, scratch)?;
+        scratch.looks_beyond = false;
+        let mut uniform = self.begin(starts_m, scratch)?;
         let parameters = OF_SPOT * starts_m.len() + 1;
-        let mut solver = std::mem::take(&mut scratch.solver);
-        let mut way = FitUnderWay { model: self, scratch, uniform, tried_uniform: uniform };
-        let info = minimise(&mut way, &PARAMS, &mut solver);
-        let (uniform, scratch) = (way.uniform, way.scratch);
-        scratch.solver = solver;
-        let steps = info?.trials;
+        let mut steps = self.improve(&mut uniform, scratch)?;
+        if self.large.is_some() {
+            // From where spots are that answer in proportion; slopes stay those.
+            scratch.looks_beyond = true;
+            let FitScratch { residual, rows, data, state, .. } = scratch;
+            self.residual(state, rows, data, uniform, residual);
+            let mut residual = std::mem::take(residual);
+            let state = std::mem::take(&mut scratch.state);
+            self.take_beyond(&state, scratch, &mut residual);
+            (scratch.state, scratch.residual) = (state, residual);
+            steps += self.improve(&mut uniform, scratch)?;
+        }
         let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
         let residual = left / (length.saturating_sub(parameters)).max(1) as f64;
         self.finish(residual, uniform, scratch);
         Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
+    }
+
+    /// Goes on from the state at hand, whose residual is known; how many steps that took.
+    fn improve(&self, uniform: &mut f64, scratch: &mut FitScratch) -> Result<usize, InverseError> {
+        let mut solver = std::mem::take(&mut scratch.solver);
+        let mut way = FitUnderWay { model: self, scratch: &mut *scratch, uniform: *uniform, tried_uniform: *uniform };
+        let info = minimise(&mut way, &PARAMS, &mut solver);
+        *uniform = way.uniform;
+        scratch.solver = solver;
+        Ok(info?.trials)
+    }
+
+    /// Takes out of a residual what these spots do beyond proportion.
+    fn take_beyond(&self, state: &[State], scratch: &mut FitScratch, residual: &mut [f32]) {
+        let Some(model) = self.large.as_ref().filter(|_| scratch.looks_beyond) else { return };
+        let FitScratch { beyond_tabulated, beyond, large, .. } = scratch;
+        let spots = state.iter().map(|spot| (spot.position_m, spot.log_radius.exp(), spot.amplitude));
+        model.beyond(spots, large, beyond_tabulated);
+        self.responses.combine_one(beyond_tabulated, beyond);
+        residual.iter_mut().zip(beyond.iter()).for_each(|(r, b)| *r -= b);
     }
 
     /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the
@@ -325,7 +363,10 @@ impl SpotModel {
         }
         let uniform = uniform + step[OF_SPOT * state.len()];
         self.residual(trial, trial_rows, data, uniform, trial_residual);
-        let cost = self.cost_of(trial_residual, trial, uniform);
+        let (mut residual, trial) = (std::mem::take(trial_residual), std::mem::take(trial));
+        self.take_beyond(&trial, scratch, &mut residual);
+        let cost = self.cost_of(&residual, &trial, uniform);
+        (scratch.trial, scratch.trial_residual) = (trial, residual);
         cost.is_finite().then_some((moved, uniform, cost))
     }
 

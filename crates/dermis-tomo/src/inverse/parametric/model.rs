@@ -1,9 +1,12 @@
 //! The tabulated responses of a skin to spots, at one noise of its channels.
 
+use std::sync::Arc;
+
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, MatRef, Side};
 
 use super::SpotOptions;
+use super::large::LargeChanges;
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;
@@ -27,6 +30,8 @@ pub struct SpotModel {
     /// Volts of every channel (rows) for a unit of every combination: from the table back to channels, 0 for channels
     /// left out.
     lift: Mat<f64>,
+    /// What spots do beyond proportion, where they are large.
+    pub(super) large: Option<Arc<LargeChanges>>,
 }
 
 impl SpotModel {
@@ -66,7 +71,41 @@ impl SpotModel {
         let uniform = (0..count).map(|k| of_uniform(k) as f32).collect();
         let volts = |channel: usize| if root(channel) > 0.0 { deviations[channel] } else { 0.0 };
         let lift = Mat::from_fn(response.nrows(), count, |c, k| volts(c) * basis[(c, k)]);
-        Ok(Self { options, responses: Responses::new(table), projection, channels: response.nrows(), uniform, lift })
+        let responses = Responses::new(table);
+        Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None })
+    }
+
+    /// The same for spots that may be large. `jacobian` is channels x pixels in volts by a relative change of a pixel,
+    /// signed as spots are; `spread`, pixels x pixels, what a load on one pixel (columns) changes in all, where that is
+    /// not itself alone, so that `jacobian spread` is the response that the model was made of; `positions_m` are the
+    /// same pixels' centres; positive spots raise conductivity or lower it as `sign`, 1 or -1, says. It knows nothing of
+    /// another noise and of channels left out: they come after it.
+    ///
+    /// # Errors
+    /// Counts that disagree.
+    pub fn with_large_changes(
+        mut self,
+        jacobian: MatRef<'_, f64>,
+        spread: Option<MatRef<'_, f64>>,
+        positions_m: &[[f64; 2]],
+        sign: f64,
+    ) -> Result<Self, InverseError> {
+        let (channels, count, pixels) = (self.channels, self.combinations(), positions_m.len());
+        let spread_by = spread.map_or([pixels; 2], |spread| [spread.nrows(), spread.ncols()]);
+        for (what, expected, got) in [
+            ("channels of the Jacobian", channels, jacobian.nrows()),
+            ("pixels of the Jacobian", pixels, jacobian.ncols()),
+            ("pixels that a load changes", pixels, spread_by[0]),
+            ("pixels with loads", pixels, spread_by[1]),
+        ] {
+            if expected != got {
+                return Err(InverseError::Size { what, expected, got });
+            }
+        }
+        let project = Mat::from_fn(count, channels, |k, c| f64::from(self.projection[c * count + k]));
+        let reduced = &project * jacobian;
+        self.large = Some(Arc::new(LargeChanges::new(reduced.as_ref(), spread, positions_m, sign)));
+        Ok(self)
     }
 
     /// The same responses at another noise, at a thousandth of the cost, from the same table: within the combinations
@@ -99,6 +138,7 @@ impl SpotModel {
             channels,
             uniform: row(&self.uniform),
             lift: &self.lift * factor.L(),
+            large: self.large.clone(),
         })
     }
 
@@ -137,7 +177,7 @@ impl SpotModel {
         }
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
         let responses = self.responses.combined(single.as_ref());
-        Ok(Self { options: self.options, responses, projection, channels, uniform, lift })
+        Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: self.large.clone() })
     }
 
     /// Number of channels of a frame.

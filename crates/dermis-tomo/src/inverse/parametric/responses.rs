@@ -51,6 +51,24 @@ impl Responses {
         Some(())
     }
 
+    /// From combinations of the table to the model's.
+    pub(super) fn combine_one(&self, tabulated: &[f32], out: &mut [f32]) {
+        match &self.combination {
+            None => out.copy_from_slice(tabulated),
+            Some(matrix) => {
+                out.fill(0.0);
+                for (value, column) in tabulated.iter().zip(matrix.col_iter()) {
+                    out.iter_mut().zip(column.iter()).for_each(|(sum, entry)| *sum += value * entry);
+                }
+            }
+        }
+    }
+
+    /// Combinations of the table.
+    pub(super) fn tabulated(&self) -> usize {
+        self.table.length()
+    }
+
     /// Whether a place lies where spots are tabulated.
     pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
         self.table.holds(position_m)

@@ -106,7 +106,8 @@ impl SelfCalibration {
         Some((projected, best))
     }
 
-    /// Weighted templates of some places, channels x places, without the channels that a frame lacks, where one is given.
+    /// Weighted templates of some places, channels x places, without the channels that a frame lacks, where one is
+    /// given.
     fn templates_of(&self, places: &[usize], without: Option<&Batch>) -> Mat<f64> {
         let present = |c: usize| without.map_or(1.0, |batch| batch.present[(c, 0)]);
         Mat::from_fn(self.filter.ncols(), places.len(), |c, k| present(c) * self.filter[(places[k], c)])

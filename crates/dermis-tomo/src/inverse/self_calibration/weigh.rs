@@ -15,10 +15,10 @@ enum By {
 }
 
 impl SelfCalibration {
-    /// Weighs the channels anew with the frames of the fit, some of which two touches make: what one touch cannot explain
-    /// of those is no fault of the channels. Two touches are at least `apart_m` from each other, and a frame is of two
-    /// where `are_two` says so of the share of its energy that the best place leaves, of the share that the best two do,
-    /// and of how hard the weaker presses over the other. Nothing changes where no frame is of two.
+    /// Weighs the channels anew with the frames of the fit, some of which two touches make: what one touch cannot
+    /// explain of those is no fault of the channels. Two touches are at least `apart_m` from each other, and a frame is
+    /// of two where `are_two` says so of the share of its energy that the best place leaves, of the share that the best
+    /// two do, and of how hard the weaker presses over the other. Nothing changes where no frame is of two.
     pub fn weigh_with_pairs(
         &mut self,
         templates: &TouchTemplates,

@@ -166,8 +166,8 @@ pub(super) struct Joined {
 }
 
 impl Fusion {
-    /// For pokes with turned copies that are too few to choose: the forward expert alone, as the inverse one knows nothing
-    /// of copies.
+    /// For pokes with turned copies that are too few to choose: the forward expert alone, as the inverse one knows
+    /// nothing of copies.
     pub(super) const UNTOLD: Self = Self { temperature: 0.5, doublings: None };
 
     /// Joins a log-likelihood over the map and a guess; `weights` receives the probabilities.

@@ -16,8 +16,8 @@ fn thresholds_segment_the_phantoms_without_twelve_electrodes() {
     assert!(mean > 0.74, "{found:.3?}");
 }
 
-// Measured: 0.963, 0.946, 0.976, 0.840 with all electrodes, 0.849, 0.908, 0.948, 0.831 without twelve. The networks were
-// trained on simulations alone.
+// Measured: 0.963, 0.946, 0.976, 0.840 with all electrodes, 0.849, 0.908, 0.948, 0.831 without twelve. The networks
+// were trained on simulations alone.
 #[test]
 fn the_networks_segment_the_phantoms_with_all_electrodes_and_without_twelve() {
     let Some(directory) = measured("ktc", "") else { return };
