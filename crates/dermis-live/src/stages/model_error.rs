@@ -27,7 +27,7 @@ struct Refined {
 }
 
 /// In shares of half the shorter side: liquids under a membrane, which spreads what presses,
-const MEMBRANE: Refined = Refined { everywhere: 0.0017, at_rim: 0.005, within: 0.21, fades: 0.04 };
+const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0037, within: 0.21, fades: 0.08 };
 /// and sandwiches.
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
 /// In pitches of patches, which conduct as a whole, and which the rim cuts.
@@ -168,8 +168,8 @@ mod tests {
         };
         let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
         // Half the shorter side is 87 mm, and 4 mm from the rim is near.
-        near(of("ionic-disc", 0.0, Some(4.0)), 0.1479);
-        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 1.7_f64.hypot(5.0));
+        near(of("ionic-disc", 0.0, Some(4.0)), 0.0609);
+        near(of("ionic-disc", 83.0, Some(4.0)), 0.087 * 0.7_f64.hypot(3.7));
         near(of("ionic-disc", 0.0, None), 1.305);
         // A tank of 200 mm: beside its wall by the touch's radius.
         near(of("pyeidors-tank", 0.0, Some(5.0)), 0.05);

@@ -3,8 +3,11 @@
 //! holds more than one spot for each contact can explain, two touches may stand so near that the image shows one; they
 //! are then told apart by a fit of two.
 
+use std::sync::Arc;
+
 use dermis_skin::{Layer, LiquidLayer};
-use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
+use dermis_tomo::eit::ForwardModel;
+use dermis_tomo::inverse::{ChangeResponse, FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::{Contact, ContactSign, ContactStrength};
@@ -46,6 +49,8 @@ const LOBE: f64 = 0.2;
 /// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
 /// left, and as [`PartingRule`] says.
 const LEFT_BY_TWO: f64 = 0.3;
+/// Where spots beyond proportion are to be fitted, two in proportion must leave no more than this share of what one did.
+const WORTH_A_LOOK: f64 = 0.7;
 /// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half
 /// the shorter side.
 const DIRECTIONS: usize = 4;
@@ -291,7 +296,14 @@ impl SpotStage {
         self.tried_m.extend_from_slice(&two_m);
         self.tried_m.extend_from_slice(&self.starts_m[joined + 1..]);
         // A start off the skin: nothing to fit from there.
-        let outcome = self.model.fit(difference, &self.tried_m, &mut self.scratch).ok()?;
+        let mut outcome = self.model.fit_in_proportion(difference, &self.tried_m, &mut self.scratch).ok()?;
+        if self.model.knows_large_changes() {
+            // Each look beyond proportion is a forward solution.
+            if above_one(outcome.in_proportion) > WORTH_A_LOOK * above_one(single.in_proportion) {
+                return None;
+            }
+            outcome = self.model.fit(difference, &self.tried_m, &mut self.scratch).ok()?;
+        }
         let spots = self.scratch.spots();
         let (a, b) = (&spots[joined], &spots[joined + 1]);
         let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);
@@ -352,7 +364,11 @@ fn press(spot: &Spot) -> f64 {
 
 /// Whitened energy that a fit leaves beyond the noise's own.
 fn beyond_noise(outcome: &FitOutcome) -> f64 {
-    (outcome.residual - 1.0).max(0.0)
+    above_one(outcome.residual)
+}
+
+fn above_one(residual: f64) -> f64 {
+    (residual - 1.0).max(0.0)
 }
 
 /// The tabulated responses to spots at these channel deviations (volts).
@@ -381,9 +397,27 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
     // A membrane's dents take a third of the liquid away and more.
     match &spread {
-        Some(spread) => Ok(model.with_large_changes(pressed.as_ref(), Some(spread.as_ref()), &positions, polarity)?),
-        None => Ok(model),
+        Some(spread) if prepared.skin.backend.circuit.is_none() => {
+            let spread = Some(spread.as_ref());
+            let response = change_response(prepared)?;
+            Ok(model.with_large_changes(response, pressed.as_ref(), spread, &positions, polarity)?)
+        }
+        _ => Ok(model),
     }
+}
+
+/// What the model's own voltages change by where the conductance of each pixel changes by these shares.
+fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
+    let model = ForwardModel::new(prepared.body.mesh.clone(), prepared.protocol.clone())?;
+    let (map, conductance_s) = (prepared.map.clone(), prepared.skin.sheet_conductance_s());
+    let rest = prepared.voltages.clone();
+    Ok(Arc::new(move |changes: &[f64]| {
+        let mut conductances = map.to_elements(changes).ok()?;
+        conductances.iter_mut().for_each(|value| *value = conductance_s * (1.0 + *value));
+        let mut differences = model.voltages(&conductances).ok()?;
+        differences.iter_mut().zip(&rest).for_each(|(value, rest)| *value -= rest);
+        Some(differences)
+    }))
 }
 
 /// As [`spot_model`], before any noise was measured.

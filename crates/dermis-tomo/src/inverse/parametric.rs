@@ -11,8 +11,8 @@
 //! whitened residual where that exceeds the noise, is the covariance: the Cramer-Rao bound where the model is right
 //! (Kay, Fundamentals of Statistical Signal Processing, 1993, eq. 3.31).
 //!
-//! Where changes may be large ([`SpotModel::with_large_changes`]) the fit goes on with what its spots do beyond proportion
-//! taken out of the frame at every trial.
+//! Where changes may be large ([`SpotModel::with_large_changes`]) the fit goes on with what its spots do beyond
+//! proportion, as a forward model has it, taken out of the frame at every trial.
 
 mod fit;
 mod large;
@@ -22,5 +22,6 @@ mod responses;
 mod table;
 
 pub use fit::{FitOutcome, FitScratch, Spot};
+pub use large::ChangeResponse;
 pub use model::SpotModel;
 pub use options::SpotOptions;

@@ -28,6 +28,8 @@ pub struct FitOutcome {
     pub energy: f64,
     /// Whitened energy of what is left, per combination less the parameters: 1 where noise alone is left.
     pub residual: f64,
+    /// The same, had the spots answered in proportion.
+    pub in_proportion: f64,
     /// The uniform change of the whole skin that was fitted beside the spots.
     pub uniform: f64,
     /// Steps taken.
@@ -131,7 +133,7 @@ impl SpotModel {
     }
 
     /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates
-    /// nothing.
+    /// nothing, unless changes may be large.
     ///
     /// # Errors
     /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or
@@ -142,30 +144,45 @@ impl SpotModel {
         starts_m: &[[f64; 2]],
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
+        let mut outcome = self.fit_in_proportion(difference, starts_m, scratch)?;
+        // From where spots are that answer in proportion; slopes stay those.
+        if self.look_beyond(outcome.uniform, scratch).is_some() {
+            outcome.steps += self.improve(&mut outcome.uniform, scratch)?;
+            outcome.residual = self.mean_square(scratch);
+            self.finish(outcome.residual, outcome.uniform, scratch);
+        }
+        Ok(outcome)
+    }
+
+    /// As [`SpotModel::fit`], as if channels answered all changes in proportion: what large ones do besides is left in
+    /// the residual. Allocates nothing.
+    ///
+    /// # Errors
+    /// As [`SpotModel::fit`].
+    pub fn fit_in_proportion(
+        &self,
+        difference: &[f64],
+        starts_m: &[[f64; 2]],
+        scratch: &mut FitScratch,
+    ) -> Result<FitOutcome, InverseError> {
         self.check_fit(difference, starts_m)?;
-        let length = self.combinations();
         let FitScratch { data, .. } = scratch;
         self.project(difference, data);
         let energy: f64 = data.iter().map(|v| f64::from(*v).powi(2)).sum();
         scratch.looks_beyond = false;
         let mut uniform = self.begin(starts_m, scratch)?;
-        let parameters = OF_SPOT * starts_m.len() + 1;
-        let mut steps = self.improve(&mut uniform, scratch)?;
-        if self.large.is_some() {
-            // From where spots are that answer in proportion; slopes stay those.
-            scratch.looks_beyond = true;
-            let FitScratch { residual, rows, data, state, .. } = scratch;
-            self.residual(state, rows, data, uniform, residual);
-            let mut residual = std::mem::take(residual);
-            let state = std::mem::take(&mut scratch.state);
-            self.take_beyond(&state, scratch, &mut residual);
-            (scratch.state, scratch.residual) = (state, residual);
-            steps += self.improve(&mut uniform, scratch)?;
-        }
-        let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
-        let residual = left / (length.saturating_sub(parameters)).max(1) as f64;
+        let steps = self.improve(&mut uniform, scratch)?;
+        let residual = self.mean_square(scratch);
         self.finish(residual, uniform, scratch);
-        Ok(FitOutcome { energy: energy / length as f64, residual, uniform, steps })
+        let energy = energy / self.combinations() as f64;
+        Ok(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
+    }
+
+    /// Whitened energy of what is left, per combination less the parameters.
+    fn mean_square(&self, scratch: &FitScratch) -> f64 {
+        let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
+        let parameters = OF_SPOT * scratch.state.len() + 1;
+        left / self.combinations().saturating_sub(parameters).max(1) as f64
     }
 
     /// Goes on from the state at hand, whose residual is known; how many steps that took.
@@ -178,14 +195,32 @@ impl SpotModel {
         Ok(info?.trials)
     }
 
-    /// Takes out of a residual what these spots do beyond proportion.
-    fn take_beyond(&self, state: &[State], scratch: &mut FitScratch, residual: &mut [f32]) {
-        let Some(model) = self.large.as_ref().filter(|_| scratch.looks_beyond) else { return };
+    /// Begins to look beyond proportion. `None` where nothing is known of that, or the forward model has no answer: the
+    /// spots then stay what they are.
+    fn look_beyond(&self, uniform: f64, scratch: &mut FitScratch) -> Option<()> {
+        self.large.as_ref()?;
+        scratch.looks_beyond = true;
+        let FitScratch { rows, data, state, .. } = &*scratch;
+        let mut residual = vec![0.0; data.len()];
+        self.residual(state, rows, data, uniform, &mut residual);
+        let state = std::mem::take(&mut scratch.state);
+        let solved = self.take_beyond(&state, scratch, &mut residual);
+        scratch.state = state;
+        solved?;
+        scratch.residual = residual;
+        Some(())
+    }
+
+    /// Takes out of a residual what these spots do beyond proportion, where the fit looks at that. `None` where the
+    /// forward model has no answer.
+    fn take_beyond(&self, state: &[State], scratch: &mut FitScratch, residual: &mut [f32]) -> Option<()> {
+        let Some(model) = self.large.as_ref().filter(|_| scratch.looks_beyond) else { return Some(()) };
         let FitScratch { beyond_tabulated, beyond, large, .. } = scratch;
         let spots = state.iter().map(|spot| (spot.position_m, spot.log_radius.exp(), spot.amplitude));
-        model.beyond(spots, large, beyond_tabulated);
+        model.beyond(spots, large, beyond_tabulated)?;
         self.responses.combine_one(beyond_tabulated, beyond);
         residual.iter_mut().zip(beyond.iter()).for_each(|(r, b)| *r -= b);
+        Some(())
     }
 
     /// The covariance that no unbiased estimate of a spot falls below (x, y in metres, amplitude, log radius): the
@@ -364,10 +399,10 @@ impl SpotModel {
         let uniform = uniform + step[OF_SPOT * state.len()];
         self.residual(trial, trial_rows, data, uniform, trial_residual);
         let (mut residual, trial) = (std::mem::take(trial_residual), std::mem::take(trial));
-        self.take_beyond(&trial, scratch, &mut residual);
+        let solved = self.take_beyond(&trial, scratch, &mut residual);
         let cost = self.cost_of(&residual, &trial, uniform);
         (scratch.trial, scratch.trial_residual) = (trial, residual);
-        cost.is_finite().then_some((moved, uniform, cost))
+        (solved.is_some() && cost.is_finite()).then_some((moved, uniform, cost))
     }
 
     /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise by more

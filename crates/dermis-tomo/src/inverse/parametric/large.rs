@@ -1,20 +1,30 @@
-//! Changes of conductivity that channels do not follow in proportion. A disc whose conductivity changes by the share u
-//! answers a field like a dipole `2 u / (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane),
-//! and so does, to second order in u, any spot that looks the same from all sides: what a change of u does is what
-//! `g(u) = u / (1 + u/2)` would do were channels linear. Dents that halve the conductance so look a third stronger, and
-//! narrower.
+//! Changes of conductivity that channels do not follow in proportion: a forward model says what they do.
+//!
+//! A disc whose conductivity changes by the share u answers a field like a dipole `2 u / (2 + u)` (Jackson, Classical
+//! Electrodynamics, 1999, section 4.4, in the plane). Amplitudes are what channels answer, so that a fit's slopes stay
+//! those of the table; the largest change of a spot is the u that answers so.
+
+use std::fmt;
+use std::sync::Arc;
 
 use faer::{Mat, MatRef};
 
 /// A change counts as no lower than this: what insulates entirely answers like -2.
-const LOWEST: f64 = -0.9;
+const LOWEST: f64 = -0.95;
 /// Exponent from which a load counts as zero.
 const NOTHING: f64 = 8.0;
 
+/// What channels change by (volts, as many as a frame has) where the conductivity of each pixel changes by these shares,
+/// all above -1; `None` where that cannot be solved.
+pub type ChangeResponse = dyn Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync;
+
 /// What large changes do to the combinations of a table.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct LargeChanges {
-    /// Combinations (rows) by the change of each pixel in the direction of positive spots.
+    response: Arc<ChangeResponse>,
+    /// Channels by combinations of the table, row by row: whitens and projects.
+    projection: Vec<f32>,
+    /// Combinations (rows) by the change of each pixel in the direction of positive spots, in proportion.
     jacobian: Mat<f32>,
     /// Change of all pixels (rows) by a load on one (columns); a load changes its own pixel alone where there is none.
     spread: Option<Mat<f32>>,
@@ -23,7 +33,7 @@ pub(super) struct LargeChanges {
     sign: f64,
 }
 
-/// Pixels while a correction is worked out.
+/// Pixels while what lies beyond proportion is worked out.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LargeScratch {
     /// What one load changes.
@@ -35,13 +45,16 @@ pub(super) struct LargeScratch {
 
 impl LargeChanges {
     pub(super) fn new(
+        response: Arc<ChangeResponse>,
+        projection: &[f32],
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
         positions_m: &[[f64; 2]],
         sign: f64,
     ) -> Self {
         let single = |m: MatRef<'_, f64>| Mat::from_fn(m.nrows(), m.ncols(), |row, column| m[(row, column)] as f32);
-        Self { jacobian: single(jacobian), spread: spread.map(single), positions_m: positions_m.to_vec(), sign }
+        let (projection, positions_m) = (projection.to_vec(), positions_m.to_vec());
+        Self { response, projection, jacobian: single(jacobian), spread: spread.map(single), positions_m, sign }
     }
 
     pub(super) fn scratch(&self) -> LargeScratch {
@@ -49,25 +62,19 @@ impl LargeChanges {
         LargeScratch { one: vec![0.0; pixels], changes: vec![0.0; pixels], linear: vec![0.0; pixels] }
     }
 
-    /// The change that channels answer as if it were `answered` and they were linear.
+    /// The change in the direction of spots that answers like this one in proportion.
     fn change(&self, answered: f64) -> f64 {
         answered / (1.0 - 0.5 * self.sign * answered).max(1.0 + 0.5 * LOWEST)
     }
 
-    /// What a change is answered like.
-    fn answered(&self, change: f64) -> f64 {
-        let change = self.sign * (self.sign * change).max(LOWEST);
-        change / (1.0 + 0.5 * self.sign * change)
-    }
-
-    /// What combinations show of these spots (place, radius in metres, amplitude as channels answer it) beyond `amplitude`
-    /// times the response of a spot of amplitude 1.
+    /// What combinations show of these spots (place, radius in metres, amplitude as channels answer it) beyond
+    /// `amplitude` times the response of a spot of amplitude 1. `None` where the forward model has no answer.
     pub(super) fn beyond(
         &self,
         spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
         scratch: &mut LargeScratch,
         out: &mut [f32],
-    ) {
+    ) -> Option<()> {
         let LargeScratch { one, changes, linear } = scratch;
         changes.fill(0.0);
         linear.fill(0.0);
@@ -83,14 +90,18 @@ impl LargeChanges {
                 *linear_at += amplitude * f64::from(*one);
             }
         }
+        changes.iter_mut().for_each(|change| *change = (self.sign * *change).max(LOWEST));
+        let differences = (self.response)(changes)?;
         out.fill(0.0);
-        for (pixel, (change, linear)) in changes.iter().zip(linear.iter()).enumerate() {
-            let beyond = (self.answered(*change) - linear) as f32;
-            if beyond != 0.0 {
-                let column = self.jacobian.col_as_slice(pixel);
-                out.iter_mut().zip(column).for_each(|(sum, entry)| *sum += beyond * entry);
-            }
+        for (row, value) in self.projection.chunks_exact(out.len()).zip(&differences) {
+            let value = *value as f32;
+            out.iter_mut().zip(row).for_each(|(sum, entry)| *sum += value * entry);
         }
+        for (pixel, linear) in linear.iter().enumerate().filter(|(_, linear)| **linear != 0.0) {
+            let (linear, column) = (*linear as f32, self.jacobian.col_as_slice(pixel));
+            out.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
+        }
+        Some(())
     }
 
     /// What a load of amplitude 1 changes in all pixels.
@@ -113,26 +124,30 @@ impl LargeChanges {
     }
 }
 
+impl fmt::Debug for LargeChanges {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("LargeChanges").field("pixels", &self.positions_m.len()).finish_non_exhaustive()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn changes_are_answered_as_a_disc_in_the_plane_is() {
-        // Twice the contrast factor (s1 - s) / (s1 + s) of a concentric disc, to which its first harmonic is
-        // proportional (Isaacson, IEEE TMI 5, 1986, eq. 4.9).
+    fn a_change_is_that_of_the_disc_that_answers_so() {
         for sign in [1.0, -1.0] {
-            let large = LargeChanges::new(Mat::<f64>::zeros(1, 1).as_ref(), None, &[[0.0; 2]], sign);
+            let none: Arc<ChangeResponse> = Arc::new(|_| None);
+            let nothing = Mat::<f64>::zeros(1, 1);
+            let large = LargeChanges::new(none, &[0.0], nothing.as_ref(), None, &[[0.0; 2]], sign);
             for spot in [0.3, -0.4, 0.01] {
+                // Twice the contrast factor (s1 - s) / (s1 + s) of a concentric disc, to which its first harmonic is
+                // proportional (Isaacson, IEEE TMI 5, 1986, eq. 4.9).
                 let inside = 1.0 + sign * spot;
-                let answered = large.answered(spot);
-                assert!((sign * answered - 2.0 * (inside - 1.0) / (inside + 1.0)).abs() < 1e-12);
+                let answered = sign * 2.0 * (inside - 1.0) / (inside + 1.0);
                 assert!((large.change(answered) - spot).abs() < 1e-12);
             }
+            assert!(large.change(1e9).is_finite() && large.change(-1e9).is_finite());
         }
-        // What cannot be less than nothing is not.
-        let lowering = LargeChanges::new(Mat::<f64>::zeros(1, 1).as_ref(), None, &[[0.0; 2]], -1.0);
-        assert_eq!(lowering.answered(1.5), lowering.answered(0.9));
-        assert!(lowering.change(1e9).is_finite() && lowering.answered(lowering.change(1e9)).is_finite());
     }
 }

@@ -6,7 +6,7 @@ use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, MatRef, Side};
 
 use super::SpotOptions;
-use super::large::LargeChanges;
+use super::large::{ChangeResponse, LargeChanges};
 use super::responses::Responses;
 use super::table::Table;
 use crate::inverse::InverseError;
@@ -75,16 +75,17 @@ impl SpotModel {
         Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None })
     }
 
-    /// The same for spots that may be large. `jacobian` is channels x pixels in volts by a relative change of a pixel,
-    /// signed as spots are; `spread`, pixels x pixels, what a load on one pixel (columns) changes in all, where that is
-    /// not itself alone, so that `jacobian spread` is the response that the model was made of; `positions_m` are the
-    /// same pixels' centres; positive spots raise conductivity or lower it as `sign`, 1 or -1, says. It knows nothing of
-    /// another noise and of channels left out: they come after it.
+    /// The same for spots that may be large: `response` says what channels change by. `jacobian` is channels x pixels in
+    /// volts by a relative change of a pixel, signed as spots are; `spread`, pixels x pixels, what a load on one pixel
+    /// (columns) changes in all, where that is not itself alone, so that `jacobian spread` is the response that the model
+    /// was made of; `positions_m` are the same pixels' centres; positive spots raise conductivity or lower it as `sign`, 1
+    /// or -1, says. To be called before the model is given another noise or other channels.
     ///
     /// # Errors
     /// Counts that disagree.
     pub fn with_large_changes(
         mut self,
+        response: Arc<ChangeResponse>,
         jacobian: MatRef<'_, f64>,
         spread: Option<MatRef<'_, f64>>,
         positions_m: &[[f64; 2]],
@@ -104,7 +105,8 @@ impl SpotModel {
         }
         let project = Mat::from_fn(count, channels, |k, c| f64::from(self.projection[c * count + k]));
         let reduced = &project * jacobian;
-        self.large = Some(Arc::new(LargeChanges::new(reduced.as_ref(), spread, positions_m, sign)));
+        let large = LargeChanges::new(response, &self.projection, reduced.as_ref(), spread, positions_m, sign);
+        self.large = Some(Arc::new(large));
         Ok(self)
     }
 
@@ -178,6 +180,11 @@ impl SpotModel {
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
         let responses = self.responses.combined(single.as_ref());
         Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: self.large.clone() })
+    }
+
+    /// Whether changes may be large.
+    pub fn knows_large_changes(&self) -> bool {
+        self.large.is_some()
     }
 
     /// Number of channels of a frame.
