@@ -32,11 +32,12 @@ const MEMBRANE: Refined = Refined { everywhere: 0.0007, at_rim: 0.0037, within: 
 const SANDWICH: Refined = Refined { everywhere: 0.0005, at_rim: 0.0007, within: 0.24, fades: 0.04 };
 /// In pitches of patches, which conduct as a whole, and which the rim cuts.
 const PATCHES: Refined = Refined { everywhere: 0.115, at_rim: 0.096, within: 1.4, fades: 0.1 };
-/// On a sheet, in shares of half the shorter side and, near the rim, in radii of the touch: fields are steep there, and a
-/// spot is not shaped like what presses.
+/// On a sheet, in shares of half the shorter side and, near the rim, in radii of the touch: fields are steep there, and
+/// a spot is not shaped like what presses.
 const SHEET_EVERYWHERE: f64 = 0.001;
 const SHEET_AT_RIM: Refined = Refined { everywhere: 0.0, at_rim: 0.066, within: 2.1, fades: 0.63 };
-/// The same in an open tank: the surface takes the shape of what presses, whose edge and that of a spot part at the wall.
+/// The same in an open tank: the surface takes the shape of what presses, whose edge and that of a spot part at the
+/// wall.
 const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 

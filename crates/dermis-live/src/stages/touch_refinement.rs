@@ -49,7 +49,11 @@ const LOBE: f64 = 0.2;
 /// Two touches in place of one are believed where they leave, beyond the noise, no more than this share of what one
 /// left, and as [`PartingRule`] says.
 const LEFT_BY_TWO: f64 = 0.3;
-/// Where spots beyond proportion are to be fitted, two in proportion must leave no more than this share of what one did.
+/// Beyond proportion spots are fitted where frames are no more frequent: a fit takes 2 ms with 16 electrodes, 13 with
+/// 32 and three touches.
+const MOST_FRAMES_PER_S: f64 = 60.0;
+/// Where spots beyond proportion are to be fitted, two in proportion must leave no more than this share of what one
+/// did.
 const WORTH_A_LOOK: f64 = 0.7;
 /// Directions in which two touches are looked for from where the image has one, and how far from it, relative to half
 /// the shorter side.
@@ -135,7 +139,7 @@ impl SpotStage {
     /// Gives the strongest contacts, all of which are fitted together, the places of their spots. Contacts whose spot
     /// is not believed, and all of a frame that cannot be fitted, or of which the fit leaves more than
     /// `touch.most_unexplained`, stay as the image has them. A contact that two spots explain and one does not becomes
-    /// two. Allocates nothing once `contacts` has grown to size.
+    /// two. Allocates nothing once `contacts` has grown to size, unless dents are deep.
     pub(crate) fn refine(&mut self, difference: &[f64], contacts: &mut Vec<Contact>) {
         self.seen.clear();
         self.seen.extend_from_slice(contacts);
@@ -397,13 +401,19 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
     // A membrane's dents take a third of the liquid away and more.
     match &spread {
-        Some(spread) if prepared.skin.backend.circuit.is_none() => {
+        Some(spread) if may_look_beyond(prepared) => {
             let spread = Some(spread.as_ref());
             let response = change_response(prepared)?;
             Ok(model.with_large_changes(response, pressed.as_ref(), spread, &positions, polarity)?)
         }
         _ => Ok(model),
     }
+}
+
+/// Whether there is time to look beyond proportion, and a model of the channels as they are.
+fn may_look_beyond(prepared: &Prepared) -> bool {
+    let backend = &prepared.skin.backend;
+    backend.circuit.is_none() && backend.frame_rate_hz() <= MOST_FRAMES_PER_S
 }
 
 /// What the model's own voltages change by where the conductance of each pixel changes by these shares.

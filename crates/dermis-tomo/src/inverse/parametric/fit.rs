@@ -101,6 +101,13 @@ struct State {
     log_radius: f64,
 }
 
+impl State {
+    /// Place, radius in metres, amplitude.
+    fn spot(&self) -> ([f64; 2], f64, f64) {
+        (self.position_m, self.log_radius.exp(), self.amplitude)
+    }
+}
+
 impl FitScratch {
     /// The spots of the last fit, in the order of the starts.
     pub fn spots(&self) -> &[Spot] {
@@ -133,7 +140,7 @@ impl SpotModel {
     }
 
     /// Fits one spot from each start (metres) to difference data (volts); the spots are then in `scratch`. Allocates
-    /// nothing, unless changes may be large.
+    /// nothing, unless changes are large and the model knows of that.
     ///
     /// # Errors
     /// A frame of another length or with values that are not finite; no starts, more than the model was made for, or
@@ -195,10 +202,13 @@ impl SpotModel {
         Ok(info?.trials)
     }
 
-    /// Begins to look beyond proportion. `None` where nothing is known of that, or the forward model has no answer: the
-    /// spots then stay what they are.
+    /// Begins to look beyond proportion. `None` where nothing is known of that, changes are small, or the forward model
+    /// has no answer: the spots then stay what they are.
     fn look_beyond(&self, uniform: f64, scratch: &mut FitScratch) -> Option<()> {
-        self.large.as_ref()?;
+        let model = self.large.as_ref()?;
+        if !model.are_large(scratch.state.iter().map(State::spot), &mut scratch.large) {
+            return None;
+        }
         scratch.looks_beyond = true;
         let FitScratch { rows, data, state, .. } = &*scratch;
         let mut residual = vec![0.0; data.len()];
@@ -216,8 +226,7 @@ impl SpotModel {
     fn take_beyond(&self, state: &[State], scratch: &mut FitScratch, residual: &mut [f32]) -> Option<()> {
         let Some(model) = self.large.as_ref().filter(|_| scratch.looks_beyond) else { return Some(()) };
         let FitScratch { beyond_tabulated, beyond, large, .. } = scratch;
-        let spots = state.iter().map(|spot| (spot.position_m, spot.log_radius.exp(), spot.amplitude));
-        model.beyond(spots, large, beyond_tabulated)?;
+        model.beyond(state.iter().map(State::spot), large, beyond_tabulated)?;
         self.responses.combine_one(beyond_tabulated, beyond);
         residual.iter_mut().zip(beyond.iter()).for_each(|(r, b)| *r -= b);
         Some(())

@@ -11,11 +11,13 @@ use faer::{Mat, MatRef};
 
 /// A change counts as no lower than this: what insulates entirely answers like -2.
 const LOWEST: f64 = -0.95;
+/// Changes below this share are small: channels follow them in proportion to a hundredth.
+const SMALL: f64 = 0.02;
 /// Exponent from which a load counts as zero.
 const NOTHING: f64 = 8.0;
 
-/// What channels change by (volts, as many as a frame has) where the conductivity of each pixel changes by these shares,
-/// all above -1; `None` where that cannot be solved.
+/// What channels change by (volts, as many as a frame has) where the conductivity of each pixel changes by these
+/// shares, all above -1; `None` where that cannot be solved.
 pub type ChangeResponse = dyn Fn(&[f64]) -> Option<Vec<f64>> + Send + Sync;
 
 /// What large changes do to the combinations of a table.
@@ -65,6 +67,19 @@ impl LargeChanges {
     /// The change in the direction of spots that answers like this one in proportion.
     fn change(&self, answered: f64) -> f64 {
         answered / (1.0 - 0.5 * self.sign * answered).max(1.0 + 0.5 * LOWEST)
+    }
+
+    /// Whether any of these spots (as in [`LargeChanges::beyond`]) changes a pixel by more than little.
+    pub(super) fn are_large(
+        &self,
+        mut spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
+        scratch: &mut LargeScratch,
+    ) -> bool {
+        spots.any(|(position_m, radius_m, amplitude)| {
+            self.one(position_m, radius_m, &mut scratch.one);
+            let largest = scratch.one.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+            f64::from(largest) * amplitude.abs() > SMALL
+        })
     }
 
     /// What combinations show of these spots (place, radius in metres, amplitude as channels answer it) beyond

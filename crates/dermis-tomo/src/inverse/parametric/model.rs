@@ -75,11 +75,11 @@ impl SpotModel {
         Ok(Self { options, responses, projection, channels: response.nrows(), uniform, lift, large: None })
     }
 
-    /// The same for spots that may be large: `response` says what channels change by. `jacobian` is channels x pixels in
-    /// volts by a relative change of a pixel, signed as spots are; `spread`, pixels x pixels, what a load on one pixel
-    /// (columns) changes in all, where that is not itself alone, so that `jacobian spread` is the response that the model
-    /// was made of; `positions_m` are the same pixels' centres; positive spots raise conductivity or lower it as `sign`, 1
-    /// or -1, says. To be called before the model is given another noise or other channels.
+    /// The same for spots that may be large: `response` says what channels change by. `jacobian` is channels x pixels
+    /// in volts by a relative change of a pixel, signed as spots are; `spread`, pixels x pixels, what a load on one
+    /// pixel (columns) changes in all, where that is not itself alone, so that `jacobian spread` is the response that
+    /// the model was made of; `positions_m` are the same pixels' centres; positive spots raise conductivity or lower it
+    /// as `sign`, 1 or -1, says. To be called before the model is given another noise or other channels.
     ///
     /// # Errors
     /// Counts that disagree.
