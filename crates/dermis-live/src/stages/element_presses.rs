@@ -10,7 +10,9 @@ use std::f64::consts::PI;
 use dermis_skin::Layer;
 use dermis_touch::{Contact, ContactSign};
 
-use self::fit::{FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, covariances, fit, moments_along};
+use self::fit::{
+    Covariance, FittedPresses, MOST_TRIALS, SCANNED_CELLS, Usual, cost_of, covariances, fit, moments_along,
+};
 use self::mechanics::{Mechanics, Press};
 use crate::Error;
 use crate::imager::ElementFrame;
@@ -154,7 +156,7 @@ impl ElementPresses {
         &self,
         frame: &mut ElementFrame<'_>,
         mut found: FittedPresses,
-    ) -> Result<(FittedPresses, Vec<[[f64; 2]; 2]>), Error> {
+    ) -> Result<(FittedPresses, Vec<Covariance>), Error> {
         let mut covariance_m2 = covariances(&self.mechanics, &self.usual, frame, &found.presses)?;
         let cell_m = self.mechanics.cell_m[0].min(self.mechanics.cell_m[1]);
         let [unsure_m2, step_m2] = [UNSURE_CELLS, SCANNED_CELLS].map(|cells| (cells * cell_m).powi(2));
@@ -261,7 +263,7 @@ impl ElementPresses {
     }
 
     /// Contacts at these presses: each is the nearest one of the image, or like the strongest where none is left.
-    fn turn_into(&self, found: &FittedPresses, covariance_m2: &[[[f64; 2]; 2]], contacts: &mut Vec<Contact>) {
+    fn turn_into(&self, found: &FittedPresses, covariance_m2: &[Covariance], contacts: &mut Vec<Contact>) {
         let (mut of_image, mut kept): (Vec<Contact>, Vec<Contact>) =
             contacts.drain(..).partition(|contact| contact.sign == ContactSign::Positive);
         let strongest = of_image.iter().copied().max_by(|a, b| a.amplitude.total_cmp(&b.amplitude));

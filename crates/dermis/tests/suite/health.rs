@@ -303,11 +303,11 @@ fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
     let intact = presses.errors_mm(&[]);
     for electrode in 0..16 {
         let errors = presses.errors_mm(&[electrode, (electrode + 2) % 16]);
-        // Measured: 1.36 to 1.89. Where the image's peak is far off, the fit that explains the frame is believed.
+        // Measured: 0.27 to 0.46 mm, intact 0.18. Where the image's peak is far off, the fit that explains the frame is
+        // believed. Without channels dents are fitted in proportion.
         let (error, intact) = (mean(&errors), mean(&intact));
-        assert!(error <= 2.2 * intact, "without {electrode} and the next but one: {error:.2} mm, intact {intact:.2}");
+        assert!(error <= 3.0 * intact, "without {electrode} and the next but one: {error:.2} mm, intact {intact:.2}");
         let largest = errors.iter().copied().fold(0.0, f64::max);
-        // Measured: up to 4.1 mm.
-        assert!(largest < 4.5, "without {electrode} and the next but one: {largest:.1} mm off");
+        assert!(largest < 4.0, "without {electrode} and the next but one: {largest:.1} mm off");
     }
 }

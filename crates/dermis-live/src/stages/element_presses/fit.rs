@@ -52,6 +52,9 @@ pub(super) struct Usual {
     pub high_m: [f64; 2],
 }
 
+/// Covariance of x and y, square metres.
+pub(super) type Covariance = [[f64; 2]; 2];
+
 /// Presses that explain a frame.
 #[derive(Clone, Debug)]
 pub(super) struct FittedPresses {
@@ -95,7 +98,7 @@ pub(super) fn covariances(
     usual: &Usual,
     frame: &mut ElementFrame<'_>,
     presses: &[Press],
-) -> Result<Vec<[[f64; 2]; 2]>, MitError> {
+) -> Result<Vec<Covariance>, MitError> {
     let mut way = Way::new(mechanics, usual, frame, presses);
     way.cost()?;
     let mut equations = NormalEquations::new(way.unknowns());
@@ -161,7 +164,7 @@ pub(super) fn cost_of(
 }
 
 /// The parts of the inverse of a normal matrix that belong to places.
-fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<[[f64; 2]; 2]> {
+fn inverse_of_places(equations: &NormalEquations, cell_m: [f64; 2]) -> Vec<Covariance> {
     let n = equations.unknowns();
     let normal = MatRef::from_row_major_slice(&equations.normal, n, n);
     let Ok(factor) = Llt::new(normal, Side::Lower) else {

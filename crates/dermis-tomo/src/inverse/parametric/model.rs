@@ -147,7 +147,7 @@ impl SpotModel {
     /// The same responses at another noise and without some channels, whose values no longer matter, from the same
     /// table. This, brought back to channels and whitened anew, is `W^1/2 L t`, and with `W^1/2 L = Q R` its projection
     /// on Q is `R t`: what the kept combinations can tell apart, the remaining channels still do. Channels without a
-    /// positive, finite deviation count as the noisiest of the others.
+    /// positive, finite deviation count as the noisiest of the others. All changes count as small.
     ///
     /// # Errors
     /// Another number of channels, or none left with a usable deviation.
@@ -179,7 +179,8 @@ impl SpotModel {
         }
         let uniform = (&single * faer::ColRef::from_slice(&self.uniform)).iter().copied().collect();
         let responses = self.responses.combined(single.as_ref());
-        Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: self.large.clone() })
+        // What is left of few channels leads astray sooner than it tells more.
+        Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: None })
     }
 
     /// Whether changes may be large.
