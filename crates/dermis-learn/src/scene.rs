@@ -485,7 +485,10 @@ mod tests {
                 for inclusion in draw(kind, seed).inclusions {
                     assert_eq!(inclusion.class == RAISED, inclusion.factor > 1.0);
                     // Bars begin in the middle again and again.
-                    let is_crossed = matches!(&inclusion.figure, Figure::Stroke(chain, _) if chain.len() > 4 && chain[0] == chain[2]);
+                    let is_crossed = match &inclusion.figure {
+                        Figure::Stroke(chain, _) => chain.len() > 4 && chain[0] == chain[2],
+                        _ => false,
+                    };
                     assert!(!is_crossed || kind == SceneKind::ObjectsAndCrosses);
                     if kind == SceneKind::ObjectsAndCrosses {
                         (crossed, all) = (crossed + u32::from(is_crossed), all + 1);

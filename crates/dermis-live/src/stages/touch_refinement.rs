@@ -300,14 +300,12 @@ impl SpotStage {
         self.tried_m.extend_from_slice(&two_m);
         self.tried_m.extend_from_slice(&self.starts_m[joined + 1..]);
         // A start off the skin: nothing to fit from there.
-        let mut outcome = self.model.fit_in_proportion(difference, &self.tried_m, &mut self.scratch).ok()?;
-        if self.model.knows_large_changes() {
-            // Each look beyond proportion is a forward solution.
-            if above_one(outcome.in_proportion) > WORTH_A_LOOK * above_one(single.in_proportion) {
-                return None;
-            }
-            outcome = self.model.fit(difference, &self.tried_m, &mut self.scratch).ok()?;
+        let outcome = self.model.fit_in_proportion(difference, &self.tried_m, &mut self.scratch).ok()?;
+        // Each look beyond proportion is a forward solution.
+        if above_one(outcome.in_proportion) > WORTH_A_LOOK * above_one(single.in_proportion) {
+            return None;
         }
+        let outcome = self.model.go_beyond_proportion(outcome, &mut self.scratch).ok()?;
         let spots = self.scratch.spots();
         let (a, b) = (&spots[joined], &spots[joined + 1]);
         let apart_m = (a.position_m[0] - b.position_m[0]).hypot(a.position_m[1] - b.position_m[1]);

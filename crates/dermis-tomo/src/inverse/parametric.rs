@@ -18,6 +18,7 @@ mod fit;
 mod large;
 mod model;
 mod options;
+mod products;
 mod responses;
 mod table;
 

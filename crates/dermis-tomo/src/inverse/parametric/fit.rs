@@ -2,6 +2,7 @@
 
 use super::SpotModel;
 use super::large::LargeScratch;
+use super::products::products;
 use crate::inverse::InverseError;
 use crate::least_squares::{
     Acceptance, Control, Damping, NormalEquations, Params, Problem, Progress, Scratch, Tolerances, Trial, factorise,
@@ -73,10 +74,7 @@ const PARAMS: Params = Params {
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
     data: Vec<f32>,
-    /// What the spots of a trial do beyond proportion, where the fit looks at that yet: in the combinations of the
-    /// table, and of the model.
-    beyond_tabulated: Vec<f32>,
-    beyond: Vec<f32>,
+    /// Memory for what spots do beyond proportion, and whether the fit looks at that yet.
     large: LargeScratch,
     looks_beyond: bool,
     /// A response in the combinations of the table.
@@ -122,9 +120,7 @@ impl SpotModel {
         let parameters = OF_SPOT * most + 1;
         FitScratch {
             data: vec![0.0; length],
-            beyond_tabulated: vec![0.0; self.large.as_ref().map_or(0, |_| self.responses.tabulated())],
-            beyond: vec![0.0; length],
-            large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch()),
+            large: self.large.as_ref().map_or_else(LargeScratch::default, |large| large.scratch(length)),
             looks_beyond: false,
             tabulated: self.responses.scratch(),
             rows: vec![0.0; OF_SPOT * length * most],
@@ -151,9 +147,21 @@ impl SpotModel {
         starts_m: &[[f64; 2]],
         scratch: &mut FitScratch,
     ) -> Result<FitOutcome, InverseError> {
-        let mut outcome = self.fit_in_proportion(difference, starts_m, scratch)?;
-        // From where spots are that answer in proportion; slopes stay those.
-        if self.look_beyond(outcome.uniform, scratch).is_some() {
+        let outcome = self.fit_in_proportion(difference, starts_m, scratch)?;
+        self.go_beyond_proportion(outcome, scratch)
+    }
+
+    /// Goes on from a fit in proportion, which has just ended, to that of [`SpotModel::fit`]; where changes are small or
+    /// nothing is known of large ones, that is the same. Slopes stay those in proportion.
+    ///
+    /// # Errors
+    /// As [`SpotModel::fit`].
+    pub fn go_beyond_proportion(
+        &self,
+        mut outcome: FitOutcome,
+        scratch: &mut FitScratch,
+    ) -> Result<FitOutcome, InverseError> {
+        if self.look_beyond(scratch).is_some() {
             outcome.steps += self.improve(&mut outcome.uniform, scratch)?;
             outcome.residual = self.mean_square(scratch);
             self.finish(outcome.residual, outcome.uniform, scratch);
@@ -204,31 +212,16 @@ impl SpotModel {
 
     /// Begins to look beyond proportion. `None` where nothing is known of that, changes are small, or the forward model
     /// has no answer: the spots then stay what they are.
-    fn look_beyond(&self, uniform: f64, scratch: &mut FitScratch) -> Option<()> {
+    fn look_beyond(&self, scratch: &mut FitScratch) -> Option<()> {
         let model = self.large.as_ref()?;
-        if !model.are_large(scratch.state.iter().map(State::spot), &mut scratch.large) {
+        let FitScratch { state, residual, trial_residual, large, looks_beyond, .. } = scratch;
+        if !model.are_large(state.iter().map(State::spot), large) {
             return None;
         }
-        scratch.looks_beyond = true;
-        let FitScratch { rows, data, state, .. } = &*scratch;
-        let mut residual = vec![0.0; data.len()];
-        self.residual(state, rows, data, uniform, &mut residual);
-        let state = std::mem::take(&mut scratch.state);
-        let solved = self.take_beyond(&state, scratch, &mut residual);
-        scratch.state = state;
-        solved?;
-        scratch.residual = residual;
-        Some(())
-    }
-
-    /// Takes out of a residual what these spots do beyond proportion, where the fit looks at that. `None` where the
-    /// forward model has no answer.
-    fn take_beyond(&self, state: &[State], scratch: &mut FitScratch, residual: &mut [f32]) -> Option<()> {
-        let Some(model) = self.large.as_ref().filter(|_| scratch.looks_beyond) else { return Some(()) };
-        let FitScratch { beyond_tabulated, beyond, large, .. } = scratch;
-        model.beyond(state.iter().map(State::spot), large, beyond_tabulated)?;
-        self.responses.combine_one(beyond_tabulated, beyond);
-        residual.iter_mut().zip(beyond.iter()).for_each(|(r, b)| *r -= b);
+        trial_residual.copy_from_slice(residual);
+        model.take_out(state.iter().map(State::spot), &self.responses, large, trial_residual)?;
+        std::mem::swap(residual, trial_residual);
+        *looks_beyond = true;
         Some(())
     }
 
@@ -386,7 +379,7 @@ impl SpotModel {
     /// there. `None` where the step leaves the table.
     fn try_step(&self, step: &[f64], uniform: f64, scratch: &mut FitScratch) -> Option<(f64, f64, f64)> {
         let length = self.combinations();
-        let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, .. } = scratch;
+        let FitScratch { state, trial, trial_rows, trial_residual, data, tabulated, large, looks_beyond, .. } = scratch;
         let [least, most] = self.responses.log_radii();
         let mut moved: f64 = 0.0;
         trial.clear();
@@ -407,11 +400,11 @@ impl SpotModel {
         }
         let uniform = uniform + step[OF_SPOT * state.len()];
         self.residual(trial, trial_rows, data, uniform, trial_residual);
-        let (mut residual, trial) = (std::mem::take(trial_residual), std::mem::take(trial));
-        let solved = self.take_beyond(&trial, scratch, &mut residual);
-        let cost = self.cost_of(&residual, &trial, uniform);
-        (scratch.trial, scratch.trial_residual) = (trial, residual);
-        (solved.is_some() && cost.is_finite()).then_some((moved, uniform, cost))
+        if let Some(model) = self.large.as_ref().filter(|_| *looks_beyond) {
+            model.take_out(trial.iter().map(State::spot), &self.responses, large, trial_residual)?;
+        }
+        let cost = self.cost_of(trial_residual, trial, uniform);
+        cost.is_finite().then_some((moved, uniform, cost))
     }
 
     /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise by more
@@ -490,30 +483,4 @@ impl Problem for FitUnderWay<'_> {
     fn is_settled(&self, progress: &Progress, _tolerances: &Tolerances) -> bool {
         progress.moved < CONVERGED || progress.before - progress.after < 1e-6 * progress.after
     }
-}
-
-/// `C'C` and `C'r` of columns stored one after the other.
-fn products(columns: &[f32], r: &[f32], length: usize, count: usize, normal: &mut [f64], right: &mut [f64]) {
-    let column = |k: usize| &columns[k * length..(k + 1) * length];
-    for a in 0..count {
-        for b in 0..=a {
-            let product = dot(column(a), column(b));
-            normal[a * count + b] = product;
-            normal[b * count + a] = product;
-        }
-        right[a] = dot(column(a), r);
-    }
-}
-
-/// Sums eight lanes apart, so that additions need not wait for each other.
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    let mut lanes = [0.0_f32; 8];
-    let (whole, rest) = (a.chunks_exact(8), a.len() / 8 * 8);
-    for (p, q) in whole.zip(b.chunks_exact(8)) {
-        for lane in 0..8 {
-            lanes[lane] += p[lane] * q[lane];
-        }
-    }
-    let tail: f32 = a[rest..].iter().zip(&b[rest..]).map(|(p, q)| p * q).sum();
-    lanes.iter().map(|v| f64::from(*v)).sum::<f64>() + f64::from(tail)
 }

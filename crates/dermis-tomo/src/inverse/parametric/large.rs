@@ -9,6 +9,8 @@ use std::sync::Arc;
 
 use faer::{Mat, MatRef};
 
+use super::responses::Responses;
+
 /// A change counts as no lower than this: what insulates entirely answers like -2.
 const LOWEST: f64 = -0.95;
 /// Changes below this share are small: channels follow them in proportion to a hundredth.
@@ -43,6 +45,9 @@ pub(super) struct LargeScratch {
     /// All changes, and what they would be in proportion.
     changes: Vec<f64>,
     linear: Vec<f64>,
+    /// What lies beyond proportion, in the combinations of the table and in those of the model.
+    tabulated: Vec<f32>,
+    combined: Vec<f32>,
 }
 
 impl LargeChanges {
@@ -59,9 +64,16 @@ impl LargeChanges {
         Self { response, projection, jacobian: single(jacobian), spread: spread.map(single), positions_m, sign }
     }
 
-    pub(super) fn scratch(&self) -> LargeScratch {
+    /// Memory for a model of so many combinations.
+    pub(super) fn scratch(&self, combinations: usize) -> LargeScratch {
         let pixels = self.positions_m.len();
-        LargeScratch { one: vec![0.0; pixels], changes: vec![0.0; pixels], linear: vec![0.0; pixels] }
+        LargeScratch {
+            one: vec![0.0; pixels],
+            changes: vec![0.0; pixels],
+            linear: vec![0.0; pixels],
+            tabulated: vec![0.0; self.jacobian.nrows()],
+            combined: vec![0.0; combinations],
+        }
     }
 
     /// The change in the direction of spots that answers like this one in proportion.
@@ -69,7 +81,7 @@ impl LargeChanges {
         answered / (1.0 - 0.5 * self.sign * answered).max(1.0 + 0.5 * LOWEST)
     }
 
-    /// Whether any of these spots (as in [`LargeChanges::beyond`]) changes a pixel by more than little.
+    /// Whether any of these spots (as in [`LargeChanges::take_out`]) changes a pixel by more than little.
     pub(super) fn are_large(
         &self,
         mut spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
@@ -82,15 +94,16 @@ impl LargeChanges {
         })
     }
 
-    /// What combinations show of these spots (place, radius in metres, amplitude as channels answer it) beyond
-    /// `amplitude` times the response of a spot of amplitude 1. `None` where the forward model has no answer.
-    pub(super) fn beyond(
+    /// Takes out of a model's residual what these spots (place, radius in metres, amplitude as channels answer it) do
+    /// beyond `amplitude` times the response of a spot of amplitude 1. `None` where the forward model has no answer.
+    pub(super) fn take_out(
         &self,
         spots: impl Iterator<Item = ([f64; 2], f64, f64)>,
+        responses: &Responses,
         scratch: &mut LargeScratch,
-        out: &mut [f32],
+        residual: &mut [f32],
     ) -> Option<()> {
-        let LargeScratch { one, changes, linear } = scratch;
+        let LargeScratch { one, changes, linear, tabulated, combined } = scratch;
         changes.fill(0.0);
         linear.fill(0.0);
         for (position_m, radius_m, amplitude) in spots {
@@ -107,15 +120,17 @@ impl LargeChanges {
         }
         changes.iter_mut().for_each(|change| *change = (self.sign * *change).max(LOWEST));
         let differences = (self.response)(changes)?;
-        out.fill(0.0);
-        for (row, value) in self.projection.chunks_exact(out.len()).zip(&differences) {
+        tabulated.fill(0.0);
+        for (row, value) in self.projection.chunks_exact(tabulated.len()).zip(&differences) {
             let value = *value as f32;
-            out.iter_mut().zip(row).for_each(|(sum, entry)| *sum += value * entry);
+            tabulated.iter_mut().zip(row).for_each(|(sum, entry)| *sum += value * entry);
         }
         for (pixel, linear) in linear.iter().enumerate().filter(|(_, linear)| **linear != 0.0) {
             let (linear, column) = (*linear as f32, self.jacobian.col_as_slice(pixel));
-            out.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
+            tabulated.iter_mut().zip(column).for_each(|(sum, entry)| *sum -= linear * entry);
         }
+        responses.combine_one(tabulated, combined);
+        residual.iter_mut().zip(combined.iter()).for_each(|(left, beyond)| *left -= beyond);
         Some(())
     }
 

@@ -183,11 +183,6 @@ impl SpotModel {
         Ok(Self { options: self.options, responses, projection, channels, uniform, lift, large: None })
     }
 
-    /// Whether changes may be large.
-    pub fn knows_large_changes(&self) -> bool {
-        self.large.is_some()
-    }
-
     /// Number of channels of a frame.
     pub fn channels(&self) -> usize {
         self.channels

@@ -64,11 +64,6 @@ impl Responses {
         }
     }
 
-    /// Combinations of the table.
-    pub(super) fn tabulated(&self) -> usize {
-        self.table.length()
-    }
-
     /// Whether a place lies where spots are tabulated.
     pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
         self.table.holds(position_m)
