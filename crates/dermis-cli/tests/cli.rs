@@ -7,6 +7,8 @@ mod earlier;
 mod evidence;
 #[path = "cli/newcomer.rs"]
 mod newcomer;
+#[path = "cli/pokes.rs"]
+mod pokes;
 #[path = "cli/skins.rs"]
 mod skins;
 #[path = "cli/solve.rs"]

@@ -3,8 +3,8 @@
 //! pokes ([`dermis_touch::locator::PlaceCorrection`]). Left-out pokes decide.
 
 use dermis_skin::budget::Budget;
-use dermis_touch::ContactStrength;
-use dermis_touch::locator::{FusedOptions, SeenPoke};
+use dermis_touch::locator::{FusedOptions, PokeSight, SeenPoke};
+use dermis_touch::{Contact, ContactStrength};
 
 use crate::Error;
 use crate::calibration::{
@@ -16,8 +16,12 @@ use crate::stages::refinement::Refinement;
 
 /// So many pokes, evenly drawn, are looked at by the model.
 const MOST_LOOKED_AT: usize = 200;
-/// Of the first n frames so many, and this share of n, may show no single touch before the rest is not looked at.
-const MOST_MISSED: (f64, f64) = (2.0, 0.1);
+/// Of the first n frames so many, and this share of n, may show several touches, or none, before the rest is not looked
+/// at.
+const MOST_SEVERAL: (f64, f64) = (2.0, 0.1);
+const MOST_UNSEEN: (f64, f64) = (2.0, 0.5);
+/// No place is known better, m^2: a micrometre.
+const LEAST_VARIANCE_M2: f64 = 1e-12;
 /// Between frames that have nothing to do with each other, nanoseconds.
 const APART_NS: u64 = 1_000_000_000;
 
@@ -49,7 +53,7 @@ pub fn calibrate(
 }
 
 /// Pokes as the model sees them.
-fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<Vec<Option<SeenPoke>>, Error> {
+fn seen_by_model(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<Vec<PokeSight>, Error> {
     let (reference, differences) = differences_of(prepared, measured)?;
     let CalibratedImager { imager, reference, placement } =
         CalibratedImager::new(prepared, None, reference, &differences)?;
@@ -81,9 +85,8 @@ pub struct MeasuredPoke<'a> {
     pub load_share: f64,
 }
 
-/// Pokes as the model sees them: each as a touch that stands alone in its frame; `None` where there is none, or
-/// several. Frames that are no touches take long to search. Once it is plain that many are none, nothing is said of the
-/// rest (`None`).
+/// Pokes as the model sees them. Frames that are no touches take long to search: once it is plain that many are none,
+/// the rest is not looked at ([`PokeSight::Nothing`]).
 ///
 /// # Errors
 /// Frames of another length than the skin's channels.
@@ -91,13 +94,14 @@ pub fn seen_pokes<'a>(
     reconstructor: &mut Reconstructor,
     prepared: &Prepared,
     pokes: impl Iterator<Item = MeasuredPoke<'a>>,
-) -> Result<Vec<Option<SeenPoke>>, Error> {
+) -> Result<Vec<PokeSight>, Error> {
+    let too_many = |count: usize, of: usize, (first, share): (f64, f64)| count as f64 > first + share * of as f64;
     let mut image = vec![f32::NAN; prepared.map.grid().len()];
     let mut seen = Vec::new();
-    let mut missed = 0;
+    let (mut several, mut unseen) = (0, 0);
     for (number, MeasuredPoke { difference, truth_m, load_share }) in pokes.enumerate() {
-        if missed as f64 > MOST_MISSED.0 + MOST_MISSED.1 * number as f64 {
-            seen.push(None);
+        if too_many(several, number, MOST_SEVERAL) || too_many(unseen, number, MOST_UNSEEN) {
+            seen.push(PokeSight::Nothing(truth_m));
             continue;
         }
         let time_ns = (number as u64 + 1) * APART_NS;
@@ -106,16 +110,29 @@ pub fn seen_pokes<'a>(
         reconstructor.follow_touches(time_ns, &image, None)?;
         let mut strong =
             reconstructor.touches.contacts().iter().filter(|contact| contact.strength == ContactStrength::Strong);
-        let only = strong.next().filter(|_| strong.next().is_none());
-        missed += usize::from(only.is_none());
-        seen.push(only.map(|contact| SeenPoke {
+        let strongest = strong.next().map(|contact| SeenPoke {
             seen_m: contact.centroid_m,
+            variance_m2: variance_m2(contact),
             amplitude: contact.amplitude,
             truth_m,
             load_share,
-        }));
+        });
+        let is_alone = strong.next().is_none();
+        seen.push(match strongest {
+            Some(poke) if is_alone => PokeSight::Single(poke),
+            Some(poke) => PokeSight::Several(poke),
+            None => PokeSight::Nothing(truth_m),
+        });
+        several += usize::from(!is_alone);
+        unseen += usize::from(strongest.is_none());
     }
     Ok(seen)
+}
+
+/// Variance of each coordinate of a contact, the mean of both, noise and the model's error together, m^2.
+fn variance_m2(contact: &Contact) -> f64 {
+    let [[x, _], [_, y]] = contact.covariance_m2;
+    (0.5 * (x + y) + contact.model_variance_m2).max(LEAST_VARIANCE_M2)
 }
 
 #[cfg(test)]
@@ -173,5 +190,25 @@ mod tests {
         let opened = Calibration::load(&path).unwrap();
         assert_eq!(opened.pokes(), 30);
         opened.measured_jacobian(&prepared).unwrap();
+    }
+
+    #[test]
+    fn pokes_far_below_the_weakest_touch_are_seen_as_nothing() {
+        let prepared = Prepared::new(Skin::open("em-8").unwrap()).unwrap();
+        let rest = prepared.voltages.clone();
+        let positions_m: Vec<[f64; 2]> =
+            (0..36).map(|i| [0.02 * f64::from(i % 6) - 0.05, 0.02 * f64::from(i / 6) - 0.05]).collect();
+        let signatures = prepared.signatures(&positions_m);
+        let press = |(poke, signature): (usize, &[f64])| {
+            let share = if poke % 9 == 4 { 0.1 } else { 30.0 };
+            rest.iter().zip(signature).map(|(v, s)| v + share * s).collect::<Vec<f64>>()
+        };
+        let frames: Vec<Vec<f64>> = signatures.chunks_exact(rest.len()).enumerate().map(press).collect();
+        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
+        let pokes = Pokes { positions_m, loads: None };
+        let seen = seen_by_model(&prepared, measured, &pokes).unwrap();
+        for (poke, sight) in seen.iter().enumerate() {
+            assert_eq!(matches!(sight, PokeSight::Nothing(_)), poke % 9 == 4, "{poke}: {sight:?}");
+        }
     }
 }

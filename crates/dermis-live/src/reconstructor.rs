@@ -62,7 +62,8 @@ impl Reconstructor {
     }
 
     /// Follows the touches of an image of the frame imaged last. Where a calibration leaves places to the model,
-    /// `placement` lends a single touch its load, and what the calibration knows of the model's errors corrects all.
+    /// `placement` lends a single touch its load and places one that the model does not see, and what the calibration
+    /// knows of the model's errors corrects all others.
     ///
     /// # Errors
     /// An image of another size, a time before the last one, or a sheet with new cuts that cannot be solved.
@@ -83,8 +84,14 @@ impl Reconstructor {
         if imposed.is_none() {
             self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;
         }
-        if let Some(correction) = correction {
-            self.touches.correct_contacts(correction, placement.and_then(|placement| placement.load));
+        match (correction, placement) {
+            (Some(_), Some(placement)) if !placement.vague && self.touches.sees_nothing() => {
+                self.touches.place_unseen(placement, image)
+            }
+            (Some(correction), placement) => {
+                self.touches.correct_contacts(correction, placement.and_then(|placement| placement.load));
+            }
+            (None, _) => {}
         }
         self.touches.track_contacts(time_ns)
     }

@@ -12,7 +12,7 @@ use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
 use dermis_skin::{Reads, Skin, WeightChoice};
 use dermis_touch::Observation;
-use dermis_touch::locator::SeenPoke;
+use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
 use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
@@ -412,12 +412,7 @@ impl Bench {
     }
 
     /// Pokes as the skin file's model alone sees them.
-    fn seen_pokes(
-        &self,
-        baseline: &[Vec<f64>],
-        poked: &[Poked],
-        absent: &[u32],
-    ) -> Result<Vec<Option<SeenPoke>>, Error> {
+    fn seen_pokes(&self, baseline: &[Vec<f64>], poked: &[Poked], absent: &[u32]) -> Result<Vec<PokeSight>, Error> {
         let (mut reconstructor, reference) = self.by_model(baseline, absent)?;
         let differences: Vec<Vec<f64>> = poked.iter().map(|(_, frame)| reference.difference(frame, None)).collect();
         let pokes = poked.iter().zip(&differences).map(|((truth_m, _), difference)| MeasuredPoke {
@@ -444,7 +439,7 @@ impl Bench {
         &self,
         baseline: &[Vec<f64>],
         poked: &[Poked],
-        seen: &[Option<SeenPoke>],
+        seen: &[PokeSight],
     ) -> Result<(Reconstructor, Reference), Error> {
         let (positions_m, frames): (Vec<[f64; 2]>, Vec<Vec<f64>>) = poked.iter().cloned().unzip();
         let pokes = Pokes { positions_m, loads: None };

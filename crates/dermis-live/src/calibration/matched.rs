@@ -130,6 +130,7 @@ impl MatchedFinder {
             amplitude: None,
             load: None,
             doubtful: touch.score < LEAST_SCORE,
+            vague: false,
             other_place: None,
             second: None,
         };

@@ -12,6 +12,8 @@ use crate::stages::placement::Placement;
 
 /// Above this novelty a frame is doubted to be a single touch, and several contacts of the image stand against it.
 const MOST_NOVELTY: f64 = 3.0;
+/// Above this standard deviation, relative to half the shorter side, a frame does not tell where it is touched.
+const VAGUE: f64 = 0.5;
 
 /// Finds the place of the single touch of a frame.
 #[derive(Clone, Debug)]
@@ -29,12 +31,14 @@ pub struct LearntFinder {
     scratch: PlaceScratch,
     /// Where the model places touches: what corrects it.
     correction: Option<PlaceCorrection>,
-    /// What amplitudes are divided by, where this places touches.
+    /// What amplitudes are divided by.
     typical: Option<TypicalAmplitude>,
     /// What the pokes' loads were measured as.
     load: Option<LoadQuantity>,
     /// Root mean square of the noise-weighted frame below which there is no touch.
     smallest_amplitude: f64,
+    /// A place is vague where one of its coordinates has a larger standard deviation, metres.
+    vague_sigma_m: f64,
 }
 
 impl PlacementFinder {
@@ -66,7 +70,8 @@ impl PlacementFinder {
         }
     }
 
-    /// What corrects the places of the model, where that places touches: what is placed here then only tells loads.
+    /// What corrects the places of the model, where that places touches: what is placed here then tells loads, and where
+    /// a touch is that the model does not see.
     pub fn correction(&self) -> Option<&PlaceCorrection> {
         match self {
             PlacementFinder::Learnt(finder) => finder.correction.as_ref(),
@@ -83,12 +88,10 @@ impl LearntFinder {
     pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64, half_width_m: f64) -> Result<Self, Error> {
         let locator = calibration.locator().clone();
         let correction = calibration.correction().cloned();
-        let typical = match correction {
-            Some(_) => None,
-            None => calibration.typical_amplitude(half_width_m)?,
-        };
+        let typical = calibration.typical_amplitude(half_width_m)?;
         let load = calibration.load_quantity();
-        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude })
+        let vague_sigma_m = VAGUE * half_width_m;
+        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, vague_sigma_m })
     }
 
     /// The mean of the locator's posterior, also where that has several modes: a single mode of a posterior learnt from
@@ -107,6 +110,7 @@ impl LearntFinder {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
             doubtful: located.novelty > MOST_NOVELTY,
+            vague: located.sigma_x_m.max(located.sigma_y_m) > self.vague_sigma_m,
             position_m,
             covariance_m2: [
                 [located.sigma_x_m.powi(2), located.covariance_xy_m2],

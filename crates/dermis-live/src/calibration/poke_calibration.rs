@@ -5,6 +5,7 @@
 mod frames;
 mod map;
 mod stored;
+mod strength;
 
 pub(crate) use frames::differences_of;
 pub use frames::{PokeFrames, set_channels};
@@ -15,11 +16,12 @@ use dermis_tomo::inverse::MeasuredJacobian;
 use dermis_touch::health::RestScatter;
 use dermis_touch::locator::{
     Examples, FusedLocator, FusedOptions, FusedReport, LeaveOneOut, LocatorError, MIN_EXAMPLES, PlaceCorrection,
-    SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
+    PokeSight, SeenPoke, SessionDrift, SignatureMap, SuggestedPoke, TypicalAmplitude,
 };
 use frames::without_silence;
 use map::signature_map;
 use serde::{Deserialize, Serialize};
+use strength::TouchStrength;
 
 use super::place_locator::PlaceLocator;
 use super::poke_check::{Sound, check_pokes};
@@ -35,17 +37,10 @@ const MOST_KEPT: usize = 800;
 const MOST_WEIGHED: usize = 500;
 /// At most so many pokes say how strong a typical one is.
 const MOST_TYPICAL: usize = 200;
-/// The part of the pokes that may be weaker than the weakest touch that counts.
-const WEAK_SHARE: f64 = 0.02;
-/// The part of the frames at rest that stay below the amplitude of rest.
-const REST_SHARE: f64 = 0.95;
-/// A touch is so many times stronger than the noise at rest, than what frames at rest seldom reach; and weak pokes are
-/// so much stronger than the weakest touch that counts, whatever rest does.
-const ABOVE_REST: f64 = 1.6;
-const ABOVE_RECORDED_REST: f64 = 1.2;
-const BELOW_WEAK: f64 = 0.7;
-/// The model places touches only where it sees this part of the pokes as one touch each.
-const SEEN_BY_MODEL: f64 = 0.95;
+/// The model places touches only where it shows at most this part of the pokes as several touches,
+const MOST_SEVERAL: f64 = 0.1;
+/// and sees at least this part of them. The locator places the others.
+const LEAST_SEEN: f64 = 0.5;
 /// Fewest pokes in the order they were made that tell of drift.
 const FEWEST_FOR_DRIFT: usize = 40;
 
@@ -103,19 +98,6 @@ pub struct Calibration {
     pokes: usize,
     strength: TouchStrength,
     review: PokeReview,
-}
-
-/// Amplitudes (root mean squares of frames weighted as the locator does) that tell a touch from rest.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct TouchStrength {
-    /// What all but the weakest pokes reach.
-    weak: Option<f64>,
-    /// What frames at rest seldom reach, where there were frames at rest.
-    rest: Option<f64>,
-    /// Whether amplitudes are in units of the channels' noise.
-    #[serde(default)]
-    in_noise: bool,
 }
 
 /// How hard each poke was relative to a typical one, by its index; 1 where loads are not known.
@@ -188,35 +170,36 @@ impl Calibration {
             locator: PlaceLocator::Fused(Box::new(fused)),
             by_model: None,
             pokes: rows.len(),
-            strength: TouchStrength {
-                weak: quantile(weighed, WEAK_SHARE),
-                rest: quantile(resting, REST_SHARE),
-                in_noise: matches!(measured, PokeFrames::Readings { .. }),
-            },
+            strength: TouchStrength::of(weighed, resting, matches!(measured, PokeFrames::Readings { .. })),
             review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter },
         })
     }
 
-    /// Lets the skin's model place touches, corrected by the pokes, where left-out pokes are nearer that way than by
-    /// the locator (median and 90th percentile together). `seen`: pokes as the model sees them; `None` where it sees no
-    /// touch, or several. Says whether the model places touches now.
+    /// Lets the skin's model place touches, corrected by the pokes, and the locator those that the model does not see,
+    /// unless left-out pokes are clearly nearer by the locator alone (median and 90th percentile together). `seen`:
+    /// pokes as the model sees them. Says whether the model places touches now.
     ///
     /// # Errors
     /// Places, amplitudes or loads that are not finite.
-    pub fn try_model(&mut self, seen: &[Option<SeenPoke>], prepared: &Prepared) -> Result<bool, Error> {
+    pub fn try_model(&mut self, seen: &[PokeSight], prepared: &Prepared) -> Result<bool, Error> {
         self.by_model = None;
-        let pokes: Vec<SeenPoke> = seen.iter().copied().flatten().collect();
-        if pokes.len() < MIN_EXAMPLES || (pokes.len() as f64) < SEEN_BY_MODEL * seen.len() as f64 {
+        let pokes: Vec<SeenPoke> = seen.iter().filter_map(PokeSight::single).copied().collect();
+        let several = seen.iter().filter(|sight| matches!(sight, PokeSight::Several(_))).count() as f64;
+        let all = seen.len() as f64;
+        if pokes.len() < MIN_EXAMPLES || several > MOST_SEVERAL * all || (pokes.len() as f64) < LEAST_SEEN * all {
             return Ok(false);
         }
         let correction = match PlaceCorrection::fit(&pokes, prepared.half_width_m()) {
-            Ok(correction) => correction.beside(self.locator.leave_one_out()),
+            Ok(correction) => correction.beside(self.locator.leave_one_out(), seen),
             // Too few pokes near where the model has them: it knows nothing of them.
             Err(LocatorError::Count { .. }) => return Ok(false),
             Err(error) => return Err(error.into()),
         };
         let total = |report: &LeaveOneOut| report.median_error_m + report.p90_error_m;
-        self.by_model = Some(correction).filter(|c| total(c.leave_one_out()) < total(self.locator.leave_one_out()));
+        // The model knows more than these pokes: they have to show that they are better, within what they can tell.
+        let clearly = 1.0 - 1.0 / all.sqrt();
+        let locator = total(self.locator.leave_one_out());
+        self.by_model = Some(correction).filter(|c| clearly * total(c.leave_one_out()) < locator);
         Ok(self.by_model.is_some())
     }
 
@@ -278,7 +261,7 @@ impl Calibration {
             gone.iter().map(|frame| Ok(fused.predict(frame)?.amplitude)).collect::<Result<Vec<f64>, Error>>()?;
         silent.locator = PlaceLocator::Fused(Box::new(fused));
         silent.by_model = None;
-        silent.strength = TouchStrength { weak: quantile(amplitudes, WEAK_SHARE), rest: None, in_noise: true };
+        silent.strength = TouchStrength::of(amplitudes, Vec::new(), true);
         Ok(silent)
     }
 
@@ -313,7 +296,7 @@ impl Calibration {
             .iter()
             .map(|f| Ok(self.locator.locate(f, &mut finder)?.amplitude))
             .collect::<Result<_, Error>>()?;
-        Ok(TouchStrength { weak: quantile(amplitudes, 0.0), rest: None, in_noise: true })
+        Ok(TouchStrength::of_all(amplitudes))
     }
 
     /// What places single touches.
@@ -378,18 +361,13 @@ impl Calibration {
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }
 
-    /// The amplitude below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
-    /// the noise are less; but more than rest reaches, in the calibration's own frames and with the noise of the
-    /// session at hand (difference data, where it is known), as long as weak touches reach it too.
+    /// The amplitude below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise`: difference
+    /// data, where it is known. Where the model places touches, this is for those that it does not see.
     pub(super) fn smallest_amplitude(&self, hold_sigma: f64, session_noise: Option<&[f64]>) -> Result<f64, Error> {
         let strength = self.strength()?;
-        let weak = strength.weak.unwrap_or(0.0);
-        let usual = if strength.in_noise { hold_sigma.min(0.5 * weak) } else { 0.5 * weak };
-        let session = session_noise.map(|noise| self.locator.locate(noise, &mut self.locator.scratch())).transpose();
         // Noise that is zero everywhere has no amplitude.
-        let session = session.ok().flatten().map_or(0.0, |located| ABOVE_REST * located.amplitude);
-        let rest = strength.rest.map_or(0.0, |rest| ABOVE_RECORDED_REST * rest).max(session);
-        Ok(usual.max(rest.min(BELOW_WEAK * weak)))
+        let noise = session_noise.and_then(|noise| self.locator.locate(noise, &mut self.locator.scratch()).ok());
+        Ok(strength.smallest(hold_sigma, noise.map(|located| located.amplitude), self.by_model.is_some()))
     }
 
     /// Is this a calibration of this skin?
@@ -463,11 +441,4 @@ fn fit_best(
         }
     }
     best.map_or_else(|| Ok(FusedLocator::fit(examples, map, &options)?), Ok)
-}
-
-/// The `share` quantile, a value that is there; `None` of nothing.
-fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    let last = values.len().checked_sub(1)?;
-    values.get((share * last as f64).round() as usize).copied()
 }

@@ -24,6 +24,8 @@ pub struct Placement {
     pub load: Option<TouchLoad>,
     /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
     pub doubtful: bool,
+    /// Where it is nobody can tell: where the image shows no contact, there is none.
+    pub vague: bool,
     /// Where else the touch may be, where the frame does not tell.
     pub other_place: Option<PlaceHypothesis>,
     /// The frame is of two touches; the position is that of the stronger.

@@ -32,6 +32,8 @@ pub struct TouchStage {
     model_error: ModelError,
     /// A calibration has placed the contacts of this frame, and their sigmas hold the model's error.
     is_placed: bool,
+    /// The touch being followed is one that only the calibration sees.
+    follows_unseen: bool,
 }
 
 impl TouchStage {
@@ -70,6 +72,7 @@ impl TouchStage {
             forces: None,
             floor: 0.0,
             is_placed: false,
+            follows_unseen: false,
             model_error: ModelError::of(prepared),
         })
     }
@@ -107,31 +110,48 @@ impl TouchStage {
     pub fn find_contacts(&mut self, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
         self.contacts.retain(|contact| contact.amplitude >= self.floor);
-        let several = self.contacts.len() > 1;
+        let (several, none) = (self.contacts.len() > 1, self.contacts.is_empty());
         self.is_placed = false;
-        if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
-            self.contacts.truncate(1);
-            if self.contacts.is_empty() {
-                self.contacts.extend(self.contact_at(placement.position_m, image));
-            }
-            if let Some(only) = self.contacts.first_mut() {
-                only.centroid_m = placement.position_m;
-                only.covariance_m2 = placement.covariance_m2;
-                only.model_variance_m2 = 0.0;
-                only.load = placement.load;
-                only.other_place = placement.other_place;
-                if let Some(amplitude) = placement.amplitude {
-                    only.volume *= amplitude / only.amplitude;
-                    only.amplitude = amplitude;
-                }
-                self.is_placed = true;
-                // The calibration has judged the whole frame; the image's threshold has nothing to add.
-                only.strength = ContactStrength::Strong;
-                let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
-                self.contacts.extend(second);
-            }
+        let is_believed = |p: &Placement| !(p.doubtful && several || p.vague && none);
+        if let Some(placement) = placement.filter(is_believed) {
+            self.place_only(placement, image);
         }
         Ok(())
+    }
+
+    /// Puts a placement, the only touch of the frame or its two, in the place of the contacts found.
+    fn place_only(&mut self, placement: Placement, image: &[f32]) {
+        self.contacts.truncate(1);
+        if self.contacts.is_empty() {
+            self.contacts.extend(self.contact_at(placement.position_m, image));
+        }
+        let Some(only) = self.contacts.first_mut() else { return };
+        only.centroid_m = placement.position_m;
+        only.covariance_m2 = placement.covariance_m2;
+        only.model_variance_m2 = 0.0;
+        only.load = placement.load;
+        only.other_place = placement.other_place;
+        if let Some(amplitude) = placement.amplitude {
+            only.volume *= amplitude / only.amplitude;
+            only.amplitude = amplitude;
+        }
+        self.is_placed = true;
+        // The calibration has judged the whole frame; the image's threshold has nothing to add.
+        only.strength = ContactStrength::Strong;
+        let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
+        self.contacts.extend(second);
+    }
+
+    /// True where the contacts just found begin no touch, and the model follows none.
+    pub fn sees_nothing(&self) -> bool {
+        let is_unseen = self.follows_unseen || !self.is_loaded();
+        is_unseen && self.contacts.iter().all(|contact| contact.strength == ContactStrength::Weak)
+    }
+
+    /// A calibration places a touch that the model does not see ([`TouchStage::sees_nothing`]).
+    pub fn place_unseen(&mut self, placement: Placement, image: &[f32]) {
+        self.place_only(placement, image);
+        self.follows_unseen = true;
     }
 
     /// The contacts just found, for a refinement to place better.
@@ -142,6 +162,7 @@ impl TouchStage {
     /// Moves the contacts just found, which the model placed, to where a calibration knows them to be, and counts their
     /// amplitudes in those of a typical poke. The only one gets the load of the frame.
     pub fn correct_contacts(&mut self, correction: &PlaceCorrection, load: Option<TouchLoad>) {
+        self.follows_unseen = false;
         let is_single = self.contacts.len() == 1;
         for contact in &mut self.contacts {
             let typical = correction.typical_amplitude(contact.centroid_m);

@@ -1,7 +1,7 @@
 //! How far a skin's model puts touches from where they are, and how strong it shows them, learnt from pokes: each a
 //! constant and a smooth field over the skin. Both coordinates of the shift, and the logarithm of the amplitude, are
 //! regressed on the place that the model gives, with the covariance r (k(p, p') + 1) relative to the scatter, k the
-//! Matern 5/2 correlation; r and the length of k are those that predict left-out pokes best, and r = 0 (places stay as
+//! Matern 5/2 correlation; places scatter as the model says of each, in proportion. r and the length of k are those that predict left-out pokes best, and r = 0 (places stay as
 //! they are, one gain for all) stands unless another is clearly better. Rasmussen & Williams (2006), section 5.4.2, for
 //! leaving one poke out without refitting.
 
@@ -23,6 +23,8 @@ const STRENGTHS: [f64; 5] = [0.3, 1.0, 3.0, 10.0, 30.0];
 const WORTH_IT: f64 = 0.97;
 /// The model has mistaken a poke for another one beyond this distance, relative to half the shorter side.
 const MISTAKEN: f64 = 0.5;
+/// A place scatters at least and at most so many times the median variance.
+const SCATTER: (f64, f64) = (0.25, 100.0);
 /// The part of coordinates that lies within one standard deviation.
 const WITHIN_ONE_SIGMA: f64 = 0.683;
 /// Quantities that the left-out pokes chose: length, strength, sigma.
@@ -33,12 +35,35 @@ const CHOSEN: f64 = 3.0;
 pub struct SeenPoke {
     /// Where the model puts it, metres.
     pub seen_m: [f64; 2],
+    /// Variance of each coordinate of that according to the model, m^2, above zero; 1 where nobody knows.
+    pub variance_m2: f64,
     /// How strong the model shows it, above zero.
     pub amplitude: f64,
     /// Where it was, metres.
     pub truth_m: [f64; 2],
     /// How hard it was relative to a typical poke, above zero; 1 where nobody knows.
     pub load_share: f64,
+}
+
+/// What a skin's model makes of a poke.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PokeSight {
+    /// The one touch that it is.
+    Single(SeenPoke),
+    /// Several touches: this is the strongest.
+    Several(SeenPoke),
+    /// No touch at this place, metres.
+    Nothing([f64; 2]),
+}
+
+impl PokeSight {
+    /// The poke, where the model sees one touch.
+    pub fn single(&self) -> Option<&SeenPoke> {
+        match self {
+            Self::Single(poke) => Some(poke),
+            Self::Several(_) | Self::Nothing(_) => None,
+        }
+    }
 }
 
 /// Moves the places that a model gives to where pokes say they are, and scales amplitudes to those of a typical poke.
@@ -82,6 +107,7 @@ impl PlaceCorrection {
             check_first(field, values, |v| v.is_finite() && v > 0.0, "a finite number above zero")
         };
         above_zero("amplitude", &mut pokes.iter().map(|poke| poke.amplitude))?;
+        above_zero("variance_m2", &mut pokes.iter().map(|poke| poke.variance_m2))?;
         above_zero("load_share", &mut pokes.iter().map(|poke| poke.load_share))?;
         above_zero("half_width_m", &mut std::iter::once(half_width_m))?;
         let shift = |poke: &SeenPoke| [0, 1].map(|axis| poke.truth_m[axis] - poke.seen_m[axis]);
@@ -96,7 +122,10 @@ impl PlaceCorrection {
         }
         let places_m: Vec<[f64; 2]> = near.iter().map(|&i| seen[i]).collect();
         let shifts: Vec<[f64; 2]> = near.iter().map(|&i| shift(&pokes[i])).collect();
-        let shifts = Field::best(&places_m, &shifts, half_width_m)?;
+        let variances: Vec<f64> = near.iter().map(|&i| pokes[i].variance_m2).collect();
+        let usual = median(&variances);
+        let scatter: Vec<f64> = variances.iter().map(|v| (v / usual).clamp(SCATTER.0, SCATTER.1)).collect();
+        let shifts = Field::best(&places_m, &shifts, &scatter, half_width_m)?;
         let amplitudes: Vec<f64> = near.iter().map(|&i| pokes[i].amplitude / pokes[i].load_share).collect();
         let amplitudes = TypicalAmplitude::fit(&places_m, &amplitudes, half_width_m)?;
         let coordinates: Vec<f64> = shifts.errors.iter().flatten().map(|error| error.abs()).collect();
@@ -107,7 +136,7 @@ impl PlaceCorrection {
         near.iter().zip(&shifts.errors).for_each(|(&i, error)| errors[i] = *error);
         Ok(Self {
             stored: StoredCorrection {
-                left_out: left_out(&truth_m, &errors, sigma_m),
+                left_out: report(truth_m.iter().zip(&errors).map(|(&t, &e)| example(t, e, sigma_m)).collect()),
                 places_m,
                 shift_length_m: shifts.length_m,
                 shifts_m: shifts.weights,
@@ -145,11 +174,27 @@ impl PlaceCorrection {
         &self.stored.left_out
     }
 
-    /// With what another locator found out about the same pokes beside places.
+    /// With what another locator found out about the same pokes beside places, and with what becomes of those that the
+    /// model does not see as one touch.
     #[must_use]
-    pub fn beside(mut self, other: &LeaveOneOut) -> Self {
-        self.stored.left_out.physics_cosine = other.physics_cosine;
-        self.stored.left_out.load_error = other.load_error;
+    pub fn beside(mut self, other: &LeaveOneOut, unseen: &[PokeSight]) -> Self {
+        let examples = &mut self.stored.left_out.examples;
+        for sight in unseen {
+            examples.extend(match sight {
+                // As wrong as the strongest of them.
+                PokeSight::Several(poke) => {
+                    Some(example(poke.truth_m, [0, 1].map(|k| poke.truth_m[k] - poke.seen_m[k]), self.stored.sigma_m))
+                }
+                // The other locator places it.
+                PokeSight::Nothing(truth_m) => other.examples.iter().find(|e| e.position_m == *truth_m).copied(),
+                PokeSight::Single(_) => None,
+            });
+        }
+        self.stored.left_out = LeaveOneOut {
+            physics_cosine: other.physics_cosine,
+            load_error: other.load_error,
+            ..report(std::mem::take(examples))
+        };
         self
     }
 }
@@ -184,7 +229,7 @@ impl TypicalAmplitude {
         let logs: Vec<f64> = amplitudes.iter().map(|amplitude| amplitude.ln()).collect();
         let log_amplitude = median(&logs);
         let logs: Vec<[f64; 1]> = logs.iter().map(|log| [log - log_amplitude]).collect();
-        let field = Field::best(places_m, &logs, half_width_m)?;
+        let field = Field::best(places_m, &logs, &vec![1.0; logs.len()], half_width_m)?;
         let log_amplitudes = field.weights.iter().map(|[weight]| *weight).collect();
         Ok(Self { places_m: places_m.to_vec(), log_amplitude, length_m: field.length_m, log_amplitudes })
     }
@@ -215,15 +260,21 @@ struct Field<const K: usize> {
 }
 
 impl<const K: usize> Field<K> {
-    /// The one that predicts left-out pokes best; none at all unless another is clearly better.
-    fn best(places: &[[f64; 2]], targets: &[[f64; K]], half_width_m: f64) -> Result<Self, LocatorError> {
+    /// The one that predicts left-out pokes best; none at all unless another is clearly better. `scatter`: variance of
+    /// each target, relative to that of a usual one.
+    fn best(
+        places: &[[f64; 2]],
+        targets: &[[f64; K]],
+        scatter: &[f64],
+        half_width_m: f64,
+    ) -> Result<Self, LocatorError> {
         let mut best = Self { length_m: half_width_m, weights: vec![[0.0; K]; places.len()], errors: targets.to_vec() };
-        let mut bar = WORTH_IT * best.rms();
+        let mut bar = WORTH_IT * best.rms(scatter);
         for length_m in LENGTHS.map(|share| share * half_width_m) {
             for strength in STRENGTHS {
-                let field = Self::fit(places, targets, length_m, strength)?;
-                if field.rms() < bar {
-                    bar = field.rms();
+                let field = Self::fit(places, targets, scatter, length_m, strength)?;
+                if field.rms(scatter) < bar {
+                    bar = field.rms(scatter);
                     best = field;
                 }
             }
@@ -231,10 +282,16 @@ impl<const K: usize> Field<K> {
         Ok(best)
     }
 
-    fn fit(places: &[[f64; 2]], targets: &[[f64; K]], length_m: f64, strength: f64) -> Result<Self, LocatorError> {
+    fn fit(
+        places: &[[f64; 2]],
+        targets: &[[f64; K]],
+        scatter: &[f64],
+        length_m: f64,
+        strength: f64,
+    ) -> Result<Self, LocatorError> {
         let n = places.len();
-        let covariance =
-            Mat::from_fn(n, n, |i, j| strength * share(places[i], places[j], length_m) + f64::from(u8::from(i == j)));
+        let own = |i: usize, j: usize| if i == j { scatter[i] } else { 0.0 };
+        let covariance = Mat::from_fn(n, n, |i, j| strength * share(places[i], places[j], length_m) + own(i, j));
         let singular = |_| LocatorError::Singular { what: "covariance of the shifts" };
         let inverse = covariance.llt(Side::Lower).map_err(singular)?.inverse();
         let solved = &inverse * Mat::from_fn(n, K, |i, k| targets[i][k]);
@@ -245,26 +302,30 @@ impl<const K: usize> Field<K> {
         })
     }
 
-    fn rms(&self) -> f64 {
-        let sum: f64 = self.errors.iter().flatten().map(|error| error * error).sum();
+    /// Root mean square of the errors, each relative to its scatter.
+    fn rms(&self, scatter: &[f64]) -> f64 {
+        let weighted = |(errors, s): (&[f64; K], &f64)| errors.iter().map(|error| error * error).sum::<f64>() / s;
+        let sum: f64 = self.errors.iter().zip(scatter).map(weighted).sum();
         (sum / (K * self.errors.len()) as f64).sqrt()
     }
 }
 
-/// The report of pokes at `truth_m` that were placed wrong by -`errors_m`.
-fn left_out(truth_m: &[[f64; 2]], errors_m: &[[f64; 2]], sigma_m: f64) -> LeaveOneOut {
-    let example = |(&position_m, error): (&[f64; 2], &[f64; 2])| LeftOut {
-        position_m,
-        located_m: [0, 1].map(|axis| position_m[axis] - error[axis]),
+/// A poke at `truth_m` that was placed wrong by -`error_m`.
+fn example(truth_m: [f64; 2], error_m: [f64; 2], sigma_m: f64) -> LeftOut {
+    LeftOut {
+        position_m: truth_m,
+        located_m: [0, 1].map(|axis| truth_m[axis] - error_m[axis]),
         sigma_m: [sigma_m; 2],
-        error_m: error[0].hypot(error[1]),
+        error_m: error_m[0].hypot(error_m[1]),
         novelty: 1.0,
-    };
-    let examples: Vec<LeftOut> = truth_m.iter().zip(errors_m).map(example).collect();
+    }
+}
+
+/// What left-out pokes tell together.
+fn report(examples: Vec<LeftOut>) -> LeaveOneOut {
     let errors: Vec<f64> = examples.iter().map(|example| example.error_m).collect();
-    let within = |axis: usize| {
-        errors_m.iter().filter(|error| error[axis].abs() <= sigma_m).count() as f64 / errors_m.len() as f64
-    };
+    let is_within = |axis: usize, e: &LeftOut| (e.located_m[axis] - e.position_m[axis]).abs() <= e.sigma_m[axis];
+    let within = |axis: usize| examples.iter().filter(|e| is_within(axis, e)).count() as f64 / examples.len() as f64;
     LeaveOneOut {
         median_error_m: quantile(&errors, 0.5),
         p90_error_m: quantile(&errors, 0.9),
@@ -323,6 +384,7 @@ mod tests {
     fn pokes(truth: impl Fn([f64; 2]) -> [f64; 2]) -> Vec<SeenPoke> {
         let poke = |(i, seen_m): (usize, [f64; 2])| SeenPoke {
             seen_m,
+            variance_m2: 1.0,
             amplitude: 1.0,
             truth_m: [0, 1].map(|axis| truth(seen_m)[axis] + scatter(i)[axis]),
             load_share: 1.0,
@@ -383,5 +445,36 @@ mod tests {
         assert!(PlaceCorrection::fit(&pokes[..4], 0.035).is_err());
         pokes[3].amplitude = f64::NAN;
         assert!(PlaceCorrection::fit(&pokes, 0.035).unwrap_err().to_string().contains("amplitude, index 3"));
+    }
+
+    #[test]
+    fn places_that_the_model_doubts_count_less() {
+        let shifted = |p: [f64; 2]| [p[0] + 1e-3, p[1]];
+        let mut pokes = pokes(shifted);
+        for poke in pokes.iter_mut().step_by(3) {
+            poke.truth_m[0] += 8e-3;
+            poke.variance_m2 = 64.0;
+        }
+        let off =
+            |pokes: &[SeenPoke]| (PlaceCorrection::fit(pokes, 0.035).unwrap().corrected([0.0; 2])[0] - 1e-3).abs();
+        let with_doubts = off(&pokes);
+        pokes.iter_mut().for_each(|poke| poke.variance_m2 = 1.0);
+        // A third of the pokes 8 mm off: trusted like the others, they pull places by 2.7 mm.
+        assert!(with_doubts < 2e-4 && off(&pokes) > 1e-3, "{with_doubts} m");
+    }
+
+    #[test]
+    fn pokes_that_the_model_does_not_see_are_as_far_off_as_the_other_locator_has_them() {
+        let seen = pokes(|p| p);
+        let [blind, crowded] = [[0.031, 0.031], [0.032, -0.032]];
+        let other = report(vec![example(blind, [0.004, 0.0], 0.005), example(crowded, [0.001, 0.0], 0.001)]);
+        let split = SeenPoke { seen_m: [0.032, -0.022], truth_m: crowded, ..seen[0] };
+        let sights = [PokeSight::Single(seen[0]), PokeSight::Nothing(blind), PokeSight::Several(split)];
+        let correction = PlaceCorrection::fit(&seen, 0.035).unwrap();
+        let alone = correction.leave_one_out().examples.len();
+        let all = correction.beside(&other, &sights).leave_one_out().clone();
+        let errors: Vec<f64> = all.examples[alone..].iter().map(|e| (e.error_m * 1e6).round()).collect();
+        assert_eq!(errors, [4000.0, 10_000.0]);
+        assert!(all.coverage[0] <= 1.0 && all.median_error_m < 2e-4);
     }
 }

@@ -35,7 +35,7 @@ mod suggest;
 mod turn;
 mod turn_search;
 
-pub use correction::{PlaceCorrection, SeenPoke, TypicalAmplitude};
+pub use correction::{PlaceCorrection, PokeSight, SeenPoke, TypicalAmplitude};
 pub use data::{
     Examples, Hyperparameters, LeaveOneOut, LeftOut, LoadEstimate, Located, LocatorOptions, MIN_CHANNELS, MIN_EXAMPLES,
     Selection, SignatureMap, SuggestedPoke,

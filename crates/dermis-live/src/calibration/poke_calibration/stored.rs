@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::place_locator::PlaceLocator;
 use super::super::pokes::LoadQuantity;
-use super::{Calibration, PokeReview, TouchStrength};
+use super::strength::TouchStrength;
+use super::{Calibration, PokeReview};
 
 /// Versions of the calibration file: with a locator of one expert, of two, and beside it what corrects the model's
 /// places.

@@ -1,0 +1,64 @@
+//! Calibrations by pokes of skins that their model sees in part.
+
+use std::collections::BTreeMap;
+
+use super::Desk;
+
+/// Rows of a CSV file as numbers by column.
+fn rows(desk: &Desk, name: &str) -> Vec<BTreeMap<String, f64>> {
+    let text = std::fs::read_to_string(desk.path(name)).expect("a file");
+    let mut lines = text.lines();
+    let columns: Vec<&str> = lines.next().expect("a header").split(',').collect();
+    let row = |line: &str| {
+        let number = |(column, value): (&&str, &str)| Some(((*column).to_owned(), value.parse().ok()?));
+        columns.iter().zip(line.split(',')).filter_map(number).collect()
+    };
+    lines.map(row).collect()
+}
+
+/// Errors of the presses of `t2.csv` by a table of touches, sorted, mm; and how many have no touch.
+fn errors_mm(desk: &Desk, touches: &str) -> (Vec<f64>, usize) {
+    let (truth, seen) = (rows(desk, "t2.csv"), rows(desk, touches));
+    let away = |press: &BTreeMap<String, f64>, touch: &BTreeMap<String, f64>| {
+        (1e3 * press["x_m"] - touch["x_mm"]).hypot(1e3 * press["y_m"] - touch["y_mm"])
+    };
+    let nearest = |press: &BTreeMap<String, f64>| {
+        seen.iter().filter(|t| t["frame"] == press["frame"]).map(|t| away(press, t)).min_by(f64::total_cmp)
+    };
+    let mut errors: Vec<f64> = truth.iter().filter_map(nearest).collect();
+    errors.sort_by(f64::total_cmp);
+    let missed = truth.len() - errors.len();
+    (errors, missed)
+}
+
+/// A third of the presses on `em-8` lie beyond its elements: some move none of them. The model places what it sees, the
+/// pokes what it does not, and both together are no worse than the model alone.
+#[test]
+fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
+    let desk = Desk::with(&[]);
+    let sample = |presses: &str, seed: &str, files: [&str; 3]| {
+        let [rest, frames, truth] = files;
+        let to = ["--baseline", rest, "--frames", frames, "--truth", truth, "--seed", seed];
+        desk.done(&[&["twin", "sample", "em-8", "--presses", presses], &to[..]].concat());
+    };
+    sample("random:40", "2", ["b1.npy", "f1.npy", "t1.csv"]);
+    sample("random:60", "12", ["b2.npy", "f2.npy", "t2.csv"]);
+    let pokes = ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "c.json"];
+    let said = desk.done(&[&["calibrate", "em-8"], &pokes[..]].concat());
+    assert!(said.contains("model"), "{said}");
+    let reconstruct = |frames: &str, more: &[&str]| {
+        let files =
+            ["reconstruct", "em-8", "--baseline", "b2.npy#0..15", "--frames", frames, "--touches", "touches.csv"];
+        desk.done(&[&files[..], more].concat());
+    };
+    reconstruct("f2.npy", &[]);
+    let (plain, plain_missed) = errors_mm(&desk, "touches.csv");
+    reconstruct("f2.npy", &["--calibration", "c.json"]);
+    let (calibrated, missed) = errors_mm(&desk, "touches.csv");
+    // Half a millimetre is what the median of sixty such presses wavers by.
+    assert!(calibrated[calibrated.len() / 2] < plain[plain.len() / 2] + 0.5, "{calibrated:?} {plain:?}");
+    assert!(missed <= plain_missed, "{missed} of 60 missed, {plain_missed} without the calibration");
+    // Frames at rest that the baseline does not hold: a touch in at most one of fifteen.
+    reconstruct("b2.npy#16..31", &["--calibration", "c.json"]);
+    assert!(rows(&desk, "touches.csv").len() <= 1);
+}
