@@ -18,8 +18,8 @@ use crate::stages::refinement::Refinement;
 const MOST_LOOKED_AT: usize = 200;
 /// Of the first n frames so many, and this share of n, may show several touches, or none, before the rest is not looked
 /// at.
-const MOST_SEVERAL: (f64, f64) = (2.0, 0.1);
-const MOST_UNSEEN: (f64, f64) = (2.0, 0.5);
+const SEVERAL_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.1);
+const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
 /// No place is known better, m^2: a micrometre.
 const LEAST_VARIANCE_M2: f64 = 1e-12;
 /// Between frames that have nothing to do with each other, nanoseconds.
@@ -100,7 +100,7 @@ pub fn seen_pokes<'a>(
     let mut seen = Vec::new();
     let (mut several, mut unseen) = (0, 0);
     for (number, MeasuredPoke { difference, truth_m, load_share }) in pokes.enumerate() {
-        if too_many(several, number, MOST_SEVERAL) || too_many(unseen, number, MOST_UNSEEN) {
+        if too_many(several, number, SEVERAL_BEFORE_GIVING_UP) || too_many(unseen, number, UNSEEN_BEFORE_GIVING_UP) {
             seen.push(PokeSight::Nothing(truth_m));
             continue;
         }

@@ -109,8 +109,8 @@ impl PyCalibration {
         self.calibration.pokes()
     }
 
-    /// Whether the skin's model places touches, corrected by the pokes: where that puts left-out pokes nearer than the
-    /// pokes alone do.
+    /// Whether the skin's model places touches, corrected by the pokes, and these what it does not see: unless left-out
+    /// pokes are clearly nearer by the pokes alone.
     #[getter]
     fn by_model(&self) -> bool {
         self.calibration.correction().is_some()

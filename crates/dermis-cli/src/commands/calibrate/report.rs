@@ -71,7 +71,10 @@ pub(super) fn print_experts(
 ) -> std::io::Result<()> {
     let Some(report) = calibration.experts() else { return Ok(()) };
     if calibration.correction().is_some() {
-        writeln!(out, "touches are placed by the skin's model, corrected by the pokes; by pokes alone:")?;
+        writeln!(
+            out,
+            "touches are placed by the skin's model, corrected by the pokes, and by these where it sees nothing; by pokes alone:"
+        )?;
     }
     let expert = |used: bool, a: &Accuracy| {
         let used = if used { "used" } else { "not used" };
