@@ -24,7 +24,7 @@ pub struct Placement {
     pub load: Option<TouchLoad>,
     /// The frame is unlike any single touch that was learnt: where the image shows several contacts, they are believed.
     pub doubtful: bool,
-    /// Where it is nobody can tell: where the image shows no contact, there is none.
+    /// Where it is nobody can tell: that is no touch where the model places touches and sees none.
     pub vague: bool,
     /// Where else the touch may be, where the frame does not tell.
     pub other_place: Option<PlaceHypothesis>,

@@ -110,10 +110,9 @@ impl TouchStage {
     pub fn find_contacts(&mut self, image: &[f32], placement: Option<Placement>) -> Result<(), Error> {
         self.finder.find(image, PixelNoise::PerPixel(&self.noise), &mut self.contacts)?;
         self.contacts.retain(|contact| contact.amplitude >= self.floor);
-        let (several, none) = (self.contacts.len() > 1, self.contacts.is_empty());
+        let several = self.contacts.len() > 1;
         self.is_placed = false;
-        let is_believed = |p: &Placement| !(p.doubtful && several || p.vague && none);
-        if let Some(placement) = placement.filter(is_believed) {
+        if let Some(placement) = placement.filter(|placement| !(placement.doubtful && several)) {
             self.place_only(placement, image);
         }
         Ok(())
