@@ -19,6 +19,8 @@ const RADII_CELLS: [f64; 2] = [0.1, 3.0];
 /// A press is looked for along a direction in so many steps of so many cells either way.
 const SCANNED_STEPS: i32 = 12;
 pub(super) const SCANNED_CELLS: f64 = 0.1;
+/// At each step the least cost is looked for across it, by parabolas of these half widths in cells.
+const ACROSS_CELLS: [f64; 2] = [0.05, 0.02];
 /// Longest step: in cells and in logarithms.
 const LONGEST_STEP: f64 = 0.5;
 /// A fit has converged where no place moves by more than this share of a cell, and no logarithm by as much.
@@ -120,31 +122,54 @@ pub(super) fn moments_along(
     let presses = found.presses.clone();
     let mut way = Way::new(mechanics, usual, frame, &presses);
     let cell = mechanics.cell_m[0].min(mechanics.cell_m[1]);
-    let (mut sums, mut least) = ([0.0; 3], found.cost);
+    let across = [-direction[1], direction[0]];
     let (mut tried, mut residual) = (presses.clone(), Vec::new());
-    for step in -SCANNED_STEPS..=SCANNED_STEPS {
-        let offset_m = f64::from(step) * SCANNED_CELLS * cell;
+    // What a press costs at these offsets along and across, its force kept; `None` where no press can be.
+    let mut cost_at = |along_m: f64, across_m: f64| -> Result<Option<f64>, MitError> {
         let press = &mut tried[number];
         *press = presses[number];
-        press.centre_m = [0, 1].map(|axis| presses[number].centre_m[axis] + offset_m * direction[axis]);
+        let moved = |axis: usize| along_m * direction[axis] + across_m * across[axis];
+        press.centre_m = [0, 1].map(|axis| presses[number].centre_m[axis] + moved(axis));
         if (0..2).any(|axis| press.centre_m[axis] < usual.low_m[axis] || press.centre_m[axis] > usual.high_m[axis]) {
-            continue;
+            return Ok(None);
         }
         mechanics.travels(&tried, false, &mut way.travels);
         let force_n = way.travels.forces_n[number];
         if force_n <= 0.0 {
-            continue;
+            return Ok(None);
         }
         tried[number].log_pressure += (found.forces_n[number] / force_n).ln();
         way.residual_of(&tried, &mut residual)?;
-        let cost = way.cost_of(&tried, &residual);
-        // Sums count from the least cost so far.
-        let (scale, weight) = (((cost - least).min(0.0) * 0.5).exp(), (-0.5 * (cost - least).max(0.0)).exp());
-        least = least.min(cost);
-        sums = sums.map(|sum| sum * scale);
-        sums[0] += weight;
-        sums[1] += weight * offset_m;
-        sums[2] += weight * offset_m * offset_m;
+        Ok(Some(way.cost_of(&tried, &residual)))
+    };
+    let (mut sums, mut least) = ([0.0; 3], found.cost);
+    for sign in [-1.0, 1.0] {
+        // How far across the least cost lies goes on from step to step.
+        let mut across_m = 0.0;
+        for step in i32::from(sign > 0.0)..=SCANNED_STEPS {
+            let offset_m = sign * f64::from(step) * SCANNED_CELLS * cell;
+            let Some(mut cost) = cost_at(offset_m, across_m)? else { continue };
+            for beside_m in ACROSS_CELLS.map(|cells| cells * cell) {
+                let [left, right] = [cost_at(offset_m, across_m - beside_m)?, cost_at(offset_m, across_m + beside_m)?];
+                let (Some(left), Some(right)) = (left, right) else { continue };
+                let bent = left + right - 2.0 * cost;
+                let to_m = beside_m * if bent > 0.0 { (0.5 * (left - right) / bent).clamp(-2.0, 2.0) } else { 0.0 };
+                match cost_at(offset_m, across_m + to_m)? {
+                    Some(there) if there < cost => {
+                        cost = there;
+                        across_m += to_m;
+                    }
+                    _ => {}
+                }
+            }
+            // Sums count from the least cost so far.
+            let (scale, weight) = (((cost - least).min(0.0) * 0.5).exp(), (-0.5 * (cost - least).max(0.0)).exp());
+            least = least.min(cost);
+            sums = sums.map(|sum| sum * scale);
+            sums[0] += weight;
+            sums[1] += weight * offset_m;
+            sums[2] += weight * offset_m * offset_m;
+        }
     }
     if sums[0] <= 0.0 {
         return Ok((0.0, 0.0));
