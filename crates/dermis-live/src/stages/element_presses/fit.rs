@@ -21,6 +21,8 @@ const SCANNED_STEPS: i32 = 12;
 pub(super) const SCANNED_CELLS: f64 = 0.1;
 /// At each step the least cost is looked for across it, by parabolas of these half widths in cells.
 const ACROSS_CELLS: [f64; 2] = [0.05, 0.02];
+/// What costs so much more than the least is not possible, nor is what lies beyond.
+const NOT_POSSIBLE: f64 = 50.0;
 /// Longest step: in cells and in logarithms.
 const LONGEST_STEP: f64 = 0.5;
 /// A fit has converged where no place moves by more than this share of a cell, and no logarithm by as much.
@@ -161,6 +163,9 @@ pub(super) fn moments_along(
                     }
                     _ => {}
                 }
+            }
+            if cost > least + NOT_POSSIBLE {
+                break;
             }
             // Sums count from the least cost so far.
             let (scale, weight) = (((cost - least).min(0.0) * 0.5).exp(), (-0.5 * (cost - least).max(0.0)).exp());
