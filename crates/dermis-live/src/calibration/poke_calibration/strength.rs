@@ -11,8 +11,6 @@ const REST_SHARE: f64 = 0.95;
 const ABOVE_REST: f64 = 1.6;
 const ABOVE_RECORDED_REST: f64 = 1.2;
 const BELOW_WEAK: f64 = 0.7;
-/// Most pokes are more than this part.
-const MOST: f64 = 0.5;
 
 /// Amplitudes (root mean squares of frames weighted as the locator does) that tell a touch from rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -28,14 +26,9 @@ pub(super) struct TouchStrength {
 }
 
 impl TouchStrength {
-    /// Of the amplitudes of pokes and of frames at rest. Pokes that rest reaches as well nobody feels: they do not count
-    /// where most others are stronger.
+    /// Of the amplitudes of pokes and of frames at rest.
     pub fn of(pokes: Vec<f64>, resting: Vec<f64>, in_noise: bool) -> Self {
-        let rest = quantile(resting, REST_SHARE);
-        let is_felt = |amplitude: &f64| rest.is_none_or(|rest| BELOW_WEAK * amplitude >= ABOVE_RECORDED_REST * rest);
-        let felt: Vec<f64> = pokes.iter().copied().filter(is_felt).collect();
-        let counted = if felt.len() as f64 > MOST * pokes.len() as f64 { felt } else { pokes };
-        Self { weak: quantile(counted, WEAK_SHARE), rest, in_noise }
+        Self { weak: quantile(pokes, WEAK_SHARE), rest: quantile(resting, REST_SHARE), in_noise }
     }
 
     /// Of the amplitudes of pokes alone; all of them count as touches.
@@ -74,13 +67,11 @@ mod tests {
     }
 
     #[test]
-    fn pokes_that_nobody_feels_do_not_let_rest_through() {
-        let pokes = |unfelt: u32| (0..40).map(|i| if i < unfelt { 1.0 } else { 10.0 }).collect::<Vec<f64>>();
-        let smallest = |unfelt| TouchStrength::of(pokes(unfelt), resting(), true).smallest(4.0, None, false);
-        assert_eq!(smallest(0), 4.0);
-        assert_eq!(smallest(6), 4.0);
-        // Where most are as weak as rest, they are what there is to feel: any touch counts then.
-        assert!(smallest(30) < 1.0);
+    fn pokes_as_weak_as_rest_count_as_touches_unless_the_model_sees_the_others() {
+        let pokes = (0..40).map(|i| if i < 6 { 1.0 } else { 10.0 }).collect::<Vec<f64>>();
+        let smallest = |beside| TouchStrength::of(pokes.clone(), resting(), true).smallest(4.0, None, beside);
+        assert_eq!(smallest(false), BELOW_WEAK);
+        assert!(smallest(true) > 1.2, "{}", smallest(true));
     }
 
     #[test]
