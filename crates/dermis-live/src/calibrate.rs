@@ -140,6 +140,20 @@ mod tests {
     use super::*;
     use dermis_skin::Skin;
 
+    /// Places on a grid six wide, its first one here.
+    fn grid(count: u32, pitch_m: f64, first_m: [f64; 2]) -> Vec<[f64; 2]> {
+        (0..count).map(|i| [pitch_m * f64::from(i % 6) + first_m[0], pitch_m * f64::from(i / 6) + first_m[1]]).collect()
+    }
+
+    /// What the model itself shows of presses at these places, each so hard.
+    fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]], share: impl Fn(usize) -> f64) -> Vec<Vec<f64>> {
+        let rest = &prepared.voltages;
+        let press = |(poke, signature): (usize, &[f64])| {
+            rest.iter().zip(signature).map(|(v, s)| v + share(poke) * s).collect::<Vec<f64>>()
+        };
+        prepared.signatures(positions_m).chunks_exact(rest.len()).enumerate().map(press).collect()
+    }
+
     #[test]
     fn frames_that_are_no_touches_are_soon_left_to_the_pokes() {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
@@ -150,18 +164,13 @@ mod tests {
             rest.iter().enumerate().map(|(k, v)| v * factor(k)).collect::<Vec<f64>>()
         };
         let frames: Vec<Vec<f64>> = (0..30).map(wild).collect();
-        let positions_m = (0..30).map(|i| [0.01 * f64::from(i % 6) - 0.03, 0.01 * f64::from(i / 6) - 0.02]).collect();
-        let pokes = Pokes { positions_m, loads: None };
+        let pokes = Pokes { positions_m: grid(30, 0.01, [-0.03, -0.02]), loads: None };
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.correction().is_none());
         // Touches of the model itself, on the other hand, are placed by it.
-        let signatures = prepared.signatures(&pokes.positions_m);
-        let pressed: Vec<Vec<f64>> = signatures
-            .chunks_exact(rest.len())
-            .map(|signature| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect())
-            .collect();
-        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &pressed };
+        let frames = pressed(&prepared, &pokes.positions_m, |_| 0.1);
+        let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let calibration = calibrate(&prepared, measured, &pokes, &CalibrationOptions::default()).unwrap();
         assert!(calibration.leave_one_out().median_error_m < 2e-3, "{:?}", calibration.leave_one_out().median_error_m);
     }
@@ -170,13 +179,8 @@ mod tests {
     fn channels_that_read_nothing_and_gaps_are_kept_through_a_file() {
         let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
         let rest = prepared.voltages.clone();
-        let positions_m: Vec<[f64; 2]> =
-            (0..30).map(|i| [0.01 * f64::from(i % 6) - 0.03, 0.01 * f64::from(i / 6) - 0.02]).collect();
-        let signatures = prepared.signatures(&positions_m);
-        let mut frames: Vec<Vec<f64>> = signatures
-            .chunks_exact(rest.len())
-            .map(|signature| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect())
-            .collect();
+        let positions_m = grid(30, 0.01, [-0.03, -0.02]);
+        let mut frames = pressed(&prepared, &positions_m, |_| 0.1);
         // One channel reads nothing at all, another misses a few pokes.
         frames.iter_mut().for_each(|frame| frame[7] = f64::NAN);
         frames[3..6].iter_mut().for_each(|frame| frame[40] = f64::NAN);
@@ -196,14 +200,8 @@ mod tests {
     fn pokes_far_below_the_weakest_touch_are_seen_as_nothing() {
         let prepared = Prepared::new(Skin::open("em-8").unwrap()).unwrap();
         let rest = prepared.voltages.clone();
-        let positions_m: Vec<[f64; 2]> =
-            (0..36).map(|i| [0.02 * f64::from(i % 6) - 0.05, 0.02 * f64::from(i / 6) - 0.05]).collect();
-        let signatures = prepared.signatures(&positions_m);
-        let press = |(poke, signature): (usize, &[f64])| {
-            let share = if poke % 9 == 4 { 0.1 } else { 30.0 };
-            rest.iter().zip(signature).map(|(v, s)| v + share * s).collect::<Vec<f64>>()
-        };
-        let frames: Vec<Vec<f64>> = signatures.chunks_exact(rest.len()).enumerate().map(press).collect();
+        let positions_m = grid(36, 0.02, [-0.05, -0.05]);
+        let frames = pressed(&prepared, &positions_m, |poke| if poke % 9 == 4 { 0.1 } else { 30.0 });
         let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
         let pokes = Pokes { positions_m, loads: None };
         let seen = seen_by_model(&prepared, measured, &pokes).unwrap();

@@ -45,7 +45,7 @@ fn pokes_that_nobody_feels_do_not_spoil_a_calibration() {
     sample("random:60", "12", ["b2.npy", "f2.npy", "t2.csv"]);
     let pokes = ["--baseline", "b1.npy", "--frames", "f1.npy", "--positions", "t1.csv", "--out", "c.json"];
     let said = desk.done(&[&["calibrate", "em-8"], &pokes[..]].concat());
-    assert!(said.contains("model"), "{said}");
+    assert!(said.contains("placed by the skin's model"), "{said}");
     let reconstruct = |frames: &str, more: &[&str]| {
         let files =
             ["reconstruct", "em-8", "--baseline", "b2.npy#0..15", "--frames", frames, "--touches", "touches.csv"];

@@ -73,8 +73,9 @@ pub(super) fn print_experts(
     if calibration.correction().is_some() {
         writeln!(
             out,
-            "touches are placed by the skin's model, corrected by the pokes, and by these where it sees nothing; by pokes alone:"
+            "touches are placed by the skin's model, corrected by the pokes, and by these where it sees nothing"
         )?;
+        writeln!(out, "by pokes alone:")?;
     }
     let expert = |used: bool, a: &Accuracy| {
         let used = if used { "used" } else { "not used" };
