@@ -1,9 +1,9 @@
 //! How far a skin's model puts touches from where they are, and how strong it shows them, learnt from pokes: each a
 //! constant and a smooth field over the skin. Both coordinates of the shift, and the logarithm of the amplitude, are
 //! regressed on the place that the model gives, with the covariance r (k(p, p') + 1) relative to the scatter, k the
-//! Matern 5/2 correlation; places scatter as the model says of each, in proportion. r and the length of k are those that predict left-out pokes best, and r = 0 (places stay as
-//! they are, one gain for all) stands unless another is clearly better. Rasmussen & Williams (2006), section 5.4.2, for
-//! leaving one poke out without refitting.
+//! Matern 5/2 correlation; places scatter as the model says of each, in proportion. r and the length of k are those
+//! that predict left-out pokes best, and r = 0 (places stay as they are, one gain for all) stands unless another is
+//! clearly better. Rasmussen & Williams (2006), section 5.4.2, for leaving one poke out without refitting.
 
 use faer::linalg::solvers::DenseSolveCore;
 use faer::{Mat, Side};
