@@ -60,6 +60,8 @@ pub struct Report {
     pub frames_with_missing: usize,
     /// Channels left out of all frames, from 0: they do not rest while nothing touches the skin.
     pub left_out: Vec<u32>,
+    /// Frames that the baseline is the mean of; `None` where each frame has its own, or frames are differences.
+    pub averaged: Option<usize>,
     /// Where the channel noise comes from.
     pub noise_source: NoiseSource,
     /// Does the baseline look like the skin's model?
@@ -138,6 +140,7 @@ fn reconstruct_to(
         _ => None,
     };
     let mut reference = match &baseline_table {
+        Some(_) if paired => Reference::of_pairs(&prepared, &baselines)?,
         Some(_) => Reference::of(&prepared, &baselines)?,
         None => Reference::of_differences(&prepared, &frames)?,
     };
@@ -252,6 +255,7 @@ fn reconstruct_to(
         hyperparameter,
         frames_with_missing: differences.iter().filter(|d| d.iter().any(|v| !v.is_finite())).count(),
         left_out,
+        averaged: baseline_table.is_some_and(|_| !paired).then_some(baselines.len()),
         noise_source: reference.noise_source,
         order: reference.order,
         circuit,

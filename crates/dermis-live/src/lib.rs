@@ -37,6 +37,7 @@
 mod beside;
 pub mod calibrate;
 pub mod calibration;
+mod channel_noise;
 pub mod channels;
 pub mod clock;
 pub mod driver;

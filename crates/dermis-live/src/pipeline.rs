@@ -21,6 +21,7 @@ use dermis_touch::{Baseline, BaselineChange, BaselineParams, BaselineState, Load
 
 use crate::Error;
 use crate::calibration::{Calibration, LoadQuantity, check_wiring};
+pub use crate::channel_noise::TARE_FRAMES;
 use crate::channels::ChannelReader;
 use crate::clock::FrameClock;
 use crate::instant::Instant;
@@ -34,9 +35,6 @@ use crate::stages::health::{HealthDecision, HealthFrame, HealthStage, Sight};
 use operators::Operators;
 pub use stage_latencies::StageLatencies;
 use state::{Choices, Running, Starting, State, drift_compensation};
-
-/// Frames averaged by a tare.
-pub const TARE_FRAMES: usize = 32;
 
 /// Before the first baseline, a frame counts where one in so many of its channels has a reading.
 const LEAST_START: usize = 4;

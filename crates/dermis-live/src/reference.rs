@@ -3,7 +3,9 @@
 
 use dermis_tomo::eit::OrderReport;
 
-use dermis_skin::{GainMatch, Modality, Reads};
+use dermis_skin::{GainMatch, Modality, Reads, WeightChoice};
+
+pub use crate::channel_noise::MeasuredNoise;
 
 use crate::Error;
 use crate::frame_noise::noise_of_frames;
@@ -55,7 +57,7 @@ pub struct Reference {
     pub noise: Vec<f64>,
     /// Where `noise` comes from.
     pub noise_source: NoiseSource,
-    /// Full noise covariance in model volts (row-major), where enough frames were given.
+    /// Full noise covariance in model volts (row-major), where the skin file asks for it and enough frames were given.
     pub covariance: Option<Vec<f64>>,
     /// Differences of successive baseline frames, as measured: what drift and noise look like.
     pub successive: Vec<Vec<f64>>,
@@ -77,20 +79,36 @@ impl Reference {
         let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
         let assumed = prepared.skin.touch.assumed_noise_share * largest;
         let noise_measured = frames.len() >= FEWEST_FOR_NOISE;
-        let noise = (0..channels)
-            .map(|channel| {
-                let measured = if noise_measured { successive_deviation(frames, channel) } else { f64::NAN };
-                let in_volts = measured * scale[channel].abs();
-                if in_volts.is_finite() && in_volts > 0.0 { in_volts } else { assumed }
-            })
-            .collect();
-        let covariance = if frames.len() >= 2 * FEWEST_FOR_NOISE { covariance(frames, &scale)? } else { None };
+        let mut noise = vec![assumed; channels];
+        if noise_measured {
+            let deviation: Vec<f64> = (0..channels).map(|channel| successive_deviation(frames, channel)).collect();
+            let measured = MeasuredNoise { deviation: &deviation, freedom: freedom_of_successive(frames.len()) };
+            // The baseline's own noise is in every difference.
+            let with_baseline = (1.0 + 1.0 / frames.len() as f64).sqrt();
+            take_known(&mut noise, measured.moderated(&baseline).iter().map(|sigma| with_baseline * sigma), &scale);
+        }
+        let is_wanted = matches!(prepared.skin.imaging.weights, WeightChoice::MeasuredFull);
+        let enough = frames.len() >= 2 * FEWEST_FOR_NOISE;
+        let covariance = if is_wanted && enough { covariance(frames, &scale)? } else { None };
         let order = prepared.diagnose(&baseline);
         let difference =
             |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
         let successive = frames.windows(2).map(difference).collect();
         let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order })
+    }
+
+    /// [`Reference::of`] for frames that have a baseline each, one of these: differences hold the noise of two frames.
+    ///
+    /// # Errors
+    /// As [`Reference::of`].
+    pub fn of_pairs(prepared: &Prepared, baselines: &[Vec<f64>]) -> Result<Self, Error> {
+        let mut reference = Self::of(prepared, baselines)?;
+        if reference.noise_source == NoiseSource::Baseline {
+            let pair_to_mean = (2.0 / (1.0 + 1.0 / baselines.len() as f64)).sqrt();
+            reference.noise.iter_mut().for_each(|sigma| *sigma *= pair_to_mean);
+        }
+        Ok(reference)
     }
 
     /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the
@@ -139,20 +157,19 @@ impl Reference {
         self.noise_source = NoiseSource::Frames;
     }
 
-    /// Makes a reference from a baseline and the standard deviation of its noise, both as measured (`None` or NaN where
-    /// unknown): what the live pipeline has after a tare.
+    /// Makes a reference from a baseline and its noise, both as measured (`None`: unknown): what the live pipeline has
+    /// after a tare.
     ///
     /// # Errors
     /// As [`Reference::of`].
-    pub fn from_baseline(prepared: &Prepared, baseline: &[f64], deviation: Option<&[f64]>) -> Result<Self, Error> {
+    pub fn from_baseline(
+        prepared: &Prepared,
+        baseline: &[f64],
+        noise: Option<MeasuredNoise<'_>>,
+    ) -> Result<Self, Error> {
         let mut reference = Self::of(prepared, std::slice::from_ref(&baseline.to_vec()))?;
-        if let Some(deviation) = deviation {
-            for ((noise, sigma), scale) in reference.noise.iter_mut().zip(deviation).zip(&reference.scale) {
-                let volts = sigma * scale.abs();
-                if volts.is_finite() && volts > 0.0 {
-                    *noise = volts;
-                }
-            }
+        if let Some(measured) = noise {
+            take_known(&mut reference.noise, measured.moderated(baseline).into_iter(), &reference.scale);
             reference.noise_source = NoiseSource::Baseline;
         }
         Ok(reference)
@@ -162,6 +179,17 @@ impl Reference {
     pub fn difference(&self, frame: &[f64], own_baseline: Option<&[f64]>) -> Vec<f64> {
         let baseline = own_baseline.unwrap_or(&self.baseline);
         frame.iter().zip(baseline).zip(&self.scale).map(|((f, b), scale)| scale * (f - b)).collect()
+    }
+}
+
+/// Takes measured standard deviations in the place of `noise` (model volts) where they are known; `scale` brings them to
+/// model volts.
+fn take_known(noise: &mut [f64], measured: impl Iterator<Item = f64>, scale: &[f64]) {
+    for ((noise, sigma), scale) in noise.iter_mut().zip(measured).zip(scale) {
+        let volts = sigma * scale.abs();
+        if volts.is_finite() && volts > 0.0 {
+            *noise = volts;
+        }
     }
 }
 
@@ -279,6 +307,13 @@ fn finite_mean(values: impl Iterator<Item = f64>) -> f64 {
 fn successive_deviation(frames: &[Vec<f64>], channel: usize) -> f64 {
     let squares = frames.windows(2).map(|pair| (pair[1][channel] - pair[0][channel]).powi(2));
     (finite_mean(squares) / 2.0).sqrt()
+}
+
+/// Degrees of freedom of [`successive_deviation`]: what its variance, sigma^4 (3n - 4) / (n - 1)^2 for white noise,
+/// corresponds to.
+fn freedom_of_successive(frames: usize) -> f64 {
+    let n = frames as f64;
+    2.0 * (n - 1.0).powi(2) / (3.0 * n - 4.0)
 }
 
 fn covariance(frames: &[Vec<f64>], scale: &[f64]) -> Result<Option<Vec<f64>>, Error> {

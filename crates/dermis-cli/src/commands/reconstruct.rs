@@ -119,6 +119,7 @@ fn as_json(report: &Report, differences: bool, found: Option<&FoundOrder>) -> se
         "left_out": report.left_out,
         "noise": noise,
         "differences": differences,
+        "baseline_frames_averaged": report.averaged,
         "circuit": circuit,
         "baseline_correlation": (!differences).then_some(report.order.correlation),
         "other_order": found,
@@ -137,6 +138,11 @@ fn print(report: &Report, differences: bool, out: &mut dyn Write) -> std::io::Re
     writeln!(out, "channel noise: {}", report.noise_source.describe())?;
     if differences {
         return Ok(());
+    }
+    match report.averaged {
+        Some(1) => writeln!(out, "baseline: one frame")?,
+        Some(frames) => writeln!(out, "baseline: the mean of {frames} frames")?,
+        None => writeln!(out, "baseline: each frame has its own, as there are as many")?,
     }
     if let Some(fit) = &report.circuit {
         print_circuit(fit, out)?;

@@ -10,7 +10,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
-use dermis_skin::{Reads, Skin, WeightChoice};
+use dermis_skin::{Reads, Skin};
 use dermis_touch::Observation;
 use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
@@ -353,23 +353,8 @@ impl Bench {
         channels.filter(|(_, measurement)| uses(measurement)).map(|(channel, _)| channel as u32).collect()
     }
 
-    /// Baseline and noise, as the running skin takes them; the covariance of the noise only where weights are made of
-    /// it.
-    fn reference(&self, baseline: &[Vec<f64>]) -> Result<Reference, Error> {
-        if matches!(self.skin.imaging.weights, WeightChoice::MeasuredFull) {
-            return Ok(Reference::of(&self.prepared, baseline)?);
-        }
-        let channels = 0..self.prepared.channels();
-        let count = baseline.len() as f64;
-        let mean: Vec<f64> =
-            channels.clone().map(|c| baseline.iter().map(|frame| frame[c]).sum::<f64>() / count).collect();
-        let squares = |c: usize| baseline.windows(2).map(|pair| (pair[1][c] - pair[0][c]).powi(2)).sum::<f64>();
-        let deviation: Vec<f64> = channels.map(|c| (0.5 * squares(c) / (count - 1.0)).sqrt()).collect();
-        Ok(Reference::from_baseline(&self.prepared, &mean, Some(&deviation))?)
-    }
-
     fn by_model(&self, baseline: &[Vec<f64>], absent: &[u32]) -> Result<(Reconstructor, Reference), Error> {
-        let reference = self.reference(baseline)?;
+        let reference = Reference::of(&self.prepared, baseline)?;
         let (imager, reference, placement) = match &self.imager {
             Some(imager) => {
                 let mut imager = imager.clone();
@@ -447,7 +432,7 @@ impl Bench {
         let baseline = if frames.len() == baseline.len() { &baseline[1..] } else { baseline };
         let mut calibration = Calibration::fit(&self.prepared, baseline, &frames, &pokes)?;
         calibration.try_model(seen, &self.prepared)?;
-        let reference = self.reference(baseline)?;
+        let reference = Reference::of(&self.prepared, baseline)?;
         let data: Vec<Vec<f64>> = frames.iter().map(|frame| reference.difference(frame, None)).collect();
         let made = CalibratedImager::new(&self.prepared, Some(&calibration), reference, &data)?;
         let refinement = match calibration.correction() {

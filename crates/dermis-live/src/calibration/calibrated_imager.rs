@@ -66,7 +66,7 @@ pub(crate) fn learnt_finder(
     reference: &Reference,
 ) -> Result<PlacementFinder, Error> {
     let session_noise = (reference.noise_source != NoiseSource::Assumed).then_some(&reference.noise[..]);
-    let smallest_amplitude = calibration.smallest_amplitude(prepared.skin.touch.hold_sigma, session_noise)?;
+    let smallest_amplitude = calibration.smallest_amplitude(prepared, session_noise)?;
     let finder = LearntFinder::new(calibration, smallest_amplitude, prepared.half_width_m())?;
     Ok(PlacementFinder::Learnt(Box::new(finder)))
 }

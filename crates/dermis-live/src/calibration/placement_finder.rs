@@ -5,7 +5,7 @@ use dermis_touch::{LoadQuantity, TouchLoad};
 
 use super::matched::MatchedFinder;
 use super::place_locator::{PlaceLocator, PlaceScratch};
-use super::poke_calibration::Calibration;
+use super::poke_calibration::{Calibration, SmallestAmplitude};
 use crate::Error;
 use crate::reference::Reference;
 use crate::stages::placement::Placement;
@@ -35,10 +35,9 @@ pub struct LearntFinder {
     typical: Option<TypicalAmplitude>,
     /// What the pokes' loads were measured as.
     load: Option<LoadQuantity>,
-    /// Root mean square of the noise-weighted frame below which there is no touch.
-    smallest_amplitude: f64,
-    /// A place is vague where one of its coordinates has a larger standard deviation, metres.
-    vague_sigma_m: f64,
+    /// Root mean squares of the noise-weighted frame below which there is no touch.
+    smallest_amplitude: SmallestAmplitude,
+    half_width_m: f64,
 }
 
 impl PlacementFinder {
@@ -81,17 +80,20 @@ impl PlacementFinder {
 }
 
 impl LearntFinder {
-    /// Frames whose noise-weighted root mean square is below `smallest_amplitude` show no touch.
+    /// What places touches of frames whose noise-weighted root mean square is at least `smallest_amplitude`.
     ///
     /// # Errors
     /// As [`Calibration::typical_amplitude`].
-    pub(super) fn new(calibration: &Calibration, smallest_amplitude: f64, half_width_m: f64) -> Result<Self, Error> {
+    pub(super) fn new(
+        calibration: &Calibration,
+        smallest_amplitude: SmallestAmplitude,
+        half_width_m: f64,
+    ) -> Result<Self, Error> {
         let locator = calibration.locator().clone();
         let correction = calibration.correction().cloned();
         let typical = calibration.typical_amplitude(half_width_m)?;
         let load = calibration.load_quantity();
-        let vague_sigma_m = VAGUE * half_width_m;
-        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, vague_sigma_m })
+        Ok(Self { scratch: locator.scratch(), correction, typical, load, locator, smallest_amplitude, half_width_m })
     }
 
     /// The mean of the locator's posterior, also where that has several modes: a single mode of a posterior learnt from
@@ -101,7 +103,8 @@ impl LearntFinder {
             return Ok(None);
         }
         let located = self.locator.locate(difference, &mut self.scratch)?;
-        if located.amplitude < self.smallest_amplitude {
+        let sigma_m = located.sigma_x_m.max(located.sigma_y_m);
+        if !self.smallest_amplitude.is_touch(located.amplitude, sigma_m) {
             return Ok(None);
         }
         let load = self.load.zip(located.load);
@@ -110,7 +113,7 @@ impl LearntFinder {
             amplitude: self.typical.as_ref().map(|typical| located.amplitude / typical.at(position_m)),
             load: load.map(|(quantity, load)| TouchLoad { quantity, value: load.value, sigma: load.sigma }),
             doubtful: located.novelty > MOST_NOVELTY,
-            vague: located.sigma_x_m.max(located.sigma_y_m) > self.vague_sigma_m,
+            vague: sigma_m > VAGUE * self.half_width_m,
             position_m,
             covariance_m2: [
                 [located.sigma_x_m.powi(2), located.covariance_xy_m2],

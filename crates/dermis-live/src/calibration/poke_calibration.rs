@@ -21,7 +21,8 @@ use dermis_touch::locator::{
 use frames::without_silence;
 use map::signature_map;
 use serde::{Deserialize, Serialize};
-use strength::TouchStrength;
+pub(super) use strength::SmallestAmplitude;
+use strength::{TouchStrength, Weighed};
 
 use super::place_locator::PlaceLocator;
 use super::poke_check::{Sound, check_pokes};
@@ -146,15 +147,26 @@ impl Calibration {
         let drift = (rows.len() >= FEWEST_FOR_DRIFT).then(|| SessionDrift::measure(&examples)).transpose()?;
         let kept: Vec<usize> = picked(MOST_KEPT).collect();
         let mut scratch = fused.scratch();
-        let mut amplitude = |frame: &[f64]| Ok::<f64, Error>(fused.predict_into(frame, &mut scratch)?.amplitude);
-        let weighed = picked(MOST_WEIGHED).map(|i| amplitude(&differences[i])).collect::<Result<Vec<f64>, Error>>()?;
+        let mut weigh = |frame: &[f64]| {
+            let located = fused.predict_into(frame, &mut scratch)?;
+            Ok::<_, Error>(Weighed { amplitude: located.amplitude, sigma_m: located.sigma_x_m.max(located.sigma_y_m) })
+        };
+        let amplitudes: Result<Vec<f64>, Error> =
+            picked(MOST_WEIGHED).map(|i| Ok(weigh(&differences[i])?.amplitude)).collect();
         let resting = match measured {
-            PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => baselines
-                .windows(2)
-                .map(|pair| reference.difference(&pair[1], Some(&pair[0])))
-                .filter(|difference| difference.iter().any(|v| v.is_finite() && *v != 0.0))
-                .map(|difference| amplitude(&difference))
-                .collect::<Result<Vec<f64>, Error>>()?,
+            PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => {
+                // Two frames differ by more noise than a frame does from the mean of all.
+                let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / baselines.len() as f64).sqrt() };
+                baselines
+                    .windows(2)
+                    .map(|pair| reference.difference(&pair[1], Some(&pair[0])))
+                    .filter(|difference| difference.iter().any(|v| v.is_finite() && *v != 0.0))
+                    .map(|difference| {
+                        let weighed = weigh(&difference)?;
+                        Ok(Weighed { amplitude: of_a_poke * weighed.amplitude, ..weighed })
+                    })
+                    .collect::<Result<Vec<Weighed>, Error>>()?
+            }
             _ => Vec::new(),
         };
         let dead = dead_channels.iter().copied().filter(|channel| !unsound_channels.contains(channel)).collect();
@@ -170,7 +182,7 @@ impl Calibration {
             locator: PlaceLocator::Fused(Box::new(fused)),
             by_model: None,
             pokes: rows.len(),
-            strength: TouchStrength::of(weighed, resting, matches!(measured, PokeFrames::Readings { .. })),
+            strength: TouchStrength::of(amplitudes?, &resting, matches!(measured, PokeFrames::Readings { .. })),
             review: PokeReview { repeated, dead_channels: dead, drift, unsound_channels, rest_scatter },
         })
     }
@@ -261,7 +273,7 @@ impl Calibration {
             gone.iter().map(|frame| Ok(fused.predict(frame)?.amplitude)).collect::<Result<Vec<f64>, Error>>()?;
         silent.locator = PlaceLocator::Fused(Box::new(fused));
         silent.by_model = None;
-        silent.strength = TouchStrength::of(amplitudes, Vec::new(), true);
+        silent.strength = TouchStrength::of(amplitudes, &[], true);
         Ok(silent)
     }
 
@@ -361,13 +373,23 @@ impl Calibration {
         Ok(MeasuredJacobian::interpolate(&frames, &positions, &prepared.map.inside_centres_m(), &lengths)?)
     }
 
-    /// The amplitude below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise`: difference
-    /// data, where it is known. Where the model places touches, this is for those that it does not see.
-    pub(super) fn smallest_amplitude(&self, hold_sigma: f64, session_noise: Option<&[f64]>) -> Result<f64, Error> {
+    /// The amplitudes below which a frame shows no touch: see [`TouchStrength::smallest`]. `session_noise`: difference
+    /// data, where it is known. Where the model places touches, this is for those that it does not see, and weak pokes
+    /// that it sees say nothing of them.
+    pub(super) fn smallest_amplitude(
+        &self,
+        prepared: &Prepared,
+        session_noise: Option<&[f64]>,
+    ) -> Result<SmallestAmplitude, Error> {
         let strength = self.strength()?;
         // Noise that is zero everywhere has no amplitude.
         let noise = session_noise.and_then(|noise| self.locator.locate(noise, &mut self.locator.scratch()).ok());
-        Ok(strength.smallest(hold_sigma, noise.map(|located| located.amplitude), self.by_model.is_some()))
+        let noise = noise.map(|located| (located.amplitude, self.channels));
+        let usual_error_m = self.locator.leave_one_out().median_error_m;
+        let hold_sigma = prepared.skin.touch.hold_sigma;
+        let smallest = strength.smallest(hold_sigma, noise, usual_error_m, prepared.half_width_m());
+        let placed = if self.by_model.is_some() { smallest.anywhere } else { smallest.placed };
+        Ok(SmallestAmplitude { placed, ..smallest })
     }
 
     /// Is this a calibration of this skin?

@@ -19,6 +19,10 @@ const FEWEST: usize = 20;
 /// Touches are looked for at least this far from the rim, in sizes of a touch: nearer, model and skin part.
 pub(super) const RIM_SIZES: f64 = 1.2;
 
+/// Root mean square of a frame, in units of the noise, above which it shows a touch: over a hundred channels that of
+/// noise is 1 to within 0.1.
+const TOUCHED: f64 = 2.0;
+
 /// What a skin has calibrated itself to.
 #[derive(Debug)]
 pub(crate) struct SelfCalibrated {
@@ -44,7 +48,7 @@ impl SelfCalibrated {
         if prepared.skin.backend.differences || prepared.skin.backend.circuit.is_none() || frames.len() < FEWEST {
             return Ok(None);
         }
-        Self::of_changes(prepared, reference.clone(), &frames, prepared.skin.touch.hold_sigma).map(Some)
+        Self::of_changes(prepared, reference.clone(), &frames, TOUCHED).map(Some)
     }
 
     /// Calibrated on frames of relative changes from their baselines. Frames whose root mean square in units of the

@@ -8,7 +8,7 @@ use super::{Pipeline, TARE_FRAMES};
 use crate::Error;
 use crate::channels::ChannelReader;
 use crate::reconstructor::Reconstructor;
-use crate::reference::Reference;
+use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::health::HealthStage;
 
 impl Pipeline {
@@ -131,7 +131,7 @@ impl Pipeline {
             Some(health) => health.reference(&self.prepared, &self.baseline)?,
             None => {
                 let (rest, noise) = (self.baseline.baseline(), self.baseline.noise_std());
-                Reference::from_baseline(&self.prepared, rest, Some(noise))?
+                Reference::from_baseline(&self.prepared, rest, Some(MeasuredNoise::of_start(noise)))?
             }
         };
         for channel in left_out.iter().map(|&channel| channel as usize) {

@@ -8,7 +8,7 @@ use crate::Error;
 use crate::beside::{Beside, Wanted};
 use crate::calibration::{CircuitNews, SelfCalibrated, check_searchable, find_circuit_while};
 use crate::prepare::Prepared;
-use crate::reference::Reference;
+use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::press_frames::PressFrames;
 
 /// The circuit is searched for when so many different presses have been gathered, and what was found counts so many
@@ -69,7 +69,8 @@ impl Search {
             prepared = Prepared::new(skin)?;
         }
         // With more presses than before the channels are weighed anew, also behind the same circuit.
-        let reference = Reference::from_baseline(&prepared, &baseline, Some(&noise_std))?;
+        let noise = MeasuredNoise::of_start(&noise_std);
+        let reference = Reference::from_baseline(&prepared, &baseline, Some(noise))?;
         let calibrated = SelfCalibrated::of_changes(&prepared, reference, &changes, smallest_amplitude)?;
         Ok(Some(Found { news, skin: Some(Box::new((prepared, calibrated))) }))
     }

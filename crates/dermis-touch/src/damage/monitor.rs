@@ -388,6 +388,7 @@ impl DamageMonitor {
     /// One free frame in the life of a record.
     fn follow(&mut self, index: usize, frame: &DamageFrame<'_>) {
         let time_ns = frame.time_ns;
+        let is_suspicious = self.is_suspicious();
         let (cells, mean, masks) = (&self.cells, &self.mean, &self.masks);
         let params = self.params;
         let record = &mut self.records[index];
@@ -403,7 +404,8 @@ impl DamageMonitor {
         }
         let wanted = match record.damage.state {
             DamageState::Suspected => DamageState::Confirmed,
-            DamageState::Confirmed if share < params.healing_share => DamageState::Healing,
+            // A new cut turns the current, and the others seem shallower until it is known.
+            DamageState::Confirmed if share < params.healing_share && !is_suspicious => DamageState::Healing,
             DamageState::Healing if share < params.healed_share => DamageState::Healed,
             DamageState::Healing if share > 0.5 + 0.5 * params.healing_share => DamageState::Confirmed,
             DamageState::Healed if share > REOPENED => DamageState::Confirmed,

@@ -28,6 +28,11 @@ impl PokeFrames<'_> {
             _ => None,
         }
     }
+
+    /// Whether each poke has a baseline of its own.
+    pub(super) fn has_pairs(&self) -> bool {
+        matches!(self, PokeFrames::Readings { baselines, frames } if are_pairs(baselines, frames))
+    }
 }
 
 /// The reference of the pokes and their difference data.
@@ -43,13 +48,17 @@ pub(crate) fn differences_of(
         }
         PokeFrames::Readings { baselines, frames } => {
             check_frames("poke", frames, prepared.channels())?;
-            let reference = Reference::of(prepared, baselines)?;
-            let paired = baselines.len() == frames.len() && frames.len() > 1;
+            let paired = are_pairs(baselines, frames);
+            let reference = if paired { Reference::of_pairs } else { Reference::of }(prepared, baselines)?;
             let own = |index: usize| paired.then(|| baselines[index].as_slice());
             let differences = frames.iter().enumerate().map(|(i, frame)| reference.difference(frame, own(i))).collect();
             Ok((reference, differences))
         }
     }
+}
+
+fn are_pairs(baselines: &[Vec<f64>], frames: &[Vec<f64>]) -> bool {
+    baselines.len() == frames.len() && frames.len() > 1
 }
 
 /// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.

@@ -4,15 +4,31 @@ use serde::{Deserialize, Serialize};
 
 /// The part of the pokes that may be weaker than the weakest touch that counts.
 const WEAK_SHARE: f64 = 0.02;
-/// The part of the frames at rest that stay below the amplitude of rest.
+/// The part of the frames at rest that stay below the amplitude of rest, and above its deviation.
 const REST_SHARE: f64 = 0.95;
-/// A touch is so many times stronger than the noise at rest, than what frames at rest seldom reach; and weak pokes are
-/// so much stronger than the weakest touch that counts, whatever rest does.
-const ABOVE_REST: f64 = 1.6;
-const ABOVE_RECORDED_REST: f64 = 1.2;
+/// A touch is so many times stronger than what frames at rest seldom reach; and weak pokes are so much stronger than the
+/// weakest touch that counts, whatever rest does.
+const ABOVE_REST: f64 = 1.2;
 const BELOW_WEAK: f64 = 0.7;
+/// A frame no stronger than rest shows a touch where its place is sure: where its standard deviation is below this part
+/// of that of frames at rest, or this many times the usual error of left-out pokes, and below this part of half the
+/// shorter side. Noise, like nothing learnt, may be anywhere; what a gel remembers of the last press may not.
+const BELOW_REST: f64 = 0.5;
+const ABOVE_USUAL_ERROR: f64 = 1.5;
+const BELOW_HALF_WIDTH: f64 = 0.25;
+/// Standard deviations above its mean that white noise stays below in `REST_SHARE` of the frames.
+const SELDOM: f64 = 1.645;
 
-/// Amplitudes (root mean squares of frames weighted as the locator does) that tell a touch from rest.
+/// What a frame is to the locator.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weighed {
+    /// Root mean square of the frame, weighted as the locator does.
+    pub amplitude: f64,
+    /// Larger standard deviation of the coordinates of its place, metres.
+    pub sigma_m: f64,
+}
+
+/// Amplitudes and deviations that tell a touch from rest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TouchStrength {
@@ -20,33 +36,73 @@ pub(super) struct TouchStrength {
     pub weak: Option<f64>,
     /// What frames at rest seldom reach, where there were frames at rest.
     pub rest: Option<f64>,
+    /// The standard deviation of their places that frames at rest seldom stay below, metres.
+    #[serde(default)]
+    pub rest_sigma_m: Option<f64>,
     /// Whether amplitudes are in units of the channels' noise.
     #[serde(default)]
     pub in_noise: bool,
 }
 
 impl TouchStrength {
-    /// Of the amplitudes of pokes and of frames at rest.
-    pub fn of(pokes: Vec<f64>, resting: Vec<f64>, in_noise: bool) -> Self {
-        Self { weak: quantile(pokes, WEAK_SHARE), rest: quantile(resting, REST_SHARE), in_noise }
+    /// Of the amplitudes of pokes, and of frames at rest.
+    pub fn of(pokes: Vec<f64>, resting: &[Weighed], in_noise: bool) -> Self {
+        let resting = |value: fn(&Weighed) -> f64| resting.iter().map(value).collect();
+        Self {
+            weak: quantile(pokes, WEAK_SHARE),
+            rest: quantile(resting(|rest| rest.amplitude), REST_SHARE),
+            rest_sigma_m: quantile(resting(|rest| rest.sigma_m), 1.0 - REST_SHARE),
+            in_noise,
+        }
     }
 
     /// Of the amplitudes of pokes alone; all of them count as touches.
     pub fn of_all(pokes: Vec<f64>) -> Self {
-        Self { weak: quantile(pokes, 0.0), rest: None, in_noise: true }
+        Self { weak: quantile(pokes, 0.0), in_noise: true, ..Self::default() }
     }
 
-    /// The amplitude below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
+    /// The amplitudes below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
     /// the noise (`hold_sigma`) are less; but more than rest reaches, in the calibration's own frames and in the session
-    /// at hand (`noise`: the amplitude of its noise, where it is known). Unless `is_beside_model`, what weak pokes reach
-    /// is enough, whatever rest does.
-    pub fn smallest(&self, hold_sigma: f64, noise: Option<f64>, is_beside_model: bool) -> f64 {
+    /// at hand (`noise`: the amplitude of its noise over so many channels, where it is known). Where a frame tells its place, what weak pokes
+    /// reach is enough, whatever rest does. `usual_error_m`: that of left-out pokes; `half_width_m`: half the shorter
+    /// side of the skin.
+    pub fn smallest(
+        &self,
+        hold_sigma: f64,
+        noise: Option<(f64, usize)>,
+        usual_error_m: f64,
+        half_width_m: f64,
+    ) -> SmallestAmplitude {
         let weak = self.weak.unwrap_or(0.0);
         let usual = if self.in_noise { hold_sigma.min(0.5 * weak) } else { 0.5 * weak };
-        let session = noise.map_or(0.0, |noise| ABOVE_REST * noise);
-        let rest = self.rest.map_or(0.0, |rest| ABOVE_RECORDED_REST * rest).max(session);
-        let enough = if is_beside_model { f64::INFINITY } else { BELOW_WEAK * weak };
-        usual.max(rest.min(enough))
+        // A root mean square over c channels varies by 1 / sqrt(2 c) of itself.
+        let seldom = |(noise, channels): (f64, usize)| noise * (1.0 + SELDOM / (2.0 * channels as f64).sqrt());
+        let rest = ABOVE_REST * self.rest.unwrap_or(0.0).max(noise.map_or(0.0, seldom));
+        let of_rest_m = BELOW_REST * self.rest_sigma_m.unwrap_or(f64::INFINITY);
+        let sure_m = of_rest_m.max(ABOVE_USUAL_ERROR * usual_error_m);
+        SmallestAmplitude {
+            anywhere: usual.max(rest),
+            placed: usual.max(rest.min(BELOW_WEAK * weak)),
+            placed_sigma_m: (BELOW_HALF_WIDTH * half_width_m).min(sure_m),
+        }
+    }
+}
+
+/// Amplitudes below which a frame shows no touch.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::calibration) struct SmallestAmplitude {
+    /// Whatever the frame tells of its place: noise does not reach it.
+    pub anywhere: f64,
+    /// Of a frame that tells its place well, which noise does not.
+    pub placed: f64,
+    /// Larger standard deviation of its coordinates below which a frame does that, metres.
+    pub placed_sigma_m: f64,
+}
+
+impl SmallestAmplitude {
+    /// Does a frame that is to the locator of this amplitude and larger deviation show a touch?
+    pub fn is_touch(&self, amplitude: f64, sigma_m: f64) -> bool {
+        amplitude >= self.anywhere || (amplitude >= self.placed && sigma_m <= self.placed_sigma_m)
     }
 }
 
@@ -61,32 +117,48 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Frames at rest reach 0.9 to 1.1, and 1.32 stands clear of that.
-    fn resting() -> Vec<f64> {
-        (0..40_u32).map(|i| 0.9 + 0.005 * f64::from(i)).collect()
+    /// Frames at rest reach 0.9 to 1.1, and 1.32 stands clear of that; their places are known to within 10 mm.
+    fn resting() -> Vec<Weighed> {
+        (0..40_u32).map(|i| Weighed { amplitude: 0.9 + 0.005 * f64::from(i), sigma_m: 0.01 }).collect()
+    }
+
+    /// Amplitudes of forty pokes, six of them weak.
+    fn pokes_of(weak: f64) -> Vec<f64> {
+        (0..40).map(|i| if i < 6 { weak } else { 10.0 }).collect()
     }
 
     #[test]
-    fn pokes_as_weak_as_rest_count_as_touches_unless_the_model_sees_the_others() {
-        let pokes = (0..40).map(|i| if i < 6 { 1.0 } else { 10.0 }).collect::<Vec<f64>>();
-        let smallest = |beside| TouchStrength::of(pokes.clone(), resting(), true).smallest(4.0, None, beside);
-        assert_eq!(smallest(false), BELOW_WEAK);
-        assert!(smallest(true) > 1.2, "{}", smallest(true));
+    fn pokes_as_weak_as_rest_count_as_touches_where_they_are_placed() {
+        let smallest = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.0, 0.1);
+        assert_eq!(smallest.placed, BELOW_WEAK);
+        assert!(smallest.is_touch(1.0, 0.004) && !smallest.is_touch(1.0, 0.006), "{smallest:?}");
+        assert!(smallest.is_touch(1.4, 0.1) && !smallest.is_touch(0.6, 0.001), "{smallest:?}");
+        // What is as sure as pokes usually are is a touch, although rest is as sure: that remembers one.
+        let remembered = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.006, 0.1);
+        assert!(remembered.is_touch(1.0, 0.008) && !remembered.is_touch(1.0, 0.01), "{remembered:?}");
+        // On a skin of 20 mm a place known to within 5 mm is not known.
+        let small = TouchStrength { rest_sigma_m: None, ..TouchStrength::of(vec![1.0; 40], &resting(), true) };
+        assert!(!small.smallest(4.0, None, 0.0, 0.01).is_touch(1.0, 0.005));
     }
 
     #[test]
     fn a_noisy_session_asks_for_more_up_to_what_weak_pokes_reach() {
-        let strength = TouchStrength::of(vec![10.0; 40], resting(), true);
-        assert_eq!(strength.smallest(4.0, Some(3.0), false), ABOVE_REST * 3.0);
-        assert_eq!(strength.smallest(4.0, Some(30.0), false), BELOW_WEAK * 10.0);
-        // What the model does not see is no touch, unless it stands clear of the noise.
-        assert_eq!(strength.smallest(4.0, Some(30.0), true), ABOVE_REST * 30.0);
+        let strength = TouchStrength::of(vec![10.0; 40], &resting(), true);
+        // Of 200 channels noise seldom reaches 1.08 times its usual amplitude.
+        let noisy = |noise: f64| ABOVE_REST * noise * (1.0 + SELDOM / 20.0);
+        let smallest = |noise: f64| {
+            let smallest = strength.smallest(4.0, Some((noise, 200)), 0.0, 0.1);
+            (smallest.anywhere, smallest.placed)
+        };
+        assert_eq!(smallest(4.0), (noisy(4.0), noisy(4.0)));
+        assert_eq!(smallest(30.0), (noisy(30.0), BELOW_WEAK * 10.0));
     }
 
     #[test]
     fn without_frames_at_rest_all_pokes_count() {
-        let strength = TouchStrength::of(vec![0.5, 4.0, 4.0, 4.0], Vec::new(), false);
-        assert_eq!(strength, TouchStrength { weak: Some(0.5), rest: None, in_noise: false });
-        assert_eq!(strength.smallest(4.0, None, false), 0.25);
+        let strength = TouchStrength::of(vec![0.5, 4.0, 4.0, 4.0], &[], false);
+        assert_eq!(strength, TouchStrength { weak: Some(0.5), ..TouchStrength::default() });
+        let smallest = strength.smallest(4.0, None, 0.0, 0.1);
+        assert_eq!((smallest.anywhere, smallest.placed), (0.25, 0.25));
     }
 }

@@ -8,7 +8,7 @@ use dermis_touch::health::{HEALTH_WINDOW, Health, HealthMonitor, HealthReference
 use super::wiring::{health_params, wiring};
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::reference::Reference;
+use crate::reference::{MeasuredNoise, Reference};
 
 /// Deviations estimated from a start-up's frames are uncertain by this share; they are taken to be larger by it.
 const UNCERTAINTY: f64 = 1.2;
@@ -117,7 +117,7 @@ impl HealthStage {
         for &channel in &self.left_out {
             (rest[channel as usize], noise[channel as usize]) = (f64::NAN, f64::NAN);
         }
-        let mut reference = Reference::from_baseline(prepared, &rest, Some(&noise))?;
+        let mut reference = Reference::from_baseline(prepared, &rest, Some(MeasuredNoise::of_start(&noise)))?;
         for channel in self.left_out.iter().map(|&c| c as usize) {
             reference.baseline[channel] = prepared.voltages[channel] / reference.scale[channel];
         }
