@@ -78,13 +78,11 @@ impl TouchStrength {
         // A root mean square over c channels varies by 1 / sqrt(2 c) of itself.
         let seldom = |(noise, channels): (f64, usize)| noise * (1.0 + SELDOM / (2.0 * channels as f64).sqrt());
         let rest = ABOVE_REST * self.rest.unwrap_or(0.0).max(noise.map_or(0.0, seldom));
-        let of_rest_m = BELOW_REST * self.rest_sigma_m.unwrap_or(f64::INFINITY);
-        let sure_m = of_rest_m.max(ABOVE_USUAL_ERROR * usual_error_m);
-        SmallestAmplitude {
-            anywhere: usual.max(rest),
-            placed: usual.max(rest.min(BELOW_WEAK * weak)),
-            placed_sigma_m: (BELOW_HALF_WIDTH * half_width_m).min(sure_m),
-        }
+        // Without frames at rest nobody knows how sure their places are.
+        let placed_sigma_m = self.rest_sigma_m.map_or(f64::INFINITY, |rest_m| {
+            (BELOW_REST * rest_m).max(ABOVE_USUAL_ERROR * usual_error_m).min(BELOW_HALF_WIDTH * half_width_m)
+        });
+        SmallestAmplitude { anywhere: usual.max(rest), placed: usual.max(rest.min(BELOW_WEAK * weak)), placed_sigma_m }
     }
 }
 
@@ -136,9 +134,11 @@ mod tests {
         // What is as sure as pokes usually are is a touch, although rest is as sure: that remembers one.
         let remembered = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.006, 0.1);
         assert!(remembered.is_touch(1.0, 0.008) && !remembered.is_touch(1.0, 0.01), "{remembered:?}");
-        // On a skin of 20 mm a place known to within 5 mm is not known.
-        let small = TouchStrength { rest_sigma_m: None, ..TouchStrength::of(vec![1.0; 40], &resting(), true) };
-        assert!(!small.smallest(4.0, None, 0.0, 0.01).is_touch(1.0, 0.005));
+        // On a skin of 20 mm a place known to within 4 mm is not known.
+        let small = TouchStrength::of(pokes_of(1.0), &resting(), true).smallest(4.0, None, 0.0, 0.01);
+        assert!(!small.is_touch(1.0, 0.004), "{small:?}");
+        let unknown = TouchStrength { rest_sigma_m: None, ..TouchStrength::of(pokes_of(1.0), &resting(), true) };
+        assert!(unknown.smallest(4.0, None, 0.0, 0.01).is_touch(1.0, 0.1));
     }
 
     #[test]
