@@ -3,7 +3,7 @@
 //! pressed, a gain over the surface makes them alike (the single calibration line of paper I).
 
 use dermis_live::imager::Imager;
-use dermis_live::reference::Reference;
+use dermis_live::reference::{Reference, are_pairs, check_frames};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceCalibration, ForceSample, GainMap};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 
@@ -11,7 +11,6 @@ use crate::Error;
 use crate::twin_bench::Rig;
 use dermis_live::calibration::{LoadQuantity, Pokes};
 use dermis_live::prepare::Prepared;
-use dermis_live::reference::check_frames;
 use dermis_live::stages::touches::TouchStage;
 use dermis_skin::Skin;
 use dermis_twin::TwinKit;
@@ -119,7 +118,7 @@ pub fn force_samples(
         return Err(Error::Frames { what: "forces of pokes".into(), expected, got });
     }
     let reference = Reference::of(prepared, baselines)?;
-    let paired = baselines.len() == frames.len() && frames.len() > 1;
+    let paired = are_pairs(baselines, frames);
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences: Vec<Vec<f64>> =
         frames.iter().enumerate().map(|(k, frame)| reference.difference(frame, own(k))).collect();

@@ -17,7 +17,7 @@ use dermis_live::forces::load_forces;
 use dermis_live::output::Output;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
-use dermis_live::reference::{NoiseSource, Reference};
+use dermis_live::reference::{NoiseSource, Reference, are_pairs};
 use dermis_live::stages::refinement::Refinement;
 use dermis_record::sink::{ImageStack, Sink, TouchColumns, TouchTable};
 use dermis_skin::{CircuitChoice, HyperparameterChoice, Skin};
@@ -128,7 +128,7 @@ fn reconstruct_to(
         frame_reader.share_phase_of(&baseline_reader);
     }
     let frames = frame_reader.read_table(&frame_table)?;
-    let paired = frames.len() > 1 && baselines.len() == frames.len();
+    let paired = are_pairs(&baselines, &frames);
     let circuit = match (prepared.skin.backend.circuit, &baseline_table) {
         (Some(CircuitChoice::ToLearn(_)), Some(_)) if calibration.is_none() => {
             let fit = find_circuit(&prepared, &relative_changes(&prepared, &baselines, &frames)?, |_| {})?;
@@ -255,7 +255,7 @@ fn reconstruct_to(
         hyperparameter,
         frames_with_missing: differences.iter().filter(|d| d.iter().any(|v| !v.is_finite())).count(),
         left_out,
-        averaged: baseline_table.is_some_and(|_| !paired).then_some(baselines.len()),
+        averaged: (baseline_table.is_some() && !paired).then_some(baselines.len()),
         noise_source: reference.noise_source,
         order: reference.order,
         circuit,

@@ -9,6 +9,8 @@
 //! but about a trend, and normal in logarithms, since a few channels may be far quieter than the others. A channel that
 //! is noisier than the others let expect keeps its own.
 
+use crate::frame_noise::{MEDIAN_TO_SIGMA, mean, median};
+
 /// Frames averaged by a tare, and that a live baseline is learnt from.
 pub const TARE_FRAMES: usize = 32;
 /// A median absolute deviation is as sure as a standard deviation of this share of the values.
@@ -24,8 +26,6 @@ const CHANCE: f64 = 100.0;
 /// Where each channel counts for itself by more than this, the others have little to add: drift and what a gel remembers
 /// of presses make such noise, and each channel keeps its own.
 const MOST_OWN: f64 = 0.5;
-/// Median of |x| of a Gaussian, inverted.
-const MEDIAN_TO_SIGMA: f64 = 1.4826;
 
 /// Noise measured at rest.
 #[derive(Clone, Copy, Debug)]
@@ -140,15 +140,6 @@ fn trigamma(x: f64) -> f64 {
     }
     let y = x.powi(-2);
     below + 1.0 / x + 0.5 * y + y / x * (1.0 / 6.0 - y * (1.0 / 30.0 - y / 42.0))
-}
-
-fn mean(values: &[f64]) -> f64 {
-    values.iter().sum::<f64>() / values.len() as f64
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 #[cfg(test)]

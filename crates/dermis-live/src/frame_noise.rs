@@ -16,7 +16,7 @@ const MOST_FRAMES: usize = 240;
 const COMPONENT_SHARE: usize = 4;
 const MOST_COMPONENTS: usize = 16;
 /// Median of |x| of a Gaussian, inverted.
-const MEDIAN_TO_SIGMA: f64 = 1.4826;
+pub(crate) const MEDIAN_TO_SIGMA: f64 = 1.4826;
 
 /// Standard deviation of the noise of each channel, in the unit of the frames (rows of one value a channel); NaN for a
 /// channel that says nothing. `None` where there are fewer than nine frames, or nothing changes.
@@ -93,7 +93,8 @@ fn of_components(frames: &[Vec<f64>], scale: &[f64]) -> Option<Vec<f64>> {
     Some(noise)
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
+/// The upper one of the middle two where values are even in number; NaN of none.
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return f64::NAN;
     }
@@ -101,6 +102,6 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-fn mean(values: &[f64]) -> f64 {
+pub(crate) fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }

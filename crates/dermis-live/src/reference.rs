@@ -72,6 +72,19 @@ impl Reference {
     /// # Errors
     /// No frames, frames of the wrong length, or a baseline that is zero everywhere.
     pub fn of(prepared: &Prepared, frames: &[Vec<f64>]) -> Result<Self, Error> {
+        Self::averaged(prepared, frames, frames.len())
+    }
+
+    /// [`Reference::of`] for frames that have a baseline each, one of these: differences hold the noise of two frames.
+    ///
+    /// # Errors
+    /// As [`Reference::of`].
+    pub fn of_pairs(prepared: &Prepared, baselines: &[Vec<f64>]) -> Result<Self, Error> {
+        Self::averaged(prepared, baselines, 1)
+    }
+
+    /// [`Reference::of`] where the baseline of a difference is the mean of so many of the frames.
+    fn averaged(prepared: &Prepared, frames: &[Vec<f64>], averaged: usize) -> Result<Self, Error> {
         let channels = prepared.channels();
         check_frames("baseline", frames, channels)?;
         let baseline: Vec<f64> = (0..channels).map(|channel| finite_mean(frames.iter().map(|f| f[channel]))).collect();
@@ -84,7 +97,7 @@ impl Reference {
             let deviation: Vec<f64> = (0..channels).map(|channel| successive_deviation(frames, channel)).collect();
             let measured = MeasuredNoise { deviation: &deviation, freedom: freedom_of_successive(frames.len()) };
             // The baseline's own noise is in every difference.
-            let with_baseline = (1.0 + 1.0 / frames.len() as f64).sqrt();
+            let with_baseline = (1.0 + 1.0 / averaged as f64).sqrt();
             take_known(&mut noise, measured.moderated(&baseline).iter().map(|sigma| with_baseline * sigma), &scale);
         }
         let is_wanted = matches!(prepared.skin.imaging.weights, WeightChoice::MeasuredFull);
@@ -96,19 +109,6 @@ impl Reference {
         let successive = frames.windows(2).map(difference).collect();
         let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
         Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order })
-    }
-
-    /// [`Reference::of`] for frames that have a baseline each, one of these: differences hold the noise of two frames.
-    ///
-    /// # Errors
-    /// As [`Reference::of`].
-    pub fn of_pairs(prepared: &Prepared, baselines: &[Vec<f64>]) -> Result<Self, Error> {
-        let mut reference = Self::of(prepared, baselines)?;
-        if reference.noise_source == NoiseSource::Baseline {
-            let pair_to_mean = (2.0 / (1.0 + 1.0 / baselines.len() as f64)).sqrt();
-            reference.noise.iter_mut().for_each(|sigma| *sigma *= pair_to_mean);
-        }
-        Ok(reference)
     }
 
     /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the
@@ -180,6 +180,11 @@ impl Reference {
         let baseline = own_baseline.unwrap_or(&self.baseline);
         frame.iter().zip(baseline).zip(&self.scale).map(|((f, b), scale)| scale * (f - b)).collect()
     }
+}
+
+/// Whether each of the frames has a baseline of its own: there are as many, and not one of either.
+pub fn are_pairs(baselines: &[Vec<f64>], frames: &[Vec<f64>]) -> bool {
+    baselines.len() == frames.len() && frames.len() > 1
 }
 
 /// Takes measured standard deviations in the place of `noise` (model volts) where they are known; `scale` brings them to

@@ -18,7 +18,7 @@ use super::circuit_fit::{CircuitFit, RunnerUp};
 use super::self_calibrated::{RIM_SIZES, places_off_the_rim};
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::reference::{Reference, check_frames};
+use crate::reference::{Reference, are_pairs, check_frames};
 
 /// A circuit must be likelier than what the file has by this much to take its place, nats a reading.
 const LEAST_GAIN: f64 = 0.005;
@@ -70,7 +70,7 @@ pub fn relative_changes(
         return Ok(reference.successive.iter().cloned().map(divided).collect());
     }
     check_frames("pressed", frames, prepared.channels())?;
-    let paired = baselines.len() == frames.len() && frames.len() > 1;
+    let paired = are_pairs(baselines, frames);
     let change = |(i, frame): (usize, &Vec<f64>)| {
         let rest = if paired { &baselines[i] } else { &reference.baseline };
         divided(frame.iter().zip(rest).map(|(f, b)| f - b).collect())

@@ -4,7 +4,7 @@ use dermis_touch::health::RestScatter;
 
 use crate::Error;
 use crate::prepare::Prepared;
-use crate::reference::{Reference, check_frames};
+use crate::reference::{Reference, are_pairs, check_frames};
 
 /// What a skin measured when it was poked, channels in the protocol's order.
 #[derive(Clone, Copy, Debug)]
@@ -55,10 +55,6 @@ pub(crate) fn differences_of(
             Ok((reference, differences))
         }
     }
-}
-
-fn are_pairs(baselines: &[Vec<f64>], frames: &[Vec<f64>]) -> bool {
-    baselines.len() == frames.len() && frames.len() > 1
 }
 
 /// Gives these channels of all frames a value: NaN where they say nothing. The channels exist.

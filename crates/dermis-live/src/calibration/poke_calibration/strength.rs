@@ -63,9 +63,9 @@ impl TouchStrength {
 
     /// The amplitudes below which a frame shows no touch: half of the weakest pokes, or less where that many sigmas of
     /// the noise (`hold_sigma`) are less; but more than rest reaches, in the calibration's own frames and in the session
-    /// at hand (`noise`: the amplitude of its noise over so many channels, where it is known). Where a frame tells its place, what weak pokes
-    /// reach is enough, whatever rest does. `usual_error_m`: that of left-out pokes; `half_width_m`: half the shorter
-    /// side of the skin.
+    /// at hand (`noise`: the amplitude of its noise over so many channels, where it is known). Where a frame tells its
+    /// place, what weak pokes reach is enough, whatever rest does. `usual_error_m`: that of left-out pokes;
+    /// `half_width_m`: half the shorter side of the skin.
     pub fn smallest(
         &self,
         hold_sigma: f64,
