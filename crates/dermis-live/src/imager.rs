@@ -294,6 +294,19 @@ impl Imager {
         Ok(filled)
     }
 
+    /// The value that a frame (model volts, all channels) gives one unknown of the image.
+    pub(crate) fn value_at(&self, unknown: usize, volts: &[f64]) -> f64 {
+        let row = self.operator.matrix.row(unknown);
+        self.polarity * row.iter().zip(volts).map(|(entry, volt)| entry * volt).sum::<f64>()
+    }
+
+    /// Fills in the channels that are left out of every frame, as frames have them.
+    pub(crate) fn fill_in_left_out(&self, volts: &mut [f64]) {
+        if let Some(missing) = &self.left_out {
+            missing.fill_in(volts);
+        }
+    }
+
     fn scatter(&self, inside: &[f32], image: &mut [f32]) {
         for (&pixel, &value) in self.inside.iter().zip(inside) {
             image[pixel as usize] = value;

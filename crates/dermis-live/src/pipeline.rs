@@ -281,6 +281,9 @@ impl Pipeline {
             reconstructor.touches.set_floor(if levels.is_disturbed() { 0.0 } else { f64::INFINITY });
         }
         reconstructor.follow_touches(time_ns, image, placement)?;
+        self.correct_baseline()?;
+        let State::Running(running) = &mut self.state else { return Ok(Seen { touched: false, believed: false }) };
+        let (reconstructor, Buffers { difference, .. }) = (&mut running.reconstructor, &mut self.buffers);
         self.timing.latencies.touches.record(imaged.elapsed());
         if let Some(classes) = &mut self.classes {
             classes.classify(at.1, time_ns, &reconstructor.fitted(difference))?;

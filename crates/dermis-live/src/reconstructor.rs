@@ -82,7 +82,7 @@ impl Reconstructor {
             }
         }
         if imposed.is_none() {
-            self.refinement.refine(time_ns, self.imager.filled(), image, self.touches.contacts_mut())?;
+            self.refinement.refine(time_ns, &self.imager, image, self.touches.contacts_mut())?;
         }
         match (correction, placement) {
             (Some(_), Some(placement)) if !placement.vague && self.touches.sees_nothing() => {

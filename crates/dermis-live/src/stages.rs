@@ -4,6 +4,7 @@
 pub(crate) mod circuit;
 pub mod classes;
 pub mod damage;
+mod drift;
 pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
 pub mod health;

@@ -239,7 +239,7 @@ impl PyPipeline {
 
     /// Skins whose touches are fitted, or whose elements are solved for, take longer than 50 us a frame.
     fn is_slow(&self) -> bool {
-        self.skin.touch.refine || self.skin.damage.watch || self.skin.imaging.solve != dermis::skin::Solve::Pixels
+        self.skin.fits_touches() || self.skin.damage.watch || self.skin.imaging.solve != dermis::skin::Solve::Pixels
     }
 
     fn result(&self, pipeline: &mut Pipeline, frame: &Frame, time_s: f64) -> Result<PyFrameResult, Fault> {

@@ -143,9 +143,10 @@ fn is_dense(prior: &PriorChoice, is_flat: bool) -> bool {
     }
 }
 
-/// Whether touches are fitted as spots of conductivity, which takes the interactions of all pixels with each other.
-fn fits_spots(skin: &Skin) -> bool {
-    skin.refines_touches() && !matches!(skin.frontend.layer, Layer::Sandwich(_))
+/// Whether touches are fitted through a membrane, which couples every pixel with every other.
+fn fits_through_membrane(skin: &Skin) -> bool {
+    let has_membrane = matches!(&skin.frontend.layer, Layer::Liquid(layer) if layer.tension_n_per_m > 0.0);
+    skin.fits_touches() && has_membrane
 }
 
 impl Budget {
@@ -176,7 +177,7 @@ impl Budget {
                 driver: format!("the inverse problem of {rows:.0} unknowns"),
                 change: format!("{change}, or fewer channels"),
             });
-            if fits_spots(skin) {
+            if fits_through_membrane(skin) {
                 costs.push(Cost {
                     // Interactions of pixels, made from the fields of every pixel on every node.
                     bytes: NUMBER * pixels * (INTERACTIONS * pixels + nodes_of(triangles, electrodes)),
@@ -184,7 +185,7 @@ impl Budget {
                     driver: format!(
                         "the interactions of {pixels:.0} x {pixels:.0} pixels that touches are fitted with"
                     ),
-                    change: format!("{change}: take a smaller one, or touch.refine = false"),
+                    change: format!("{change}: take a smaller one"),
                 });
             }
             if is_dense(prior, skin.frontend.bend.is_none()) {
@@ -379,9 +380,10 @@ mod tests {
         assert!(budget.driver.contains("interactions"), "{budget:?}");
         let error = budget.check(&skin, "the image").unwrap_err().to_string();
         assert!(error.contains("--memory") && error.contains("imaging.grid = 512"), "{error}");
-        // Without them the same grid is a matter of the operator alone: smooth priors of a flat skin are small.
-        skin.touch.refine = false;
-        assert!(Budget::of_imaging(&skin).bytes < 0.02 * budget.bytes);
+        // Without a membrane the operator alone counts: smooth priors of a flat skin are small.
+        let mut gel = Skin::open("healing-square").unwrap();
+        gel.imaging.grid = 512;
+        assert!(Budget::of_imaging(&gel).bytes < 0.02 * budget.bytes);
     }
 
     #[test]

@@ -154,6 +154,9 @@ impl Skin {
         if !says_polarity {
             skin.imaging.polarity = skin.frontend.layer.polarity();
         }
+        if skin.touch.refine.take().is_some() {
+            tracing::warn!("{file}: touch.refine is no longer needed: touches are always fitted; remove the line");
+        }
         skin.check(file)?;
         Ok(skin)
     }
@@ -167,10 +170,10 @@ impl Skin {
         Ok(self)
     }
 
-    /// Whether touches are placed by the forward model, unless a calibration places them: the file asks for it, and no
-    /// readout's circuit stands between model and readings.
-    pub fn refines_touches(&self) -> bool {
-        self.touch.refine && self.backend.circuit.is_none()
+    /// Whether the forward model places the touches of sheets, sandwiches, patches and liquids. It cannot where the
+    /// readout's circuit stands between the model and the readings. Elements over coils have a fit of their own.
+    pub fn fits_touches(&self) -> bool {
+        self.modality == Modality::Eit && self.backend.circuit.is_none()
     }
 
     /// The skin as TOML.
@@ -195,9 +198,6 @@ impl Skin {
         }
         self.frontend.check(checker)?;
         self.backend.check(elements, checker)?;
-        if elements && self.touch.refine {
-            return Err(checker.refused("touch.refine", "true", "false with layer.kind = \"elements\""));
-        }
         let (electrodes, coils) = match &self.frontend.coils {
             Some(coils) => (0, coils.count()),
             None => (self.frontend.electrodes.count(), 0),

@@ -35,8 +35,10 @@ pub struct TouchSettings {
     pub model_error_mm: Option<f64>,
     /// Contact conductance per area of a typical touch on a sandwich, S/m^2.
     pub contact_s_per_m2: f64,
-    /// Refine touches by fitting place, amplitude and radius to the forward model.
-    pub refine: bool,
+    /// Ignored: the forward model places touches on every skin. Read so that files that still have it open.
+    #[serde(default, skip_serializing)]
+    #[schemars(skip)]
+    pub(crate) refine: Option<bool>,
     /// Of sheets, liquids and patches: the largest share of a frame that a fit may leave beyond the noise; where it
     /// leaves more, touches stay as the image has them. 1: any fit is taken.
     pub most_unexplained: f64,
@@ -61,7 +63,7 @@ impl Default for TouchSettings {
             contact_s_per_m2: 700.0,
             position_floor_mm: 2.0,
             model_error_mm: None,
-            refine: false,
+            refine: None,
             most_unexplained: 1.0,
             join_cells: 0.0,
             drift_time_constant_s: 60.0,

@@ -35,7 +35,7 @@ pub use linear::{DataPrecision, LinearProblem, Operator};
 pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
 pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
-pub use parametric::{ChangeResponse, FitOutcome, FitScratch, Spot, SpotModel, SpotOptions};
+pub use parametric::{ChangeResponse, FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotOptions, SpotProposal};
 pub use prior::{ImageBasis, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;
 pub use self_calibration::{

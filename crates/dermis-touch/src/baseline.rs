@@ -22,6 +22,10 @@ use statistics::robust_mean_and_std;
 const UNIFORM_SHARE: f64 = 0.9;
 /// Or where what is left without it is below so many standard deviations of the noise (root mean square).
 const UNIFORM_REST: f64 = 3.0;
+/// What drifted while the baseline stood still under a touch is caught up after it: for this long, at this time constant,
+/// seconds.
+const CATCH_UP_S: f64 = 2.0;
+const CATCH_UP_TIME_CONSTANT_S: f64 = 0.5;
 /// Values of so many baselines are kept; of older ones only the first.
 const MOST_KEPT: usize = 64;
 
@@ -305,6 +309,14 @@ impl Baseline {
         }
     }
 
+    /// Moves the baseline by changes of the channels that are no touch; no record is made. Changes that are not finite
+    /// move nothing.
+    pub fn shift(&mut self, changes: impl Iterator<Item = f64>) {
+        for (baseline, change) in self.baseline.iter_mut().zip(changes).filter(|(_, change)| change.is_finite()) {
+            *baseline += change;
+        }
+    }
+
     /// Forgets a start-up baseline that is of no use, and its record: start-up begins anew with the next frame.
     pub fn start_over(&mut self) {
         if self.records.last().is_some_and(|record| record.origin == ReferenceOrigin::Startup) {
@@ -389,6 +401,11 @@ impl Baseline {
         if time_ns < self.frozen_until_ns || self.drift_held {
             return;
         }
+        let after_touch_s = time_ns.saturating_sub(self.frozen_until_ns) as f64 * 1e-9;
+        let catches_up = self.frozen_until_ns > 0
+            && after_touch_s < CATCH_UP_S
+            && matches!(self.params.drift, DriftCompensation::Exponential { .. });
+        let time_constant_s = if catches_up { time_constant_s.min(CATCH_UP_TIME_CONSTANT_S) } else { time_constant_s };
         let gain = -(-elapsed_s / time_constant_s).exp_m1();
         if matches!(self.params.drift, DriftCompensation::Uniform { .. }) {
             if let Some(share) = self.uniform_share() {

@@ -75,7 +75,7 @@ impl ContactFitter {
         self.touches.find_contacts(&self.image, None)?;
         self.refinement.forget();
         let contacts = self.touches.contacts_mut();
-        self.refinement.refine(self.time_ns, self.imager.filled(), &self.image, contacts)?;
+        self.refinement.refine(self.time_ns, &self.imager, &self.image, contacts)?;
         fitted.set(difference, contacts, self.refinement.explained());
         Ok(())
     }

@@ -18,5 +18,5 @@ pub fn suits(model: &Model, skin: &Skin) -> bool {
     let is_fitted =
         |name: &String| [InputImage::Contacts, InputImage::Left].iter().any(|image| *name == image.to_string());
     let is_trained_for = model.check_skin(&skin.name, &imaging_sha256(skin)).is_ok();
-    is_trained_for && (skin.refines_touches() || !model.card.inputs.iter().any(is_fitted))
+    is_trained_for && (skin.fits_touches() || !model.card.inputs.iter().any(is_fitted))
 }

@@ -69,8 +69,9 @@ impl PlainImages {
 
     fn of(prepared: &Prepared, reference: &Reference, images: &[InputImage], others: &[usize]) -> Result<Self, Error> {
         let fits = [InputImage::Contacts, InputImage::Left];
-        if let Some(image) = images.iter().find(|image| fits.contains(image) && !prepared.skin.refines_touches()) {
-            let (expected, got) = ("touch.refine in the skin file".into(), prepared.skin.name.clone());
+        if let Some(image) = images.iter().find(|image| fits.contains(image) && !prepared.skin.fits_touches()) {
+            let (expected, got) =
+                ("a skin without backend.circuit, whose touches the model fits".into(), prepared.skin.name.clone());
             return Err(Error::Frames { what: format!("input image \"{image}\""), expected, got });
         }
         if images.contains(&InputImage::Left) && !images.contains(&InputImage::Step(1.0)) {

@@ -1,15 +1,19 @@
 //! The pipeline's baselines: learnt from frames, given, or taken up again, and what follows from a new one.
 
 use dermis_device::FrameTable;
-use dermis_touch::{ReferenceOrigin, ReferenceRecord, TareGuard};
+use dermis_touch::{BaselineState, ReferenceOrigin, ReferenceRecord, TareGuard};
 
-use super::state::State;
+use super::state::{Running, State};
 use super::{Pipeline, TARE_FRAMES};
 use crate::Error;
 use crate::channels::ChannelReader;
 use crate::reconstructor::Reconstructor;
 use crate::reference::{MeasuredNoise, Reference};
 use crate::stages::health::HealthStage;
+use crate::stages::refinement::Gone;
+
+/// Frames that make the baseline after a press has gone from it.
+const GONE_FRAMES: usize = 8;
 
 impl Pipeline {
     /// Takes the mean of the next frames as the new baseline.
@@ -63,6 +67,30 @@ impl Pipeline {
         let (reason, origin) = (format!("frames of {file}"), ReferenceOrigin::Given);
         let record = ReferenceRecord { time_ns: 0, frames: frames.len(), origin, reason };
         self.restore_baseline(record, &baseline, &as_measured)
+    }
+
+    /// Corrects the baseline by presses that it holds and that have gone.
+    pub(super) fn correct_baseline(&mut self) -> Result<(), Error> {
+        let State::Running(running) = &mut self.state else { return Ok(()) };
+        let Running { reference, reconstructor } = &mut **running;
+        let as_measured = |volts: &[f64]| -> Vec<f64> {
+            volts.iter().zip(&reference.scale).map(|(volts, scale)| volts / scale).collect()
+        };
+        // A watch for damage judges negative changes by itself.
+        if self.damage.is_some() || self.levels.is_some() {
+            return Ok(());
+        }
+        match reconstructor.refinement.gone() {
+            None => {}
+            Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),
+            Some(Gone::Alone) if matches!(self.baseline.state(), BaselineState::Ready) => {
+                let guard = TareGuard::RefuseUnderLoad;
+                // Under load the touch that is seen goes first; the next frames ask again.
+                let _ = self.baseline.tare(GONE_FRAMES, guard, "a press that the baseline held has gone");
+            }
+            Some(Gone::Alone) => {}
+        }
+        Ok(())
     }
 
     /// Takes up the baseline just learnt; one of a tare that is of no use gives way to the one before, and the first

@@ -1,8 +1,8 @@
 //! What positions of touches are off by beside noise. A share of it is that of any skin of a layer, as its twins show;
 //! what a fit of spots leaves of its own frame says the rest.
 
+use dermis_estimate::Press;
 use dermis_skin::Layer;
-use dermis_tomo::inverse::{FitOutcome, Spot};
 use dermis_tomo::mesh::Outline;
 use dermis_touch::Contact;
 
@@ -42,9 +42,8 @@ const TANK_EVERYWHERE: f64 = 0.0005;
 const TANK_AT_WALL: Refined = Refined { everywhere: 0.0, at_rim: 0.2, within: 2.0, fades: 0.5 };
 
 /// A touch that is no spot: what a fit leaves of the frame's energy, as an amplitude, moves it by this share of its
-/// radius. What is within the noise, or is not known to be more, counts for nothing.
+/// radius.
 const OF_SHAPE: f64 = 1.0;
-const AS_NOISE: f64 = 1.3;
 /// Where a place is uncertain by this share of half the shorter side, it is uncertain by as much again, because a step
 /// so long is not linear.
 const CURVED: f64 = 0.03;
@@ -102,7 +101,7 @@ impl ModelError {
                     ..both(ELEMENTS_CELLS * x.max(y))
                 });
             }
-            _ if !skin.refines_touches() => return by_image,
+            _ if !skin.fits_touches() => return by_image,
             Layer::Sandwich(_) => by_place(SANDWICH, half_width_m),
             layer if layer.is_open_tank() => by_radius(TANK_AT_WALL, TANK_EVERYWHERE),
             Layer::Sheet(_) => by_radius(SHEET_AT_RIM, SHEET_EVERYWHERE),
@@ -138,15 +137,12 @@ impl SpotError {
         are_smooth.then(|| Self { half_width_m: prepared.half_width_m() })
     }
 
-    /// Variance of each coordinate beside the spot's covariance, m^2. A frame `leaves_another` where its fit does not
-    /// explain it.
-    pub fn variance_m2(self, spot: &Spot, outcome: &FitOutcome, leaves_another: bool) -> f64 {
-        let uncertain_m2 = 0.5 * (spot.covariance[0][0] + spot.covariance[1][1]);
+    /// Variance of each coordinate of a press beyond its covariance, m^2. `unexplained` is the share of the frame's
+    /// energy that its fit leaves beyond the noise.
+    pub fn variance_m2(self, press: &Press, unexplained: f64) -> f64 {
+        let uncertain_m2 = 0.5 * (press.covariance[0][0] + press.covariance[1][1]);
         let curved_m2 = (uncertain_m2 / (CURVED * self.half_width_m)).powi(2);
-        let unexplained = (outcome.residual - AS_NOISE).max(0.0) / outcome.energy;
-        let of_shape_m2 = (OF_SHAPE * spot.radius_m).powi(2) * unexplained;
-        let as_image_m2 = if leaves_another { (BY_IMAGE * self.half_width_m).powi(2) } else { 0.0 };
-        curved_m2 + of_shape_m2 + as_image_m2
+        curved_m2 + (OF_SHAPE * press.radius_m).powi(2) * unexplained
     }
 }
 

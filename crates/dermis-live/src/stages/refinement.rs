@@ -6,7 +6,9 @@ use dermis_touch::Contact;
 
 use crate::Error;
 use crate::calibration::Calibration;
+use crate::imager::Imager;
 use crate::prepare::Prepared;
+use crate::stages::drift::Drift;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, spot_model};
 
@@ -15,6 +17,15 @@ use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, spot_model}
 pub struct Refinement {
     by: By,
     takes_time: bool,
+}
+
+/// Presses that the baseline holds and that have gone.
+#[derive(Debug)]
+pub(crate) enum Gone<'a> {
+    /// Nothing else touches the skin: the frames that come are its new baseline.
+    Alone,
+    /// Others touch it; these change the channels by so much, model volts.
+    BesideOthers(&'a [f64]),
 }
 
 #[derive(Debug)]
@@ -26,6 +37,10 @@ enum By {
         whole: Box<SpotModel>,
         /// With the channels and the noise in use, once the noise is known.
         stage: Option<Box<SpotStage>>,
+        /// Noise of the channels, model volts, and those left out.
+        noise: Vec<f64>,
+        left_out: Vec<u32>,
+        drift: Box<Drift>,
     },
     Patches(Box<PatchStage>),
 }
@@ -40,10 +55,10 @@ impl Refinement {
         Self::by(By::Nothing)
     }
 
-    /// Whether touches of a skin are refined: [`dermis_skin::Skin::refines_touches`], and no calibration places them.
+    /// Whether touches of a skin are refined: [`dermis_skin::Skin::fits_touches`], and no calibration places them.
     pub fn is_wanted(prepared: &Prepared, calibration: Option<&Calibration>) -> bool {
         let by_pokes = calibration.is_some_and(|calibration| calibration.correction().is_none());
-        prepared.skin.refines_touches() && !by_pokes
+        prepared.skin.fits_touches() && !by_pokes
     }
 
     /// Whether contacts are refined at all.
@@ -61,7 +76,8 @@ impl Refinement {
         }
         let whole = Box::new(spot_model(prepared, noise)?);
         let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone())));
-        Ok(Self::by(By::Spots { whole, stage }))
+        let (noise, left_out, drift) = (noise.to_vec(), Vec::new(), Box::new(Drift::new(prepared)));
+        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift }))
     }
 
     /// Before any noise is known: refines nothing until [`Refinement::leave_out`] says what it is.
@@ -69,7 +85,9 @@ impl Refinement {
         if is_sandwich(prepared) {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
         }
-        Ok(Self::by(By::Spots { whole: Box::new(assumed_spot_model(prepared)?), stage: None }))
+        let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
+        let whole = Box::new(assumed_spot_model(prepared)?);
+        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift }))
     }
 
     /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those
@@ -104,10 +122,11 @@ impl Refinement {
         match &mut self.by {
             By::Nothing => {}
             By::Patches(patches) => patches.leave_out(channels),
-            By::Spots { whole, stage } => {
-                let model =
-                    if channels.is_empty() { whole.reweighted(noise)? } else { whole.without(channels, noise)? };
-                *stage = Some(Box::new(SpotStage::new(prepared, model)));
+            By::Spots { whole, stage, noise: kept, left_out, drift } => {
+                (*kept, *left_out) = (noise.to_vec(), channels.to_vec());
+                drift.forget();
+                drift.age_s = 0.0;
+                *stage = Some(Box::new(SpotStage::new(prepared, weighted(whole, noise, channels, drift)?)));
             }
         }
         self.tell_pace();
@@ -127,26 +146,41 @@ impl Refinement {
         self.leave_out(prepared, &[], noise)
     }
 
-    /// Places the contacts of an image by the frame that it was made of (model volts, missing channels filled in).
+    /// Places the contacts of an image by the frame that the imager made it of.
     ///
     /// # Errors
     /// A sheet with new cuts that cannot be meshed or solved.
     pub fn refine(
         &mut self,
         time_ns: u64,
-        difference: &[f64],
+        imager: &Imager,
         image: &[f32],
         contacts: &mut Vec<Contact>,
     ) -> Result<(), Error> {
+        let difference = imager.filled();
         match &mut self.by {
             By::Patches(patches) => {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
                 patches.refine(time_ns, difference, f64::from(lowest), contacts)?;
             }
-            By::Spots { stage: Some(spots), .. } => spots.refine(difference, contacts),
+            By::Spots { whole, stage: Some(spots), noise, left_out, drift } => {
+                spots.refine(time_ns, difference, imager, contacts);
+                if drift.observe(time_ns, spots.is_touched()) {
+                    spots.set_model(weighted(whole, noise, left_out, drift)?);
+                }
+            }
             By::Spots { stage: None, .. } | By::Nothing => {}
         }
         Ok(())
+    }
+
+    /// What has gone from the baseline, once that is sure.
+    pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
+        match &mut self.by {
+            By::Spots { stage: Some(spots), .. } => spots.gone(),
+            By::Patches(patches) => patches.take_gone().then_some(Gone::Alone),
+            By::Spots { stage: None, .. } | By::Nothing => None,
+        }
     }
 
     /// What fitted contacts of a sandwich explain of the last frame (model volts); `None` where none are believed.
@@ -195,4 +229,13 @@ impl Refinement {
             By::Spots { .. } | By::Nothing => None,
         }
     }
+}
+
+/// Responses at the noise of the channels (model volts) and the drift so far, without these channels.
+fn weighted(whole: &SpotModel, noise: &[f64], left_out: &[u32], drift: &Drift) -> Result<SpotModel, Error> {
+    let deviations = drift.deviations(noise);
+    Ok(match left_out {
+        [] => whole.marginalised(&deviations, &drift.nuisances())?,
+        _ => whole.without(left_out, &deviations)?,
+    })
 }

@@ -16,6 +16,9 @@ use crate::stages::placement::{Placement, SecondTouch};
 /// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
 const INTERRUPTION_NS: u64 = 250_000_000;
 
+/// A touch that is not seen for this long has ended, seconds.
+const GONE_S: f64 = 0.06;
+
 /// Contact finder and tracker of a skin, with their memory.
 #[derive(Debug)]
 pub struct TouchStage {
@@ -60,6 +63,7 @@ impl TouchStage {
             min_age_frames: settings.least_frames,
             position_floor_m: settings.position_floor_mm * 1e-3,
             gate_max_m: 0.5 * half_width,
+            max_missed_frames: missed_frames(prepared.skin.backend.frame_rate_hz()),
             ..TrackerParams::default()
         };
         Ok(Self {
@@ -262,6 +266,11 @@ impl TouchStage {
         self.events.splice(0..0, self.ended.drain(..));
         self.contacts.clear();
     }
+}
+
+/// Frames in which a touch may be missed before it ends: it is gone within [`GONE_S`], or two frames.
+fn missed_frames(frames_per_s: f64) -> u32 {
+    ((GONE_S * frames_per_s).floor() as u32).saturating_sub(1).clamp(1, 3)
 }
 
 #[cfg(test)]

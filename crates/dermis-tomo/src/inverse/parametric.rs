@@ -20,9 +20,11 @@ mod model;
 mod options;
 mod products;
 mod responses;
+mod seek;
 mod table;
 
 pub use fit::{FitOutcome, FitScratch, Spot};
 pub use large::ChangeResponse;
 pub use model::SpotModel;
 pub use options::SpotOptions;
+pub use seek::{SpotFilter, SpotProposal};

@@ -342,10 +342,10 @@ fn fitted_touches_are_an_input_of_sandwiches_that_refine_them() {
     assert!(energy(left) < 0.05 * energy(image), "{} of {}", energy(left), energy(image));
 
     let mut plain = prepared.skin.clone();
-    plain.touch.refine = false;
+    plain.backend.circuit = Skin::open("hydrogel-disc").unwrap().backend.circuit;
     let prepared = Prepared::new(plain).unwrap();
     let error = FirstStep::new(&prepared, &reference, &inputs).unwrap_err().to_string();
-    assert!(error.contains("contacts") && error.contains("touch.refine"), "{error}");
+    assert!(error.contains("contacts") && error.contains("circuit"), "{error}");
 }
 
 #[test]
@@ -470,7 +470,7 @@ fn a_network_suits_the_skin_that_it_was_trained_for_as_long_as_touches_are_fitte
     let model = built_in("healing-square").unwrap().unwrap();
     let skin = Skin::open("healing-square").unwrap();
     let mut without_fits = skin.clone();
-    without_fits.touch.refine = false;
+    without_fits.backend.circuit = Skin::open("hydrogel-disc").unwrap().backend.circuit;
     let mut changed = skin.clone();
     changed.imaging.grid = 48;
     assert!(suits(&model, &skin) && !suits(&model, &without_fits) && !suits(&model, &changed));

@@ -38,6 +38,12 @@ const STEPS: [usize; 2] = [4, 15];
 /// Share of the time between frames that a search may take.
 const SEARCH_SHARE: f64 = 0.5;
 
+/// A press has gone from the baseline where its opposite explains this share of a frame whose mean square over the
+/// deviations exceeds this. After a look in vain, this many frames pass.
+const GONE_SHARE: f64 = 0.8;
+const GONE_ENERGY: f64 = 4.0;
+const GONE_WAIT: u32 = 8;
+
 /// The patches of the last frame.
 #[derive(Debug)]
 struct Followed {
@@ -89,6 +95,7 @@ pub(crate) struct PatchStage {
     followed: Followed,
     gathered: Gathered,
     search: Search,
+    gone: GoneLook,
     seen_ns: Option<u64>,
     /// Time between the last two frames, nanoseconds.
     interval_ns: f64,
@@ -100,6 +107,15 @@ pub(crate) struct PatchStage {
     share_ns: f64,
     /// Sheets that were in use so far.
     sheets_used: u64,
+}
+
+/// Whether presses have gone that the baseline holds.
+#[derive(Debug, Default)]
+struct GoneLook {
+    look: Option<ReleaseLook>,
+    is_sure: bool,
+    /// Frames before the next look.
+    wait: u32,
 }
 
 /// A look at whether a change is that of touches that have gone, under way.
@@ -150,6 +166,7 @@ impl PatchStage {
             followed: Followed::nothing(),
             gathered: Gathered::default(),
             search: Search::restarted(),
+            gone: GoneLook::default(),
             seen_ns: None,
             interval_ns: f64::INFINITY,
             is_unhurried: false,
@@ -172,6 +189,7 @@ impl PatchStage {
         self.followed = Followed::nothing();
         self.gathered = Gathered::default();
         self.search = Search::restarted();
+        self.gone = GoneLook::default();
         (self.seen_ns, self.touched_ns, self.interval_ns) = (None, None, f64::INFINITY);
     }
 
@@ -234,7 +252,35 @@ impl PatchStage {
             self.let_go();
         }
         self.refine_contacts(time_ns, difference, lowest, contacts);
+        self.look_for_gone(difference);
         Ok(())
+    }
+
+    /// Looks whether a frame that patches do not explain is that of a press which the baseline holds and which has gone.
+    fn look_for_gone(&mut self, difference: &[f64]) {
+        if !self.followed.shown.is_empty() || self.search.seek.is_some() {
+            self.gone.look = None;
+            return;
+        }
+        let look = match self.gone.look.take() {
+            Some(look) => Some(look),
+            None if self.gone.wait > 0 && !self.is_unhurried => {
+                self.gone.wait -= 1;
+                None
+            }
+            None => self.look_for_release(difference).filter(|look| look.energy > GONE_ENERGY),
+        };
+        let Some(mut look) = look else { return };
+        match self.go_on_looking(&mut look) {
+            Released::UnderWay => self.gone.look = Some(look),
+            Released::Share(share) if share >= GONE_SHARE => self.gone.is_sure = true,
+            Released::Share(_) | Released::Unknown => self.gone.wait = GONE_WAIT,
+        }
+    }
+
+    /// Whether a press that the baseline holds has gone; said once.
+    pub(crate) fn take_gone(&mut self) -> bool {
+        std::mem::take(&mut self.gone.is_sure)
     }
 
     fn refine_contacts(&mut self, time_ns: u64, difference: &[f64], lowest: f64, contacts: &mut Vec<Contact>) {

@@ -38,7 +38,7 @@ pub struct FitOutcome {
 }
 
 /// Parameters of a spot.
-const OF_SPOT: usize = 4;
+pub(super) const OF_SPOT: usize = 4;
 /// Steps at most.
 const MOST_STEPS: usize = 12;
 /// A fit has converged when no place moves by more than this share of its radius, and no logarithm of a radius by ten
@@ -51,7 +51,7 @@ const LOG_RADIUS_DEVIATION: f64 = 0.7;
 const NOISE_UNKNOWN: f64 = 0.3;
 /// Standard deviation of the uniform change before anything is measured: without a prior it would trade with wide
 /// spots.
-const UNIFORM_DEVIATION: f64 = 0.2;
+pub(super) const UNIFORM_DEVIATION: f64 = 0.2;
 /// Rules of the fit, beside when it has converged.
 const PARAMS: Params = Params {
     control: Control::Damping(Damping {
@@ -73,30 +73,30 @@ const PARAMS: Params = Params {
 /// Memory of a fit.
 #[derive(Clone, Debug, Default)]
 pub struct FitScratch {
-    data: Vec<f32>,
+    pub(super) data: Vec<f32>,
     /// Memory for what spots do beyond proportion, and whether the fit looks at that yet.
-    large: LargeScratch,
-    looks_beyond: bool,
+    pub(super) large: LargeScratch,
+    pub(super) looks_beyond: bool,
     /// A response in the combinations of the table.
-    tabulated: Vec<f32>,
+    pub(super) tabulated: Vec<f32>,
     /// Response and derivatives of every spot.
-    rows: Vec<f32>,
-    trial_rows: Vec<f32>,
-    residual: Vec<f32>,
+    pub(super) rows: Vec<f32>,
+    pub(super) trial_rows: Vec<f32>,
+    pub(super) residual: Vec<f32>,
     trial_residual: Vec<f32>,
     /// Weighted derivative columns, one a parameter.
-    columns: Vec<f32>,
+    pub(super) columns: Vec<f32>,
     solver: Scratch,
-    state: Vec<State>,
+    pub(super) state: Vec<State>,
     trial: Vec<State>,
-    spots: Vec<Spot>,
+    pub(super) spots: Vec<Spot>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct State {
-    position_m: [f64; 2],
-    amplitude: f64,
-    log_radius: f64,
+pub(super) struct State {
+    pub position_m: [f64; 2],
+    pub amplitude: f64,
+    pub log_radius: f64,
 }
 
 impl State {
@@ -194,14 +194,14 @@ impl SpotModel {
     }
 
     /// Whitened energy of what is left, per combination less the parameters.
-    fn mean_square(&self, scratch: &FitScratch) -> f64 {
+    pub(super) fn mean_square(&self, scratch: &FitScratch) -> f64 {
         let left: f64 = scratch.residual.iter().map(|v| f64::from(*v).powi(2)).sum();
         let parameters = OF_SPOT * scratch.state.len() + 1;
         left / self.combinations().saturating_sub(parameters).max(1) as f64
     }
 
     /// Goes on from the state at hand, whose residual is known; how many steps that took.
-    fn improve(&self, uniform: &mut f64, scratch: &mut FitScratch) -> Result<usize, InverseError> {
+    pub(super) fn improve(&self, uniform: &mut f64, scratch: &mut FitScratch) -> Result<usize, InverseError> {
         let mut solver = std::mem::take(&mut scratch.solver);
         let mut way = FitUnderWay { model: self, scratch: &mut *scratch, uniform: *uniform, tried_uniform: *uniform };
         let info = minimise(&mut way, &PARAMS, &mut solver);
@@ -303,6 +303,15 @@ impl SpotModel {
             let from = OF_SPOT * length * k;
             scratch.columns[k * length..(k + 1) * length].copy_from_slice(&scratch.rows[from..from + length]);
         }
+        match self.solve_amplitudes(count, scratch) {
+            Some(uniform) => (self.cost(scratch, uniform), uniform),
+            None => (f64::INFINITY, 0.0),
+        }
+    }
+
+    /// Amplitudes of the spots whose responses stand in the first columns, and the uniform change, which is returned.
+    pub(super) fn solve_amplitudes(&self, count: usize, scratch: &mut FitScratch) -> Option<f64> {
+        let length = self.combinations();
         scratch.columns[(count - 1) * length..count * length].copy_from_slice(&self.uniform);
         let FitScratch { columns, data, solver, .. } = scratch;
         solver.resize(count);
@@ -314,17 +323,17 @@ impl SpotModel {
         normal[count * count - 1] += UNIFORM_DEVIATION.powi(-2);
         factor.copy_from_slice(normal);
         if !factorise(factor, count) {
-            return (f64::INFINITY, 0.0);
+            return None;
         }
         solve_factored(factor, right, count);
         scratch.state.iter_mut().zip(right.iter()).for_each(|(state, a)| state.amplitude = *a);
         let uniform = right[count - 1];
         self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
-        (self.cost(scratch, uniform), uniform)
+        Some(uniform)
     }
 
     /// Data less model.
-    fn residual(&self, state: &[State], rows: &[f32], data: &[f32], uniform: f64, residual: &mut [f32]) {
+    pub(super) fn residual(&self, state: &[State], rows: &[f32], data: &[f32], uniform: f64, residual: &mut [f32]) {
         let length = data.len();
         residual.copy_from_slice(data);
         for (k, state) in state.iter().enumerate() {
@@ -409,7 +418,7 @@ impl SpotModel {
 
     /// Spots with covariances: the inverse of the normal matrix, times the residual where it exceeds the noise by more
     /// than that is known to.
-    fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
+    pub(super) fn finish(&self, residual: f64, uniform: f64, scratch: &mut FitScratch) {
         let parameters = OF_SPOT * scratch.state.len() + 1;
         let mut solver = std::mem::take(&mut scratch.solver);
         solver.resize(parameters);

@@ -29,7 +29,7 @@ pub struct SpotModel {
     pub(super) uniform: Vec<f32>,
     /// Volts of every channel (rows) for a unit of every combination: from the table back to channels, 0 for channels
     /// left out.
-    lift: Mat<f64>,
+    pub(super) lift: Mat<f64>,
     /// What spots do beyond proportion, where they are large.
     pub(super) large: Option<Arc<LargeChanges>>,
 }
@@ -117,6 +117,16 @@ impl SpotModel {
     /// # Errors
     /// Another number of channels, or none with a usable deviation.
     pub fn reweighted(&self, deviations: &[f64]) -> Result<Self, InverseError> {
+        self.marginalised(deviations, &[])
+    }
+
+    /// As [`SpotModel::reweighted`], with nuisances: changes of all channels (volts for one standard deviation of each)
+    /// that may come with any frame. The covariance of a frame is `D^2 + sum n n'`, so fits are what remains when the
+    /// nuisances' amplitudes are integrated out.
+    ///
+    /// # Errors
+    /// As [`SpotModel::reweighted`], and nuisances of another length.
+    pub fn marginalised(&self, deviations: &[f64], nuisances: &[Vec<f64>]) -> Result<Self, InverseError> {
         let (channels, count) = (self.channels, self.combinations());
         if deviations.len() != channels {
             let (expected, got) = (channels, deviations.len());
@@ -126,7 +136,21 @@ impl SpotModel {
         let noisiest = deviations.iter().copied().filter(usable).fold(0.0, f64::max);
         let deviation = |c: usize| if usable(&deviations[c]) { deviations[c] } else { noisiest };
         let noise = Mat::from_fn(channels, count, |c, k| deviation(c) * f64::from(self.projection[c * count + k]));
-        let factor = (noise.transpose() * &noise).llt(Side::Lower).map_err(|_| InverseError::Singular {
+        let mut covariance = noise.transpose() * &noise;
+        for nuisance in nuisances {
+            if nuisance.len() != channels {
+                let (expected, got) = (channels, nuisance.len());
+                return Err(InverseError::Size { what: "channels of a nuisance", expected, got });
+            }
+            let mut projected = vec![0.0; count];
+            for (row, value) in self.projection.chunks_exact(count).zip(nuisance) {
+                projected.iter_mut().zip(row).for_each(|(sum, entry)| *sum += f64::from(*entry) * value);
+            }
+            for column in 0..count {
+                (0..count).for_each(|row| covariance[(row, column)] += projected[row] * projected[column]);
+            }
+        }
+        let factor = covariance.llt(Side::Lower).map_err(|_| InverseError::Singular {
             what: "the noise of combinations of channels",
             hint: "at least one channel must have a positive deviation",
         })?;

@@ -64,6 +64,11 @@ impl Responses {
         }
     }
 
+    /// Places of the table, every so many along each side, metres.
+    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
+        self.table.places(stride)
+    }
+
     /// Whether a place lies where spots are tabulated.
     pub(super) fn holds(&self, position_m: [f64; 2]) -> bool {
         self.table.holds(position_m)

@@ -104,6 +104,13 @@ impl Table {
         Some(())
     }
 
+    /// Places between the margins, every so many along each side, metres.
+    pub(super) fn places(&self, stride: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let along = move |count: usize| (MARGIN - 1..count.saturating_sub(MARGIN - 1)).step_by(stride);
+        let at = |axis: usize, k: usize| self.low_m[axis] + k as f64 * self.step_m;
+        along(self.rows).flat_map(move |row| along(self.columns).map(move |column| [at(0, column), at(1, row)]))
+    }
+
     /// Length of a response.
     pub(super) fn length(&self) -> usize {
         self.length

@@ -1,0 +1,329 @@
+//! How many presses explain a frame.
+
+use std::f64::consts::PI;
+
+use crate::evidence::Evidence;
+use crate::press::{Cost, Effort, Press, PressFit};
+
+/// Presses cannot overlap: nearer than this share of the sum of their radii they are one.
+const LEAST_APART: f64 = 1.0;
+/// A press whose own significance exceeds its threshold by this factor need not be left out to know that it is there.
+const CLEARLY: f64 = 2.0;
+/// Presses that are added in a row before the evidence of all of them is judged.
+const LOOKAHEAD: usize = 3;
+/// Radius of the halves of a split press, in its radii.
+const HALF_RADIUS: f64 = 0.7;
+/// Directions in which one press is split into two, and how far apart its halves start, in radii.
+const DIRECTIONS: usize = 4;
+const SPLIT_RADII: f64 = 1.2;
+/// Presses that are split, the strongest.
+const MOST_SPLIT: usize = 3;
+/// After further presses were tried in vain, so many frames pass before they are tried again, unless the residual grows.
+const WAIT_FRAMES: u32 = 8;
+const GROWN: f64 = 1.5;
+
+/// What explains a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// The presses, the strongest first.
+    pub presses: Vec<Press>,
+    /// How sure each press is there, in standard deviations.
+    pub evidence: Vec<f64>,
+    /// Share of the frame's energy beyond the noise that the presses and nuisances leave, 0 to 1.
+    pub unexplained: f64,
+    /// The frame is noise and a uniform change, as far as its energy tells.
+    pub is_at_rest: bool,
+}
+
+/// Explains one frame after the other by presses.
+#[derive(Clone, Debug)]
+pub struct Estimator<F> {
+    fit: F,
+    evidence: Evidence,
+    negative: bool,
+    last: Vec<Press>,
+    wait: u32,
+    in_vain_at: f64,
+    is_unhurried: bool,
+}
+
+/// A set of presses and what its fit leaves.
+#[derive(Clone, Debug)]
+struct Explanation {
+    presses: Vec<Press>,
+    cost: Cost,
+}
+
+impl<F: PressFit> Estimator<F> {
+    /// With this fit and these thresholds. `negative`: presses may lower what they usually raise.
+    pub fn new(fit: F, evidence: Evidence, negative: bool) -> Self {
+        Self { fit, evidence, negative, last: Vec::new(), wait: 0, in_vain_at: f64::INFINITY, is_unhurried: false }
+    }
+
+    /// What fits the presses.
+    pub fn fit_mut(&mut self) -> &mut F {
+        &mut self.fit
+    }
+
+    /// The next frame has nothing to do with the last.
+    pub fn forget(&mut self) {
+        self.last.clear();
+        (self.wait, self.in_vain_at) = (0, f64::INFINITY);
+    }
+
+    /// From now on every frame is looked at for as long as it takes.
+    pub fn take_time(&mut self) {
+        self.is_unhurried = true;
+    }
+
+    /// Explains a frame (volts of the model); `None` where it cannot be fitted. `hints` are presses to try first where
+    /// nothing is known from the last frame.
+    pub fn explain(&mut self, frame: &[f64], hints: &[Press]) -> Option<Estimate> {
+        let null = self.fit.take_frame(frame)?;
+        let mut best = Explanation { presses: Vec::new(), cost: null };
+        let last = std::mem::take(&mut self.last);
+        if !last.is_empty()
+            && let Some(warm) = self.fitted(&last, Effort::Full)
+        {
+            best = self.without_superfluous(warm, &null);
+        }
+        best = self.grown(best, &null, hints);
+        if best.presses.is_empty() {
+            best = self.roughly(&null).unwrap_or(best);
+        }
+        let estimate = self.estimate(best, &null);
+        self.last.clone_from(&estimate.presses);
+        Some(estimate)
+    }
+
+    fn estimate(&self, mut best: Explanation, null: &Cost) -> Estimate {
+        best.presses.sort_by(|a, b| b.strength().abs().total_cmp(&a.strength().abs()));
+        let evidence = match best.presses.len() {
+            1 => vec![Evidence::of(null, &best.cost, true)],
+            _ => best.presses.iter().map(Press::significance).collect(),
+        };
+        Estimate { evidence, unexplained: best.cost.unexplained(), is_at_rest: null.is_noise(), presses: best.presses }
+    }
+
+    /// An explanation with as many presses more as the frame asks for.
+    fn grown(&mut self, mut best: Explanation, null: &Cost, hints: &[Press]) -> Explanation {
+        while best.presses.len() < self.fit.most_presses() {
+            let Some(more) = self.with_more(&best, null, hints) else { break };
+            let before = best.presses.len();
+            let pruned = self.without_superfluous(more, null);
+            if pruned.presses.len() <= before {
+                break;
+            }
+            best = pruned;
+        }
+        best
+    }
+
+    /// Explains the frame of the last [`Estimator::explain`] by presses of which some may have a negative load: those that
+    /// the baseline holds and that have gone. Nothing is remembered for the next frame.
+    pub fn explain_with_gone(&mut self) -> Option<Estimate> {
+        let negative = std::mem::replace(&mut self.negative, true);
+        let estimate = self.explain_from_nothing();
+        self.negative = negative;
+        estimate
+    }
+
+    fn explain_from_nothing(&mut self) -> Option<Estimate> {
+        let null = self.fit.fit_nothing()?;
+        let best = Explanation { presses: Vec::new(), cost: null };
+        let best = self.grown(best, &null, &[]);
+        Some(self.estimate(best, &null))
+    }
+
+    /// A fit from these starts.
+    fn fitted(&mut self, starts: &[Press], effort: Effort) -> Option<Explanation> {
+        let cost = self.fit.fit(starts, effort)?;
+        Some(Explanation { presses: self.fit.presses(), cost })
+    }
+
+    fn may_be(&self, press: &Press) -> bool {
+        (self.negative || press.load > 0.0) && self.fit.is_inside(press.position_m) && press.load.is_finite()
+    }
+
+    /// Standard deviations by which a press of an explanation is there; of one beside others, from the fit's own
+    /// covariance.
+    fn sureness(&self, press: &Press, of: &Explanation, null: &Cost) -> f64 {
+        match of.presses.len() {
+            1 => Evidence::of(null, &of.cost, true),
+            _ => press.significance() / Evidence::correlation(&of.cost).sqrt(),
+        }
+    }
+
+    /// An explanation without the presses that it does not need.
+    fn without_superfluous(&mut self, mut of: Explanation, null: &Cost) -> Explanation {
+        while !of.presses.is_empty() {
+            let worst = (0..of.presses.len())
+                .map(|k| (k, if self.may_be(&of.presses[k]) { self.sureness(&of.presses[k], &of, null) } else { -1.0 }))
+                .min_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((worst, sureness)) = worst else { break };
+            let overlaps = self.overlapping(&of.presses);
+            if sureness > CLEARLY * self.evidence.begin && overlaps.is_none() {
+                break;
+            }
+            let worst = if sureness < 0.0 { worst } else { overlaps.unwrap_or(worst) };
+            let mut others = of.presses.clone();
+            others.remove(worst);
+            let is_first = others.is_empty();
+            let fewer = if is_first {
+                Some(Explanation { presses: others, cost: *null })
+            } else {
+                self.fitted(&others, Effort::Full)
+            };
+            let Some(fewer) = fewer else { break };
+            let is_needed = Evidence::of(&fewer.cost, &of.cost, is_first) >= self.evidence.hold;
+            if is_needed && sureness >= 0.0 && overlaps.is_none() {
+                break;
+            }
+            of = fewer;
+        }
+        of
+    }
+
+    /// The weaker of two presses that overlap.
+    fn overlapping(&self, presses: &[Press]) -> Option<usize> {
+        for a in 1..presses.len() {
+            for b in 0..a {
+                let (p, q) = (&presses[a], &presses[b]);
+                if p.load * q.load > 0.0 && p.distance_m(q) < LEAST_APART * (p.radius_m + q.radius_m) {
+                    return Some(if p.strength().abs() < q.strength().abs() { a } else { b });
+                }
+            }
+        }
+        None
+    }
+
+    /// An explanation with more presses, if the frame asks for them.
+    fn with_more(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
+        let is_first = best.presses.is_empty();
+        if !is_first && self.wait > 0 && best.cost.residual < GROWN * self.in_vain_at {
+            self.wait -= 1;
+            return None;
+        }
+        // Even presses that leave nothing but noise could not be told from chance.
+        let perfect = Cost { residual: best.cost.freedom, ..best.cost };
+        let found = if Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin {
+            None
+        } else {
+            self.search(best, null, hints)
+        };
+        if found.is_none() && !is_first && !self.is_unhurried {
+            (self.wait, self.in_vain_at) = (WAIT_FRAMES, best.cost.residual);
+        }
+        found
+    }
+
+    /// The best-supported explanation that grows out of this one: with a press where the residual asks for it, up to
+    /// [`LOOKAHEAD`] in a row, since two may be needed where one explains nothing; with a press split; with the hints.
+    fn search(&mut self, best: &Explanation, null: &Cost, hints: &[Press]) -> Option<Explanation> {
+        let room = self.fit.most_presses() - best.presses.len();
+        let mut found: Vec<Explanation> = Vec::new();
+        if best.presses.is_empty() && !hints.is_empty() {
+            found.extend(self.fitted(&hints[..hints.len().min(room)], Effort::Quick));
+        }
+        for peak in self.peaks(best) {
+            let mut starts: Vec<Press> = best.presses.iter().copied().chain([peak]).collect();
+            for _ in 0..LOOKAHEAD.min(room) {
+                let Some(more) = self.fitted(&starts, Effort::Quick) else { break };
+                if self.is_possible(&more) {
+                    starts.clone_from(&more.presses);
+                    found.push(more);
+                } else if self.fit.fit_loads(&starts).is_none() {
+                    break;
+                }
+                match self.fit.seek(self.negative).first() {
+                    Some(next) if starts.len() < self.fit.most_presses() => starts.push(next.press),
+                    _ => break,
+                }
+            }
+        }
+        for k in 0..best.presses.len().min(MOST_SPLIT) {
+            for direction in 0..DIRECTIONS {
+                if let Some(starts) = self.split(&best.presses, k, direction) {
+                    found.extend(self.fitted(&starts, Effort::Quick));
+                }
+            }
+        }
+        found.retain(|more| self.is_possible(more));
+        let penalty = |of: &Explanation| of.presses.len() as f64 * self.evidence.begin.powi(2);
+        found.sort_by(|a, b| {
+            let score = |of: &Explanation| of.cost.residual + penalty(of) * Evidence::model_scale(&of.cost);
+            score(a).total_cmp(&score(b))
+        });
+        let mut most: Option<Explanation> = None;
+        for more in found {
+            let more = if self.fit.has_quick_fit() {
+                let Some(more) = self.fitted(&more.presses, Effort::Full) else { continue };
+                more
+            } else {
+                more
+            };
+            let more = self.without_superfluous(more, null);
+            if self.is_possible(&more) && self.is_supported(&more, best) {
+                most = Some(more);
+                break;
+            }
+        }
+        most
+    }
+
+    /// Whether all presses may be where they are, and do not overlap.
+    fn is_possible(&self, of: &Explanation) -> bool {
+        of.presses.iter().all(|press| self.may_be(press)) && self.overlapping(&of.presses).is_none()
+    }
+
+    /// Whether each press more is worth its threshold.
+    fn is_supported(&self, more: &Explanation, best: &Explanation) -> bool {
+        let Some(added) = more.presses.len().checked_sub(best.presses.len()).filter(|added| *added > 0) else {
+            return false;
+        };
+        let support = Evidence::of(&best.cost, &more.cost, best.presses.is_empty());
+        support >= self.evidence.begin * (added as f64).sqrt()
+    }
+
+    /// One press where the matched filter has it, where no fit stays on the skin but something is there.
+    fn roughly(&mut self, null: &Cost) -> Option<Explanation> {
+        self.fit.fit_nothing()?;
+        let peak = self.fit.seek(self.negative).first()?.press;
+        let cost = self.fit.fit_loads(&[peak])?;
+        let mut of = Explanation { presses: self.fit.presses(), cost };
+        let is_there = self.is_possible(&of) && Evidence::of(null, &cost, true) >= self.evidence.begin;
+        for press in &mut of.presses {
+            (0..2).for_each(|axis| press.covariance[axis][axis] += press.radius_m.powi(2));
+        }
+        is_there.then_some(of)
+    }
+
+    /// Where the residual of an explanation asks for one more press.
+    fn peaks(&mut self, best: &Explanation) -> Vec<Press> {
+        if !best.presses.is_empty() && self.fit.fit(&best.presses, Effort::Quick).is_none() {
+            return Vec::new();
+        }
+        if best.presses.is_empty() && self.fit.fit_nothing().is_none() {
+            return Vec::new();
+        }
+        self.fit.seek(self.negative).into_iter().map(|found| found.press).collect()
+    }
+
+    /// One press split in a direction; none where a half would lie off the skin.
+    fn split(&self, presses: &[Press], k: usize, direction: usize) -> Option<Vec<Press>> {
+        let press = presses[k];
+        let angle = PI * direction as f64 / DIRECTIONS as f64;
+        let reach = SPLIT_RADII * press.radius_m;
+        let [dx, dy] = [reach * angle.cos(), reach * angle.sin()];
+        let [x, y] = press.position_m;
+        let halves = [[x + dx, y + dy], [x - dx, y - dy]];
+        if presses.len() >= self.fit.most_presses() || halves.iter().any(|place| !self.fit.is_inside(*place)) {
+            return None;
+        }
+        let half = |position_m| Press { position_m, radius_m: HALF_RADIUS * press.radius_m, ..press };
+        let mut starts = presses.to_vec();
+        starts[k] = half(halves[0]);
+        starts.push(half(halves[1]));
+        Some(starts)
+    }
+}

@@ -1,0 +1,118 @@
+//! Presses on sheets, separate patches and under membranes: smooth spots of changed conductance.
+
+use dermis_tomo::inverse::{FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotProposal};
+use dermis_tomo::mesh::PixelGrid;
+
+use crate::press::{Cost, Effort, Press, PressFit, Proposal};
+
+/// Fits spots by their tabulated responses ([`SpotModel`]).
+#[derive(Clone, Debug)]
+pub struct SpotFit {
+    model: SpotModel,
+    filter: SpotFilter,
+    scratch: FitScratch,
+    starts: Vec<Spot>,
+    uniform: f64,
+    error_share: f64,
+    grid: PixelGrid,
+    inside: Vec<bool>,
+}
+
+impl SpotFit {
+    /// Of a model, on the pixels of a grid (row by row) that lie on the skin. `error_share` is the share of a frame's
+    /// energy that the model leaves of usual presses.
+    pub fn new(model: SpotModel, grid: PixelGrid, inside: Vec<bool>, error_share: f64) -> Self {
+        let is_inside = |place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]);
+        let filter = model.filter(is_inside);
+        let scratch = model.scratch();
+        Self { model, filter, scratch, starts: Vec::new(), uniform: 0.0, error_share, grid, inside }
+    }
+
+    /// Goes on with another weighting of the same responses.
+    pub fn set_model(&mut self, model: SpotModel) {
+        let (grid, inside) = (&self.grid, &self.inside);
+        self.filter = model.filter(|place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]));
+        self.scratch = model.scratch();
+        self.model = model;
+    }
+
+    /// What these presses change the channels by, volts.
+    pub fn channels_of(&mut self, presses: &[Press], volts: &mut Vec<f64>) {
+        self.starts.clear();
+        self.starts.extend(presses.iter().map(spot));
+        self.model.channels_of(&self.starts, &mut self.scratch, volts);
+    }
+
+    fn cost(&self, outcome: &FitOutcome, presses: usize) -> Cost {
+        let combinations = self.model.combinations() as f64;
+        let freedom = (combinations - (4 * presses + 1) as f64).max(1.0);
+        let energy = outcome.energy * combinations;
+        let model_error = if presses == 0 { 0.0 } else { self.error_share * energy };
+        Cost { residual: outcome.residual * freedom, energy, freedom, model_error }
+    }
+}
+
+fn spot(press: &Press) -> Spot {
+    let Press { position_m, radius_m, load, covariance } = *press;
+    Spot { position_m, radius_m, amplitude: load, covariance }
+}
+
+fn press(spot: &Spot) -> Press {
+    let Spot { position_m, radius_m, amplitude, covariance } = *spot;
+    Press { position_m, radius_m, load: amplitude, covariance }
+}
+
+impl PressFit for SpotFit {
+    fn take_frame(&mut self, frame: &[f64]) -> Option<Cost> {
+        let outcome = self.model.take_frame(frame, &mut self.scratch).ok()?;
+        self.uniform = outcome.uniform;
+        Some(self.cost(&outcome, 0))
+    }
+
+    fn fit(&mut self, starts: &[Press], effort: Effort) -> Option<Cost> {
+        self.starts.clear();
+        self.starts.extend(starts.iter().map(spot));
+        let mut outcome = self.model.fit_from(&self.starts, self.uniform, &mut self.scratch)?;
+        if effort == Effort::Full {
+            outcome = self.model.go_beyond_proportion(outcome, &mut self.scratch).ok()?;
+        }
+        Some(self.cost(&outcome, starts.len()))
+    }
+
+    fn fit_loads(&mut self, starts: &[Press]) -> Option<Cost> {
+        self.starts.clear();
+        self.starts.extend(starts.iter().map(spot));
+        let outcome = self.model.fit_amplitudes(&self.starts, &mut self.scratch)?;
+        Some(self.cost(&outcome, starts.len()))
+    }
+
+    fn has_quick_fit(&self) -> bool {
+        self.model.looks_beyond_proportion()
+    }
+
+    fn presses(&self) -> Vec<Press> {
+        self.scratch.spots().iter().map(press).collect()
+    }
+
+    fn fit_nothing(&mut self) -> Option<Cost> {
+        let outcome = self.model.fit_nothing(&mut self.scratch);
+        Some(self.cost(&outcome, 0))
+    }
+
+    fn seek(&self, negative: bool) -> Vec<Proposal> {
+        let found = self.model.seek(&self.filter, negative, &self.scratch);
+        let proposal = |found: SpotProposal| {
+            let (position_m, radius_m, load) = (found.position_m, found.radius_m, found.amplitude);
+            Proposal { press: Press { position_m, radius_m, load, ..Press::default() }, gain: found.gain }
+        };
+        found.into_iter().map(proposal).collect()
+    }
+
+    fn is_inside(&self, position_m: [f64; 2]) -> bool {
+        self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+
+    fn most_presses(&self) -> usize {
+        self.model.options().most_spots
+    }
+}

@@ -1,0 +1,115 @@
+//! Drift since the baseline was last brought up to date, as a covariance that grows with time.
+//!
+//! While something touches a skin its baseline stands still, and instrument, temperature and contacts go on drifting.
+//! What they do to a frame is no press; how large it may be is known. A frame's covariance is the noise plus this, and
+//! the presses are fitted under it: what drift explains as well as a press does not move the press.
+
+use dermis_tomo::mesh::{Contact, Electrode, ElectrodedMesh};
+
+use crate::prepare::Prepared;
+
+/// Gain of each channel by itself, share of its voltage a second: 0.3 % in ten minutes.
+const CHANNEL_PER_S: f64 = 5e-6;
+/// Conductance at each electrode, share a second: 1 % in ten minutes.
+const ELECTRODE_PER_S: f64 = 1.7e-5;
+/// Conductance near an electrode counts as its contact within this many of its own sizes.
+const ELECTRODE_REACH: f64 = 1.0;
+/// Weights are made again when the time has doubled; below this, seconds, drift is none.
+const LEAST_S: f64 = 8.0;
+/// After a touch has gone the baseline catches up within this, seconds.
+const CAUGHT_UP_S: f64 = 5.0;
+
+/// What drift may do to one skin.
+#[derive(Debug)]
+pub(crate) struct Drift {
+    /// Voltage of each channel at rest, model volts.
+    voltages: Vec<f64>,
+    /// What a relative change of the conductance at each electrode does to the channels, model volts.
+    electrodes: Vec<Vec<f64>>,
+    touched_ns: Option<u64>,
+    released_ns: Option<u64>,
+    /// Seconds that the weights in use are made for.
+    pub age_s: f64,
+}
+
+impl Drift {
+    pub fn new(prepared: &Prepared) -> Self {
+        let places = electrode_places(prepared);
+        let electrodes = places
+            .iter()
+            .map(|(place, size)| {
+                let near = |at: &[f64; 3]| (at[0] - place[0]).hypot(at[1] - place[1]) <= ELECTRODE_REACH * size;
+                let pixels: Vec<usize> =
+                    (0..prepared.basis.positions.len()).filter(|&k| near(&prepared.basis.positions[k])).collect();
+                (0..prepared.channels())
+                    .map(|channel| pixels.iter().map(|&k| prepared.jacobian.row(channel)[k]).sum())
+                    .collect()
+            })
+            .collect();
+        Self { voltages: prepared.voltages.clone(), electrodes, touched_ns: None, released_ns: None, age_s: 0.0 }
+    }
+
+    /// Takes note whether presses are followed; true where the weights are to be made again, for `age_s`.
+    pub fn observe(&mut self, time_ns: u64, is_touched: bool) -> bool {
+        let since_s = |ns: u64| time_ns.saturating_sub(ns) as f64 * 1e-9;
+        if is_touched {
+            self.released_ns = None;
+        } else if self.touched_ns.is_some() && since_s(*self.released_ns.get_or_insert(time_ns)) >= CAUGHT_UP_S {
+            (self.touched_ns, self.released_ns) = (None, None);
+        }
+        let age_s = match (self.touched_ns, is_touched) {
+            (Some(since), _) => since_s(since),
+            (None, true) => since_s(*self.touched_ns.insert(time_ns)),
+            (None, false) => 0.0,
+        };
+        let level = if age_s < LEAST_S { 0.0 } else { LEAST_S * (age_s / LEAST_S).log2().floor().exp2() * 2.0 };
+        let is_new = level != self.age_s;
+        self.age_s = level;
+        is_new
+    }
+
+    /// Starts again from a baseline that is up to date.
+    pub fn forget(&mut self) {
+        (self.touched_ns, self.released_ns) = (None, None);
+    }
+
+    /// Standard deviations of the channels: their noise (model volts) and their own drift.
+    pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
+        let own = CHANNEL_PER_S * self.age_s;
+        noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect()
+    }
+
+    /// What drift does to all channels together, one entry for each cause: volts for a standard deviation.
+    pub fn nuisances(&self) -> Vec<Vec<f64>> {
+        let share = ELECTRODE_PER_S * self.age_s;
+        if share == 0.0 {
+            return Vec::new();
+        }
+        self.electrodes.iter().map(|channels| channels.iter().map(|volts| share * volts).collect()).collect()
+    }
+}
+
+/// Middle and size of each electrode, metres; on a bent skin, where the flat one has it.
+fn electrode_places(prepared: &Prepared) -> Vec<([f64; 2], f64)> {
+    let ElectrodedMesh { mesh, electrodes } = &prepared.body.mesh;
+    let of = |electrode: &Electrode| {
+        let nodes: Vec<u32> = match &electrode.contact {
+            Contact::Faces(faces) => faces.concat(),
+            Contact::Area(elements) => {
+                let nodes = |element: &u32| mesh.elements().nth(*element as usize).unwrap_or_default().to_vec();
+                elements.iter().flat_map(nodes).collect()
+            }
+            Contact::Point(node) => vec![*node],
+        };
+        let at = |node: &u32| {
+            let place = mesh.nodes()[*node as usize];
+            [place[0], place[1]]
+        };
+        let count = nodes.len().max(1) as f64;
+        let sum = nodes.iter().map(at).fold([0.0; 2], |sum, at| [sum[0] + at[0], sum[1] + at[1]]);
+        let middle = sum.map(|value| value / count);
+        let reach = nodes.iter().map(at).map(|at| (at[0] - middle[0]).hypot(at[1] - middle[1])).fold(0.0_f64, f64::max);
+        (middle, (2.0 * reach).max(prepared.map.grid().pixel_m))
+    };
+    electrodes.iter().map(of).collect()
+}

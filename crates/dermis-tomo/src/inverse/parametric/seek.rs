@@ -1,0 +1,214 @@
+//! Where one more spot would explain most of what a fit leaves: a matched filter over the table.
+//!
+//! With the whitened residual `r` and the whitened response `g(p, radius)` of a spot, orthogonal to the uniform change,
+//! the least-squares amplitude is `g'r / g'g` and lowers the cost by `(g'r)^2 / g'g` (Kay, Fundamentals of Statistical
+//! Signal Processing II, 1998, section 4.3). The filter is evaluated on every second place of the table at a few radii.
+
+use super::fit::{FitOutcome, FitScratch, OF_SPOT, State, UNIFORM_DEVIATION};
+use super::{Spot, SpotModel};
+use crate::inverse::InverseError;
+
+/// Radii of the filter, from the typical one to the largest of the table (shares of the logarithmic range above it).
+const RADII: [f64; 3] = [0.0, 0.35, 0.7];
+/// Places of the filter: every so many of the table.
+const STRIDE: usize = 2;
+
+/// Most places that are proposed, and how far they are apart, in typical radii.
+const PROPOSALS: usize = 3;
+const APART: f64 = 2.5;
+
+/// A place where one more spot would lower the cost.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpotProposal {
+    /// Its middle, metres.
+    pub position_m: [f64; 2],
+    /// Its radius, metres.
+    pub radius_m: f64,
+    /// Its least-squares amplitude with the other spots held.
+    pub amplitude: f64,
+    /// By how much it lowers the cost, whitened.
+    pub gain: f64,
+}
+
+/// The matched filter of one model: whitened responses at the places that are looked at.
+#[derive(Clone, Debug)]
+pub struct SpotFilter {
+    places: Vec<([f64; 2], f64)>,
+    /// One response after the other, each of unit length and orthogonal to the uniform change.
+    unit: Vec<f32>,
+    norms: Vec<f32>,
+    length: usize,
+}
+
+impl SpotModel {
+    /// The matched filter of this model over the places of the table for which `is_inside` holds.
+    pub fn filter(&self, is_inside: impl Fn([f64; 2]) -> bool) -> SpotFilter {
+        let length = self.combinations();
+        let [_, most] = self.responses.log_radii();
+        let typical = self.options().typical_radius_m.ln();
+        let mut filter = SpotFilter { places: Vec::new(), unit: Vec::new(), norms: Vec::new(), length };
+        let (mut tabulated, mut rows) = (self.responses.scratch(), vec![0.0_f32; OF_SPOT * length]);
+        let square = |v: &[f32]| v.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>();
+        // A uniform change has a prior, so only the part that it may take up is removed.
+        let of_uniform = 1.0 / (square(&self.uniform) + UNIFORM_DEVIATION.powi(-2));
+        for share in RADII {
+            let log_radius = typical + share * (most - typical);
+            for place in self.responses.places(STRIDE).filter(|place| is_inside(*place)) {
+                if self.responses.evaluate(place, log_radius, &mut tabulated, &mut rows).is_none() {
+                    continue;
+                }
+                let response = &mut rows[..length];
+                let along: f64 = response.iter().zip(&self.uniform).map(|(r, u)| f64::from(*r) * f64::from(*u)).sum();
+                let share = (along * of_uniform) as f32;
+                response.iter_mut().zip(&self.uniform).for_each(|(r, u)| *r -= share * u);
+                let norm = square(response).sqrt() as f32;
+                if norm > 0.0 {
+                    filter.places.push((place, log_radius.exp()));
+                    filter.norms.push(norm);
+                    filter.unit.extend(response.iter().map(|r| r / norm));
+                }
+            }
+        }
+        filter
+    }
+
+    /// Whitens a frame (volts, all finite) into the scratch and fits the uniform change alone: the outcome without
+    /// spots. Later fits of [`SpotModel::fit_from`] are of this frame.
+    ///
+    /// # Errors
+    /// A frame of another length, or values that are not finite.
+    pub fn take_frame(&self, difference: &[f64], scratch: &mut FitScratch) -> Result<FitOutcome, InverseError> {
+        if difference.len() != self.channels() {
+            let (expected, got) = (self.channels(), difference.len());
+            return Err(InverseError::Size { what: "channels of the frame", expected, got });
+        }
+        crate::inverse::check_finite("channel", difference)?;
+        self.project(difference, &mut scratch.data);
+        Ok(self.fit_nothing(scratch))
+    }
+
+    /// Fits the uniform change alone to the frame of the last [`SpotModel::take_frame`].
+    pub fn fit_nothing(&self, scratch: &mut FitScratch) -> FitOutcome {
+        scratch.state.clear();
+        scratch.spots.clear();
+        scratch.looks_beyond = false;
+        let product = |a: &[f32], b: &[f32]| f64::from(dot(a, b));
+        let own = product(&self.uniform, &self.uniform) + UNIFORM_DEVIATION.powi(-2);
+        let uniform = product(&scratch.data, &self.uniform) / own;
+        self.residual(&scratch.state, &scratch.rows, &scratch.data, uniform, &mut scratch.residual);
+        let energy = product(&scratch.data, &scratch.data) / self.combinations() as f64;
+        let residual = self.mean_square(scratch);
+        FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 }
+    }
+
+    /// Fits spots to the frame of the last [`SpotModel::take_frame`] from these places, radii and amplitudes
+    /// (covariances do not matter). `None` where a start lies outside the table, there are too many, or the equations
+    /// cannot be solved. As if channels answered in proportion; [`SpotModel::go_beyond_proportion`] goes on. Allocates
+    /// nothing.
+    pub fn fit_from(&self, starts: &[Spot], uniform: f64, scratch: &mut FitScratch) -> Option<FitOutcome> {
+        self.begin_from(starts, scratch)?;
+        let length = self.combinations();
+        let FitScratch { state, rows, data, residual, .. } = &mut *scratch;
+        self.residual(state, rows, data, uniform, residual);
+        let energy = data.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / length as f64;
+        let mut uniform = uniform;
+        let steps = self.improve(&mut uniform, scratch).ok()?;
+        let residual = self.mean_square(scratch);
+        self.finish(residual, uniform, scratch);
+        Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps })
+    }
+
+    /// Fits the amplitudes of spots that keep their places and radii to the frame of the last [`SpotModel::take_frame`],
+    /// in proportion. `None` as in [`SpotModel::fit_from`].
+    pub fn fit_amplitudes(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<FitOutcome> {
+        self.begin_from(starts, scratch)?;
+        let length = self.combinations();
+        let count = starts.len() + 1;
+        for k in 0..starts.len() {
+            let from = OF_SPOT * length * k;
+            scratch.columns[k * length..(k + 1) * length].copy_from_slice(&scratch.rows[from..from + length]);
+        }
+        let uniform = self.solve_amplitudes(count, scratch)?;
+        let energy = f64::from(dot(&scratch.data, &scratch.data)) / length as f64;
+        let residual = self.mean_square(scratch);
+        self.finish(residual, uniform, scratch);
+        Some(FitOutcome { energy, residual, in_proportion: residual, uniform, steps: 0 })
+    }
+
+    /// Whether fits go on beyond proportion where changes are large.
+    pub fn looks_beyond_proportion(&self) -> bool {
+        self.large.is_some()
+    }
+
+    /// Puts spots where they start; their responses are then in the scratch.
+    fn begin_from(&self, starts: &[Spot], scratch: &mut FitScratch) -> Option<()> {
+        let length = self.combinations();
+        if starts.is_empty() || starts.len() > self.options().most_spots {
+            return None;
+        }
+        scratch.state.clear();
+        scratch.looks_beyond = false;
+        let [least, most] = self.responses.log_radii();
+        for (k, start) in starts.iter().enumerate() {
+            let log_radius = start.radius_m.ln().clamp(least, most);
+            let rows = &mut scratch.rows[OF_SPOT * length * k..OF_SPOT * length * (k + 1)];
+            self.responses.evaluate(start.position_m, log_radius, &mut scratch.tabulated, rows)?;
+            scratch.state.push(State { position_m: start.position_m, amplitude: start.amplitude, log_radius });
+        }
+        Some(())
+    }
+
+    /// Places where one more spot, positive or, if `negative`, of either sign, explains most of the residual of the
+    /// last fit: the best first, each apart from the others.
+    pub fn seek(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> Vec<SpotProposal> {
+        let values: Vec<f32> =
+            filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual)).collect();
+        let apart = APART * self.options().typical_radius_m;
+        let mut found: Vec<SpotProposal> = Vec::with_capacity(PROPOSALS);
+        while found.len() < PROPOSALS {
+            let mut best: Option<(usize, f32)> = None;
+            for (k, product) in values.iter().enumerate() {
+                let value = if negative { product.abs() } else { *product };
+                let is_apart = |other: &SpotProposal| {
+                    let [x, y] = filter.places[k].0;
+                    (x - other.position_m[0]).hypot(y - other.position_m[1]) >= apart
+                };
+                if value > best.map_or(0.0, |(_, most)| most) && found.iter().all(is_apart) {
+                    best = Some((k, value));
+                }
+            }
+            let Some((k, value)) = best else { break };
+            let (position_m, radius_m) = filter.places[k];
+            let amplitude = f64::from(values[k] / filter.norms[k]);
+            found.push(SpotProposal { position_m, radius_m, amplitude, gain: f64::from(value).powi(2) });
+        }
+        found
+    }
+
+    /// What these spots change the channels by, volts, within the combinations of the model; 0 for channels left out.
+    pub fn channels_of(&self, spots: &[Spot], scratch: &mut FitScratch, volts: &mut Vec<f64>) {
+        let length = self.combinations();
+        let mut sum = vec![0.0_f64; length];
+        for spot in spots {
+            let rows = &mut scratch.trial_rows[..OF_SPOT * length];
+            if self.responses.evaluate(spot.position_m, spot.radius_m.ln(), &mut scratch.tabulated, rows).is_some() {
+                sum.iter_mut().zip(rows.iter()).for_each(|(sum, r)| *sum += spot.amplitude * f64::from(*r));
+            }
+        }
+        volts.clear();
+        volts.extend(self.lift.row_iter().map(|row| row.iter().zip(&sum).map(|(l, s)| l * s).sum::<f64>()));
+    }
+}
+
+/// Inner product in eight running sums.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (whole, rest) = a.as_chunks::<8>();
+    let (other, other_rest) = b.as_chunks::<8>();
+    let mut sums = [0.0_f32; 8];
+    for (a, b) in whole.iter().zip(other) {
+        for lane in 0..8 {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    sums.iter().sum::<f32>() + rest.iter().zip(other_rest).map(|(a, b)| a * b).sum::<f32>()
+}
