@@ -7,11 +7,13 @@
 //!
 //! The crate opens no files, reads no clock and knows no image format.
 
+mod anchor;
 mod estimator;
 mod evidence;
 mod press;
 mod spots;
 
+pub use anchor::Anchor;
 pub use estimator::{Estimate, Estimator};
 pub use evidence::Evidence;
 pub use press::{Cost, Effort, Press, PressFit, Proposal};

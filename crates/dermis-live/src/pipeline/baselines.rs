@@ -80,13 +80,13 @@ impl Pipeline {
         if self.damage.is_some() || self.levels.is_some() {
             return Ok(());
         }
+        let is_touched = reconstructor.touches.is_loaded();
         match reconstructor.refinement.gone() {
             None => {}
             Some(Gone::BesideOthers(volts)) => self.baseline.shift(as_measured(volts).into_iter()),
-            Some(Gone::Alone) if matches!(self.baseline.state(), BaselineState::Ready) => {
-                let guard = TareGuard::RefuseUnderLoad;
-                // Under load the touch that is seen goes first; the next frames ask again.
-                let _ = self.baseline.tare(GONE_FRAMES, guard, "a press that the baseline held has gone");
+            // A search for touches under way would stop a tare that heeds the load.
+            Some(Gone::Alone) if self.baseline.state() == BaselineState::Ready && !is_touched => {
+                self.baseline.tare(GONE_FRAMES, TareGuard::Force, "a press that the baseline held has gone")?;
             }
             Some(Gone::Alone) => {}
         }

@@ -19,6 +19,11 @@ const LEAST_S: f64 = 8.0;
 /// After a touch has gone the baseline catches up within this, seconds.
 const CAUGHT_UP_S: f64 = 5.0;
 
+/// Largest uniform drift, share of the voltages.
+const MOST_UNIFORM: f64 = 0.05;
+/// Mean square over the deviations that drift and noise leave at most: noise is known to a third from 32 frames.
+const MOST_LEFT: f64 = 1.5;
+
 /// What drift may do to one skin.
 #[derive(Debug)]
 pub(crate) struct Drift {
@@ -77,6 +82,23 @@ impl Drift {
     pub fn deviations(&self, noise: &[f64]) -> Vec<f64> {
         let own = CHANNEL_PER_S * self.age_s;
         noise.iter().zip(&self.voltages).map(|(noise, volts)| noise.hypot(own * volts)).collect()
+    }
+
+    /// Whether noise (model volts), a uniform change and the channels' own drift explain a frame; channels without a value
+    /// have no say.
+    pub fn explains(&self, difference: impl Iterator<Item = f64> + Clone, noise: &[f64]) -> bool {
+        let deviations = self.deviations(noise);
+        let frame =
+            || difference.clone().zip(&self.voltages).zip(&deviations).filter(|((value, _), _)| value.is_finite());
+        let (mut cross, mut square, mut count) = (0.0, 0.0, 0.0_f64);
+        for ((value, volts), sigma) in frame() {
+            cross += value * volts / (sigma * sigma);
+            square += volts * volts / (sigma * sigma);
+            count += 1.0;
+        }
+        let gain = if square > 0.0 { (cross / square).clamp(-MOST_UNIFORM, MOST_UNIFORM) } else { 0.0 };
+        let left: f64 = frame().map(|((value, volts), sigma)| ((value - gain * volts) / sigma).powi(2)).sum();
+        left <= MOST_LEFT * count.max(1.0)
     }
 
     /// What drift does to all channels together, one entry for each cause: volts for a standard deviation.

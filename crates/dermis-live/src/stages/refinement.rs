@@ -166,7 +166,7 @@ impl Refinement {
             By::Spots { whole, stage: Some(spots), noise, left_out, drift } => {
                 spots.refine(time_ns, difference, imager, contacts);
                 if drift.observe(time_ns, spots.is_touched()) {
-                    spots.set_model(weighted(whole, noise, left_out, drift)?);
+                    spots.set_model(weighted(whole, noise, left_out, drift)?, drift.age_s > 0.0);
                 }
             }
             By::Spots { stage: None, .. } | By::Nothing => {}

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use dermis_estimate::{Estimate, Estimator, Evidence, Press, SpotFit};
+use dermis_estimate::{Anchor, Estimate, Estimator, Evidence, Press, SpotFit};
 use dermis_skin::{Layer, LiquidLayer};
 use dermis_tomo::eit::ForwardModel;
 use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
@@ -25,13 +25,16 @@ const LARGEST_RADIUS: f64 = 0.6;
 const TYPICAL_RADIUS: f64 = 0.12;
 /// Smallest radius.
 const SMALLEST_RADIUS: f64 = 0.05;
-/// A frame is explained where less than this share of its energy is left. Real gels and wrong geometries leave up to a
-/// third of a press.
+/// A frame of which presses leave less than this share of the energy holds nothing that has gone from the baseline.
+const CLEARLY_EXPLAINED: f64 = 0.005;
+/// What has gone explains a frame where it leaves less than this share of the energy: real gels and wrong geometries
+/// leave up to a third of a press. And less than this share of what other presses leave, unless it is fewer presses.
 const GONE_UNEXPLAINED: f64 = 0.3;
-/// Presses have gone from the baseline once this many frames in a row say so; after looking in vain, this many frames
-/// pass before the next look.
+const BETTER: f64 = 0.5;
+/// Presses have gone from the baseline once this many frames in a row say so; after looking in vain, at most this many
+/// frames pass before the next look.
 const GONE_FRAMES: u32 = 3;
-const GONE_WAIT: u32 = 4;
+const MOST_GONE_WAIT: u32 = 64;
 /// Less than this share of a press's own greatest strength is no press but what it leaves behind: layers creep, and set
 /// by a few per cent. The peak is remembered for this long, nanoseconds.
 const REMNANT_SHARE: f64 = 0.07;
@@ -69,6 +72,9 @@ pub(crate) struct SpotStage {
     typical_radius_m: f64,
     /// The presses that are shown.
     shown: Vec<Press>,
+    /// Places and radii of presses while the baseline was fresh.
+    anchors: Vec<Anchor>,
+    is_aged: bool,
     /// The strongest that each press has been, for what remains of it.
     peaks: Vec<Peak>,
     /// What remains of presses that have gone, to be taken into the baseline.
@@ -79,6 +85,7 @@ pub(crate) struct SpotStage {
     gone_frames: u32,
     /// Frames before they are looked for again.
     wait: u32,
+    waited: u32,
     is_unhurried: bool,
     volts: Vec<f64>,
 }
@@ -107,12 +114,15 @@ impl SpotStage {
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
             shown: Vec::with_capacity(MOST_SPOTS),
+            anchors: Vec::new(),
+            is_aged: false,
             peaks: Vec::new(),
             remnants: Vec::new(),
             gone: Vec::new(),
             gone_alone: false,
             gone_frames: 0,
             wait: 0,
+            waited: 0,
             is_unhurried: false,
             volts: Vec::new(),
         }
@@ -124,8 +134,9 @@ impl SpotStage {
         self.estimator.take_time();
     }
 
-    /// Goes on with another weighting of the same responses.
-    pub(crate) fn set_model(&mut self, model: SpotModel) {
+    /// Goes on with another weighting of the same responses: of a fresh baseline, or of one that has aged.
+    pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
+        self.is_aged = is_aged;
         self.estimator.fit_mut().set_model(model);
     }
 
@@ -139,34 +150,54 @@ impl SpotStage {
         self.estimator.forget();
         (self.gone_frames, self.wait) = (0, 0);
         self.peaks.clear();
+        self.anchors.clear();
         self.remnants.clear();
     }
 
-    /// Looks for presses of negative load where others do not explain the frame: they were in the baseline.
-    fn look_for_gone(&mut self, estimate: &Estimate) {
-        let is_explained =
-            estimate.is_at_rest || !estimate.presses.is_empty() && estimate.unexplained < GONE_UNEXPLAINED;
-        if is_explained || self.wait > 0 {
-            self.wait = self.wait.saturating_sub(1);
-            if is_explained {
-                self.gone_frames = 0;
-            }
-            return;
+    /// Looks for presses of negative load where others do not explain the frame: they were in the baseline. What is left
+    /// of the estimate where they are found.
+    fn look_for_gone(&mut self, estimate: &Estimate) -> Option<Estimate> {
+        if estimate.is_at_rest || estimate.unexplained < CLEARLY_EXPLAINED || self.both_signs {
+            (self.gone_frames, self.wait, self.waited) = (0, 0, 0);
+            return None;
+        }
+        if self.wait > 0 {
+            self.wait -= 1;
+            return None;
         }
         let found = self.estimator.explain_with_gone().filter(|found| {
             let has_gone = found.presses.iter().any(|press| press.load < 0.0);
-            has_gone && found.unexplained < GONE_UNEXPLAINED && found.unexplained < 0.5 * estimate.unexplained
+            let is_simpler = found.presses.len() < estimate.presses.len();
+            let most = if is_simpler { estimate.unexplained } else { BETTER * estimate.unexplained };
+            has_gone && found.unexplained < most.min(GONE_UNEXPLAINED)
         });
-        match found {
-            Some(found) => {
-                self.gone.clear();
-                self.gone_alone = found.presses.iter().all(|press| press.load < 0.0);
-                self.gone.extend(found.presses.iter().filter(|press| press.load < 0.0));
-                self.gone_frames += 1;
-            }
-            None => {
-                self.gone_frames = 0;
-                self.wait = if self.is_unhurried { 0 } else { GONE_WAIT };
+        let Some(mut found) = found else {
+            // Frames that nothing explains go on: looks become rare.
+            self.waited = (2 * self.waited).clamp(1, MOST_GONE_WAIT);
+            (self.gone_frames, self.wait) = (0, if self.is_unhurried { 0 } else { self.waited });
+            return None;
+        };
+        self.gone.clear();
+        self.gone.extend(found.presses.iter().filter(|press| press.load < 0.0));
+        self.gone_alone = self.gone.len() == found.presses.len();
+        self.gone_frames += 1;
+        let mut evidence = found.evidence.iter();
+        found.presses.retain(|press| press.load > 0.0);
+        found.evidence = evidence.by_ref().take(found.presses.len()).copied().collect();
+        Some(found)
+    }
+
+    /// Keeps presses where they were when the baseline was fresh, as long as the frame allows that.
+    fn hold(&mut self, presses: &mut [Press]) {
+        self.anchors.retain(|anchor| presses.iter().any(|press| anchor.is_near(press)));
+        for press in presses {
+            match self.anchors.iter_mut().find(|anchor| anchor.is_near(press)) {
+                Some(anchor) if !self.is_aged => anchor.learn(press),
+                Some(anchor) => match anchor.hold(press) {
+                    Some(held) => *press = held,
+                    None => *anchor = Anchor::at(press),
+                },
+                None => self.anchors.push(Anchor::at(press)),
             }
         }
     }
@@ -222,8 +253,12 @@ impl SpotStage {
                 ..Press::default()
             })
             .collect();
-        let Some(estimate) = self.estimator.explain(difference, &hints) else { return };
-        self.look_for_gone(&estimate);
+        let Some(mut estimate) = self.estimator.explain(difference, &hints) else { return };
+        self.hold(&mut estimate.presses);
+        if let Some(without_gone) = self.look_for_gone(&estimate) {
+            contacts.clear();
+            estimate = without_gone;
+        }
         if estimate.unexplained > self.most_unexplained {
             return;
         }

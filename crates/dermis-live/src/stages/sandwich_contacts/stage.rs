@@ -13,6 +13,7 @@ use super::touch_rule::TouchRule;
 use super::whitening::{Channels, Whitened};
 use crate::Error;
 use crate::prepare::Prepared;
+use crate::stages::drift::Drift;
 
 /// A fit that goes on from the frame before is believed up to so many times the misfit before, too.
 const WORSENED: f64 = 1.5;
@@ -96,6 +97,7 @@ pub(crate) struct PatchStage {
     gathered: Gathered,
     search: Search,
     gone: GoneLook,
+    drift: Drift,
     seen_ns: Option<u64>,
     /// Time between the last two frames, nanoseconds.
     interval_ns: f64,
@@ -167,6 +169,7 @@ impl PatchStage {
             gathered: Gathered::default(),
             search: Search::restarted(),
             gone: GoneLook::default(),
+            drift: Drift::new(prepared),
             seen_ns: None,
             interval_ns: f64::INFINITY,
             is_unhurried: false,
@@ -190,6 +193,7 @@ impl PatchStage {
         self.gathered = Gathered::default();
         self.search = Search::restarted();
         self.gone = GoneLook::default();
+        self.drift.forget();
         (self.seen_ns, self.touched_ns, self.interval_ns) = (None, None, f64::INFINITY);
     }
 
@@ -251,9 +255,22 @@ impl PatchStage {
             self.sheets_used += 1;
             self.let_go();
         }
+        if self.drift.observe(time_ns, !self.followed.shown.is_empty()) {
+            self.channels.set_drift(self.drift.deviations(&vec![0.0; difference.len()]));
+        }
+        if self.drift.age_s > 0.0 && self.followed.shown.is_empty() && self.is_drift(difference) {
+            contacts.clear();
+        }
         self.refine_contacts(time_ns, difference, lowest, contacts);
         self.look_for_gone(difference);
         Ok(())
+    }
+
+    /// Whether noise and drift explain a frame.
+    fn is_drift(&self, difference: &[f64]) -> bool {
+        let absent = self.channels.absent();
+        let present = difference.iter().zip(absent).map(|(value, absent)| if *absent { f64::NAN } else { *value });
+        self.drift.explains(present, self.channels.noise())
     }
 
     /// Looks whether a frame that patches do not explain is that of a press which the baseline holds and which has gone.

@@ -31,18 +31,30 @@ impl Whitened {
 #[derive(Debug)]
 pub(super) struct Channels {
     noise: Vec<f64>,
+    /// Drift of each channel by itself since the baseline was up to date, model volts.
+    drift: Vec<f64>,
     absent: Vec<bool>,
 }
 
 impl Channels {
     pub fn new(noise: &[f64]) -> Self {
-        Self { noise: noise.to_vec(), absent: vec![false; noise.len()] }
+        Self { noise: noise.to_vec(), drift: vec![0.0; noise.len()], absent: vec![false; noise.len()] }
     }
 
     /// Replaces the noise (model volts).
     pub fn set_noise(&mut self, noise: &[f64]) {
         self.noise.clear();
         self.noise.extend_from_slice(noise);
+    }
+
+    /// Replaces the drift of the channels (model volts).
+    pub fn set_drift(&mut self, drift: Vec<f64>) {
+        self.drift = drift;
+    }
+
+    /// Noise of the channels, model volts.
+    pub fn noise(&self) -> &[f64] {
+        &self.noise
     }
 
     /// Goes on without these channels.
@@ -61,8 +73,10 @@ impl Channels {
         let Whitened { change, deviation, noise_share } = whitened;
         let square = difference.iter().map(|v| v * v).sum::<f64>() / difference.len() as f64;
         deviation.clear();
-        deviation.extend(self.noise.iter().zip(difference).map(|(noise, change)| {
-            (noise * noise + (SHARE * change).powi(2) + FLOOR * FLOOR * square).sqrt().max(f64::MIN_POSITIVE)
+        deviation.extend(self.noise.iter().zip(&self.drift).zip(difference).map(|((noise, drift), change)| {
+            (noise * noise + drift * drift + (SHARE * change).powi(2) + FLOOR * FLOOR * square)
+                .sqrt()
+                .max(f64::MIN_POSITIVE)
         }));
         let shares = self.noise.iter().zip(&*deviation).map(|(noise, deviation)| (noise / deviation).powi(2));
         *noise_share = shares.sum::<f64>() / difference.len() as f64;
