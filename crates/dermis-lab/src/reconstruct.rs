@@ -190,7 +190,8 @@ fn reconstruct_to(
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
         let other_places = matches!(reconstructor.placement, Some(PlacementFinder::Matched(_)));
-        sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces: forces.is_some(), load, other_places })?));
+        let forces = forces.is_some() || reconstructor.refinement.reads_forces();
+        sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces, load, other_places })?));
     }
     if let Some(path) = &request.images {
         sinks.push(Box::new(ImageStack::create(path, grid.rows, grid.columns)?));

@@ -7,6 +7,7 @@ pub mod damage;
 mod drift;
 pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
+pub(crate) mod force_law;
 pub mod health;
 mod model_error;
 pub mod placement;

@@ -10,7 +10,7 @@ use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
-use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, spot_model};
+use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pressure_pa, spot_model};
 
 /// What refines the contacts of one skin.
 #[derive(Debug)]
@@ -41,6 +41,8 @@ enum By {
         noise: Vec<f64>,
         left_out: Vec<u32>,
         drift: Box<Drift>,
+        /// Pressure of a load of amplitude 1, where presses act through a membrane.
+        membrane_pa: Option<f64>,
     },
     Patches(Box<PatchStage>),
 }
@@ -75,9 +77,10 @@ impl Refinement {
             return Ok(Self::by(By::Patches(Box::new(PatchStage::new(prepared, noise)?))));
         }
         let whole = Box::new(spot_model(prepared, noise)?);
-        let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone())));
+        let membrane_pa = membrane_pressure_pa(prepared)?;
+        let stage = Some(Box::new(SpotStage::new(prepared, (*whole).clone(), membrane_pa)));
         let (noise, left_out, drift) = (noise.to_vec(), Vec::new(), Box::new(Drift::new(prepared)));
-        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift }))
+        Ok(Self::by(By::Spots { whole, stage, noise, left_out, drift, membrane_pa }))
     }
 
     /// Before any noise is known: refines nothing until [`Refinement::leave_out`] says what it is.
@@ -86,8 +89,8 @@ impl Refinement {
             return Self::new(prepared, &vec![0.0; prepared.channels()]);
         }
         let (noise, left_out, drift) = (Vec::new(), Vec::new(), Box::new(Drift::new(prepared)));
-        let whole = Box::new(assumed_spot_model(prepared)?);
-        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift }))
+        let (whole, membrane_pa) = (Box::new(assumed_spot_model(prepared)?), membrane_pressure_pa(prepared)?);
+        Ok(Self::by(By::Spots { whole, stage: None, noise, left_out, drift, membrane_pa }))
     }
 
     /// From now on each frame waits for as much work as finding its touches takes: for frames at a desk, where those
@@ -122,11 +125,12 @@ impl Refinement {
         match &mut self.by {
             By::Nothing => {}
             By::Patches(patches) => patches.leave_out(channels),
-            By::Spots { whole, stage, noise: kept, left_out, drift } => {
+            By::Spots { whole, stage, noise: kept, left_out, drift, membrane_pa } => {
                 (*kept, *left_out) = (noise.to_vec(), channels.to_vec());
                 drift.forget();
                 drift.age_s = 0.0;
-                *stage = Some(Box::new(SpotStage::new(prepared, weighted(whole, noise, channels, drift)?)));
+                *stage =
+                    Some(Box::new(SpotStage::new(prepared, weighted(whole, noise, channels, drift)?, *membrane_pa)));
             }
         }
         self.tell_pace();
@@ -163,7 +167,7 @@ impl Refinement {
                 let lowest = image.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::min);
                 patches.refine(time_ns, difference, f64::from(lowest), contacts)?;
             }
-            By::Spots { whole, stage: Some(spots), noise, left_out, drift } => {
+            By::Spots { whole, stage: Some(spots), noise, left_out, drift, .. } => {
                 spots.refine(time_ns, difference, imager, contacts);
                 if drift.observe(time_ns, spots.is_touched()) {
                     spots.set_model(weighted(whole, noise, left_out, drift)?, drift.age_s > 0.0);
@@ -172,6 +176,11 @@ impl Refinement {
             By::Spots { stage: None, .. } | By::Nothing => {}
         }
         Ok(())
+    }
+
+    /// Whether forces are read by the law of the layer.
+    pub fn reads_forces(&self) -> bool {
+        matches!(&self.by, By::Spots { stage: Some(spots), .. } if spots.reads_forces())
     }
 
     /// What has gone from the baseline, once that is sure.

@@ -9,11 +9,13 @@ use dermis_tomo::inverse::{ChangeResponse, SpotModel, SpotOptions};
 use dermis_tomo::membrane::{Membrane, MembraneSpec};
 use dermis_tomo::mesh::PixelGrid;
 use dermis_touch::Contact;
+use dermis_touch::force::ForceReading;
 use faer::Mat;
 
 use crate::Error;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
+use crate::stages::force_law::ForceLaw;
 use crate::stages::model_error::SpotError;
 use crate::stages::refinement::Gone;
 
@@ -66,6 +68,9 @@ pub(crate) struct SpotStage {
     /// The largest share of a frame that a fit may leave beyond the noise.
     most_unexplained: f64,
     both_signs: bool,
+    /// From presses to forces, where the file states how the layer answers.
+    law: Option<ForceLaw>,
+    polarity: f64,
     grid: PixelGrid,
     /// Number of each pixel among the image's unknowns; none outside.
     unknowns: Vec<Option<u32>>,
@@ -92,7 +97,8 @@ pub(crate) struct SpotStage {
 
 impl SpotStage {
     /// With responses of the prepared skin.
-    pub(crate) fn new(prepared: &Prepared, model: SpotModel) -> Self {
+    /// `membrane_pa`: the pressure of a load of amplitude 1, where presses act through a membrane.
+    pub(crate) fn new(prepared: &Prepared, model: SpotModel, membrane_pa: Option<f64>) -> Self {
         let touch = &prepared.skin.touch;
         let grid = *prepared.map.grid();
         let mut unknowns = vec![None; grid.len()];
@@ -110,6 +116,8 @@ impl SpotStage {
             error: SpotError::of(prepared),
             most_unexplained: touch.most_unexplained,
             both_signs: touch.both_signs,
+            law: ForceLaw::of(prepared, membrane_pa),
+            polarity: prepared.skin.imaging.polarity.sign(),
             grid,
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
@@ -138,6 +146,11 @@ impl SpotStage {
     pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
         self.is_aged = is_aged;
         self.estimator.fit_mut().set_model(model);
+    }
+
+    /// Whether the skin file states how the layer answers a force.
+    pub(crate) fn reads_forces(&self) -> bool {
+        self.law.is_some()
     }
 
     /// Whether presses are followed.
@@ -281,6 +294,7 @@ impl SpotStage {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
                 radius_m: Some(press.radius_m),
+                force: self.law.and_then(|law| law.read(press, self.polarity)).map(from_law),
                 model_variance_m2: self.error.map_or(0.0, |error| error.variance_m2(press, estimate.unexplained)),
                 is_single: true,
                 ..Contact::even(press.position_m, value, area_m2)
@@ -315,6 +329,10 @@ impl SpotStage {
     }
 }
 
+fn from_law((force_n, sigma_n): (f64, f64)) -> ForceReading {
+    ForceReading::FromLaw { force_n, sigma_n }
+}
+
 fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
@@ -329,7 +347,7 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let pressed = Mat::from_fn(jacobian.nrows(), jacobian.ncols(), |c, p| polarity * jacobian[(c, p)]);
     let uniform: Vec<f64> = jacobian.row_iter().map(|row| row.iter().sum()).collect();
     let spread = match &prepared.skin.frontend.layer {
-        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Some(membrane(prepared, layer)?),
+        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Some(membrane(prepared, layer)?.0),
         _ => None,
     };
     let response = spread.as_ref().map(|spread| &pressed * spread);
@@ -373,6 +391,17 @@ fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
     }))
 }
 
+/// The pressure of a load of amplitude 1 on the skin's membrane, pascal; none without one.
+///
+/// # Errors
+/// A membrane that cannot be solved.
+pub(crate) fn membrane_pressure_pa(prepared: &Prepared) -> Result<Option<f64>, Error> {
+    match &prepared.skin.frontend.layer {
+        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => Ok(Some(membrane(prepared, layer)?.1)),
+        _ => Ok(None),
+    }
+}
+
 /// As [`spot_model`], before any noise was measured.
 pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error> {
     let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
@@ -383,7 +412,8 @@ pub(crate) fn assumed_spot_model(prepared: &Prepared) -> Result<SpotModel, Error
 /// which a typical spot in the middle makes 1 there: `T lap w = -p + c - rho gz w`, `w = 0` at the rim, no volume lost.
 /// The liquid's weight narrows a dent beyond `sqrt(T / rho |gz|)`, 78 mm of water under 60 N/m; the depth only scales
 /// it.
-fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error> {
+/// The pressure of a load of amplitude 1 (pascal) beside it.
+fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<(Mat<f64>, f64), Error> {
     let mesh = &prepared.body.mesh.mesh;
     // Gravity along the skin changes how it rests, not how it answers.
     let spec = MembraneSpec {
@@ -420,5 +450,5 @@ fn membrane(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error>
     let middle: Vec<f64> = prepared.basis.positions.iter().map(centre).collect();
     let shape = &spread * faer::ColRef::from_slice(&middle);
     let largest = shape.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    Ok(faer::Scale(1.0 / largest) * spread)
+    Ok((faer::Scale(1.0 / largest) * spread, 1e-3 * layer.depth_mm / largest))
 }

@@ -29,8 +29,9 @@ pub enum LinesFor {
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
 ///
 /// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
-/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range`
-/// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward
+/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, where a force is known, `force_n` and `force_range`
+/// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`; `law`: by the
+/// law of the layer, with `sigma_force_n`) and, where the forward
 /// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
 /// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
 /// `health` too: `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
@@ -174,6 +175,9 @@ fn push_touch(text: &mut String, touch: &Touch) {
     if let Some(force) = touch.force {
         let nearest = Number(force.nearest_n().unwrap_or(f64::NAN));
         let _ = write!(text, ",\"force_n\":{nearest},\"force_range\":\"{}\"", force.range());
+        if let Some(sigma_n) = force.sigma_n() {
+            let _ = write!(text, ",\"sigma_force_n\":{}", Number(sigma_n));
+        }
     }
     if let Some(radius_m) = touch.radius_m {
         let _ = write!(text, ",\"radius_mm\":{}", Number(1e3 * radius_m));

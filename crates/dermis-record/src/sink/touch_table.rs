@@ -12,15 +12,15 @@ use dermis_touch::{LoadQuantity, Touch};
 
 /// The table's head.
 const HEAD: &str = "frame,id,x_mm,y_mm,amplitude,area_mm2,sigma_x_mm,sigma_y_mm";
-/// What a force calibration adds.
-const FORCES: &str = ",force_n,force_range";
+/// What a force adds.
+const FORCES: &str = ",force_n,force_range,sigma_force_n";
 /// What a calibration without labels adds, which may not know where a touch is.
 const OTHER_PLACES: &str = ",other_x_mm,other_y_mm,other_probability";
 
 /// What a table of touches has beside places and amplitudes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct TouchColumns {
-    /// `force_n,force_range`, as [`super::JsonLines`] has them.
+    /// `force_n,force_range,sigma_force_n`, as [`super::JsonLines`] has them.
     pub forces: bool,
     /// What a calibration by pokes reads: `depth_mm,sigma_depth_mm` or `poke_force_n,sigma_poke_force_n`, NaN for a
     /// touch without.
@@ -45,7 +45,8 @@ impl TouchColumns {
         if self.forces {
             let range = touch.force.map_or("none", |force| force.range());
             let nearest = touch.force.and_then(|force| force.nearest_n()).unwrap_or(f64::NAN);
-            let _ = write!(row, ",{nearest},{range}");
+            let sigma = touch.force.and_then(|force| force.sigma_n()).unwrap_or(f64::NAN);
+            let _ = write!(row, ",{nearest},{range},{sigma}");
         }
         if self.load.is_some() {
             let [value, sigma] = touch.load.map_or([f64::NAN; 2], |load| load_numbers(&load));
@@ -157,7 +158,10 @@ mod tests {
         table.finish().unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
         let lines: Vec<&str> = text.lines().collect();
-        assert!(lines[0].ends_with("sigma_y_mm,force_n,force_range") && lines[1].ends_with(",0.5,above"), "{text}");
+        assert!(
+            lines[0].ends_with("sigma_y_mm,force_n,force_range,sigma_force_n") && lines[1].ends_with(",0.5,above,NaN"),
+            "{text}"
+        );
     }
 
     #[test]

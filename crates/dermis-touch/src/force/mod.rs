@@ -86,6 +86,13 @@ pub enum ForceReading {
     },
     /// The signal is not a finite number.
     NotFinite,
+    /// No calibration: the law of the layer in the skin's file, newtons.
+    FromLaw {
+        /// The force.
+        force_n: f64,
+        /// Its standard deviation.
+        sigma_n: f64,
+    },
 }
 
 impl ForceReading {
@@ -103,11 +110,19 @@ impl ForceReading {
             Self::BelowRange { least_n } => Some(least_n),
             Self::AboveRange { most_n } => Some(most_n),
             Self::Saturated { from_n } => Some(from_n),
+            Self::FromLaw { force_n, .. } => Some(force_n),
             Self::NotFinite => None,
         }
     }
 
-    /// Where the signal lies in the calibration: `within`, `below`, `above`, `saturated`, or `none`.
+    /// Standard deviation, newtons, where it is known: of forces from the layer's law.
+    #[must_use]
+    pub fn sigma_n(self) -> Option<f64> {
+        if let Self::FromLaw { sigma_n, .. } = self { Some(sigma_n) } else { None }
+    }
+
+    /// Where the signal lies in the calibration: `within`, `below`, `above`, `saturated`, or `none`; `law` where there is
+    /// no calibration and the law of the layer gives the force.
     #[must_use]
     pub fn range(self) -> &'static str {
         match self {
@@ -115,6 +130,7 @@ impl ForceReading {
             Self::BelowRange { .. } => "below",
             Self::AboveRange { .. } => "above",
             Self::Saturated { .. } => "saturated",
+            Self::FromLaw { .. } => "law",
             Self::NotFinite => "none",
         }
     }

@@ -1,0 +1,90 @@
+//! The force of a press from what it changes, by the law of the skin's layer in its file.
+//!
+//! A spot changes the conductance by `u exp(-d^2 / (2 r^2))`. Channels answer a large change like a dipole
+//! `2 u / (2 + u)` (Jackson, Classical Electrodynamics, 1999, section 4.4, in the plane), which gives u from the fitted
+//! amplitude. On a sheet `ln (1 + du) = k p` with `k = c - G / E`; integrated over the spot the force is
+//! `F = 2 pi r^2 / k int_0^1 ln (1 + u t) / t dt`. Under a membrane the dent is proportional to the pressure:
+//! `F = 2 pi r^2 p`, p being the pressure of a Gaussian that makes a dent of that depth.
+
+use std::f64::consts::PI;
+
+use dermis_estimate::Press;
+use dermis_skin::Layer;
+
+use crate::prepare::Prepared;
+
+/// What the law is wrong by, share of the force, on twins pressed by discs: on ten gels and foams, and on four liquids, whose
+/// dents are not quite proportional to what presses.
+const SHEET_SHARE: f64 = 0.02;
+const MEMBRANE_SHARE: f64 = 0.08;
+/// Steps of the integral over a spot; by Simpson's rule good to 1e-6 for changes of up to 95 %.
+const STEPS: usize = 64;
+/// A change counts as no lower than this share.
+const LOWEST: f64 = -0.95;
+
+/// From presses to forces on one skin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum ForceLaw {
+    /// Logarithm of the conductance by pressure, 1/Pa.
+    Sheet { per_pa: f64 },
+    /// Pressure of a load of amplitude 1, pascal.
+    Membrane { pressure_pa: f64 },
+}
+
+impl ForceLaw {
+    /// Of a skin whose layer states one. `membrane_pa` is the pressure of a load of amplitude 1 on a membrane.
+    pub fn of(prepared: &Prepared, membrane_pa: Option<f64>) -> Option<Self> {
+        match &prepared.skin.frontend.layer {
+            Layer::Sheet(layer) => {
+                let per_pa = 1e-5 * layer.pressure_percent_per_kpa - 1e-3 * layer.gauge_factor / layer.modulus_kpa;
+                (per_pa != 0.0).then_some(Self::Sheet { per_pa })
+            }
+            Layer::Liquid(_) => membrane_pa.map(|pressure_pa| Self::Membrane { pressure_pa }),
+            Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => None,
+        }
+    }
+
+    /// Force and its standard deviation, newtons; none where the press changes what the law does not.
+    pub fn read(&self, press: &Press, polarity: f64) -> Option<(f64, f64)> {
+        let area = PI * press.radius_m * press.radius_m;
+        let undone = |answered: f64| {
+            (polarity * answered / (1.0 - 0.5 * polarity * answered).max(1.0 + 0.5 * LOWEST)).max(LOWEST)
+        };
+        let (force_n, law_share) = match self {
+            Self::Sheet { per_pa } => (2.0 * area * logarithms(undone(press.load)) / per_pa, SHEET_SHARE),
+            Self::Membrane { pressure_pa } => (-2.0 * area * undone(press.load) * pressure_pa, MEMBRANE_SHARE),
+        };
+        let share = press.significance().recip().hypot(law_share);
+        (force_n > 0.0 && force_n.is_finite()).then_some((force_n, share * force_n))
+    }
+}
+
+/// `int_0^1 ln (1 + u t) / t dt`, the negative dilogarithm of -u.
+fn logarithms(u: f64) -> f64 {
+    let at = |t: f64| if t == 0.0 { u } else { (u * t).ln_1p() / t };
+    let step = 1.0 / STEPS as f64;
+    let inner = |k: usize| at(k as f64 * step) * if k.is_multiple_of(2) { 2.0 } else { 4.0 };
+    (at(0.0) + (1..STEPS).map(inner).sum::<f64>() + at(1.0)) * step / 3.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_integral_is_the_dilogarithm() {
+        // Abramowitz and Stegun 27.7: Li2(1/2) = pi^2 / 12 - ln^2 2 / 2, and Li2(-1) = -pi^2 / 12.
+        let half = PI * PI / 12.0 - 0.5 * 2.0_f64.ln().powi(2);
+        assert!((logarithms(-0.5) + half).abs() < 1e-7 && (logarithms(1.0) - PI * PI / 12.0).abs() < 1e-7);
+    }
+
+    #[test]
+    fn a_weak_press_has_the_force_that_its_change_integrates_to() {
+        let press = Press { radius_m: 5e-3, load: 1e-4, ..Press::default() };
+        // A gel of 60 kPa: du = -p / E over the spot.
+        let gel = ForceLaw::Sheet { per_pa: -1.0 / 60e3 };
+        let (force_n, _) = gel.read(&press, -1.0).unwrap();
+        assert!((force_n / (2.0 * PI * 25e-6 * 1e-4 * 60e3) - 1.0).abs() < 1e-3, "{force_n}");
+        assert!(gel.read(&press, 1.0).is_none());
+    }
+}
