@@ -190,7 +190,7 @@ fn reconstruct_to(
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
     if let Some(path) = &request.touches {
         let other_places = matches!(reconstructor.placement, Some(PlacementFinder::Matched(_)));
-        let forces = forces.is_some() || reconstructor.refinement.reads_forces();
+        let forces = forces.is_some() || is_refined && prepared.skin.states_force_law();
         sinks.push(Box::new(TouchTable::create(path, TouchColumns { forces, load, other_places })?));
     }
     if let Some(path) = &request.images {

@@ -176,6 +176,16 @@ impl Skin {
         self.modality == Modality::Eit && self.backend.circuit.is_none()
     }
 
+    /// Whether the file states how the layer answers a force, and presses are fitted through it.
+    pub fn states_force_law(&self) -> bool {
+        let is_stated = match &self.frontend.layer {
+            Layer::Sheet(layer) => layer.pressure_percent_per_kpa != 0.0 || layer.gauge_factor != 0.0,
+            Layer::Liquid(layer) => layer.tension_n_per_m > 0.0,
+            Layer::Sandwich(_) | Layer::Patches(_) | Layer::Elements(_) => false,
+        };
+        is_stated && self.fits_touches()
+    }
+
     /// The skin as TOML.
     pub fn to_toml(&self) -> String {
         toml::to_string_pretty(self).unwrap_or_default()

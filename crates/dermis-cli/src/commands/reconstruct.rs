@@ -82,7 +82,8 @@ impl Arguments {
         };
         let report = with_progress("frames", |progress| reconstruct(&request, progress))?;
         let found = match (&report.order.better, &request.baseline) {
-            (Some(_), Some(baseline)) => {
+            // Behind a readout's circuit readings are not the model's voltages, whatever their order.
+            (Some(_), Some(baseline)) if request.skin.backend.circuit.is_none() => {
                 Some(find_order(&read_frames(baseline, request.format)?, Some(&request.skin))?)
             }
             _ => None,

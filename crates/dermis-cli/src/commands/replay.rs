@@ -76,7 +76,7 @@ impl Arguments {
         let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
         if let Some(path) = &self.touches {
             let columns = TouchColumns {
-                forces: head.forces.is_some(),
+                forces: head.forces.is_some() || pipeline.prepared().skin.states_force_law(),
                 load: pipeline.load_quantity(),
                 other_places: pipeline.may_tell_other_places(),
             };

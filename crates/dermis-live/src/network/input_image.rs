@@ -25,7 +25,7 @@ pub enum InputImage {
     /// The Gauss-Newton image that the skin file asks for (`imaging.refinement`): log conductivity. It takes some
     /// tenths of a second, so that a network that is shown it labels recordings, not live frames.
     Refined,
-    /// The touches that the forward model fits (`touch.refine`), as discs: the share of each pixel that they cover.
+    /// The touches that the forward model fits, as discs: the share of each pixel that they cover.
     Contacts,
     /// The linear image of what these touches leave of the frame, of a sandwich: cuts, and what is no touch.
     Left,

@@ -178,11 +178,6 @@ impl Refinement {
         Ok(())
     }
 
-    /// Whether forces are read by the law of the layer.
-    pub fn reads_forces(&self) -> bool {
-        matches!(&self.by, By::Spots { stage: Some(spots), .. } if spots.reads_forces())
-    }
-
     /// What has gone from the baseline, once that is sure.
     pub(crate) fn gone(&mut self) -> Option<Gone<'_>> {
         match &mut self.by {

@@ -148,11 +148,6 @@ impl SpotStage {
         self.estimator.fit_mut().set_model(model);
     }
 
-    /// Whether the skin file states how the layer answers a force.
-    pub(crate) fn reads_forces(&self) -> bool {
-        self.law.is_some()
-    }
-
     /// Whether presses are followed.
     pub(crate) fn is_touched(&self) -> bool {
         !self.shown.is_empty()

@@ -24,6 +24,7 @@ mod learning;
 #[path = "../../../dermis-device/tests/own_clock/mod.rs"]
 mod own_clock;
 mod piezo;
+mod random_skins;
 mod recording;
 mod reliability;
 mod reproduce;

@@ -50,14 +50,15 @@ fn presses_at_once(skin: &Skin, at_once: usize, seed: u64) -> Vec<Vec<Indenter>>
     frames
 }
 
-fn press(name: &str, at_once: usize, seed: u64) -> Trial {
-    let skin = Skin::open(name).unwrap();
+/// Presses the twin of a skin, a frame for each entry, and reads the frames by the skin's file: the touches of each frame,
+/// as numbers of the table's first columns (frame, id, x, y, amplitude, area, sigma x, sigma y; millimetres).
+pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u64) -> Vec<Vec<Vec<f64>>> {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
-    let places = presses_at_once(&skin, at_once, seed);
+    let count = presses.len();
     let request = SampleRequest {
         skin: skin.clone(),
-        presses: places.clone(),
+        presses,
         baseline: at("b.csv"),
         frames: at("f.csv"),
         truth: None,
@@ -78,11 +79,18 @@ fn press(name: &str, at_once: usize, seed: u64) -> Trial {
     };
     reconstruct(&request, |_, _| {}).unwrap();
     let text = std::fs::read_to_string(at("t.csv")).unwrap();
-    let mut found: Vec<Vec<Vec<f64>>> = vec![Vec::new(); places.len()];
+    let mut found: Vec<Vec<Vec<f64>>> = vec![Vec::new(); count];
     for line in text.lines().skip(1) {
-        let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+        let cells: Vec<f64> = line.split(',').take(8).map(|cell| cell.parse().unwrap()).collect();
         found[cells[0] as usize].push(cells);
     }
+    found
+}
+
+fn press(name: &str, at_once: usize, seed: u64) -> Trial {
+    let skin = Skin::open(name).unwrap();
+    let places = presses_at_once(&skin, at_once, seed);
+    let found = pressed_and_read(skin, places.clone(), seed);
     let mut trial = Trial { errors_mm: Vec::new(), sigmas_mm: Vec::new(), complete: 0 };
     for (presses, found) in places.iter().zip(&found).filter(|(presses, found)| presses.len() == found.len()) {
         assert!(found.iter().all(|touch| touch[6] > 0.0 && touch[7] > 0.0), "{name}: {found:?}");

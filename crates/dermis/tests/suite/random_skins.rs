@@ -1,0 +1,125 @@
+//! Skins that nobody has tuned: outline, size, layer, electrodes, protocol and presses drawn by seed, read by the file as it
+//! is. What is asserted holds over the whole draw.
+
+use dermis::lab::twin_sample::random_presses;
+use dermis::skin::Skin;
+use dermis::twin::from_skin::press_range;
+use dermis::twin::mechanics::Indenter;
+use rand::rngs::StdRng;
+use rand::seq::IndexedRandom;
+use rand::{Rng, SeedableRng};
+
+use crate::sigmas::pressed_and_read;
+
+const SKINS: usize = 12;
+const SINGLES: usize = 12;
+const PAIRS: usize = 6;
+/// Pairs are a quarter of the longer side apart, give or take this share of that.
+const SLACK: f64 = 0.1;
+
+/// Layers as `dermis new` writes them.
+const LAYERS: [&str; 4] = [
+    "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.2, gauge_factor = 1.0, modulus_kpa = 60.0 }",
+    "{ kind = \"sheet\", thickness_mm = 5.0, conductivity_s_per_m = 0.5, gauge_factor = 0.0, \
+     pressure_percent_per_kpa = 1.0 }",
+    "{ kind = \"sandwich\", thickness_mm = 1.0, conductivity_s_per_m = 5.0 }",
+    "{ kind = \"liquid\", depth_mm = 10.0, conductivity_s_per_m = 0.1 }",
+];
+
+fn random_skin(random: &mut StdRng) -> Skin {
+    let side = random.random_range(60.0..200.0_f64).round();
+    let (shape, rim_mm) = match random.random_range(0..3) {
+        0 => (format!("{{ disc = {{ diameter_mm = {side:?} }} }}"), 3.1 * side),
+        1 => {
+            let height = (side / random.random_range(1.0..2.0)).round();
+            (format!("{{ rectangle = {{ width_mm = {side:?}, height_mm = {height:?} }} }}"), 2.0 * (side + height))
+        }
+        _ => {
+            let (corners, turn) = (random.random_range(5..9), random.random_range(0.0..1.0));
+            let corner = |k: usize| {
+                let angle = std::f64::consts::TAU * (k as f64 + turn) / corners as f64;
+                [0.5 * side * angle.cos(), 0.5 * side * angle.sin()]
+            };
+            let outer: Vec<[f64; 2]> = (0..corners).map(corner).collect();
+            (format!("{{ polygon = {{ outer_mm = {outer:?} }} }}"), 2.9 * side)
+        }
+    };
+    let layer = LAYERS.choose(random).unwrap();
+    let count = *[12, 16, 20, 24].choose(random).unwrap();
+    let skip = random.random_range(0..3);
+    let width_mm = (0.4 * rim_mm / f64::from(count)).min(10.0);
+    let gain = if layer.contains("liquid") { "gain = \"channel\"" } else { "" };
+    let text = format!(
+        "name = \"drawn\"\ntitle = \"drawn\"\nmodality = \"eit\"\n[frontend]\nshape = {shape}\nlayer = {layer}\n\
+         electrodes = {{ rim = {{ count = {count}, width_mm = {width_mm:?} }} }}\ncontact_impedance_ohm_m2 = 1e-4\n\
+         [backend]\ncurrent_ma = 1.0\ndrive = {{ skip = {skip} }}\nmeasure = {{ skip = {skip} }}\nframes_per_s = 25.0\n\
+         [imaging]\ngrid = 48\nhyperparameter = {{ relative = 0.03 }}\n{gain}\n"
+    );
+    Skin::parse(&text, "drawn.toml").unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+#[test]
+fn presses_on_skins_drawn_at_random_are_found_counted_and_as_sure_as_they_say() {
+    let (mut shares, mut inside, mut missed, mut split, mut singles) = (Vec::new(), [0, 0], 0, 0, 0);
+    let (mut right, mut pairs) = (0, 0);
+    let mut told = String::new();
+    for seed in 0..SKINS as u64 {
+        let mut random = StdRng::seed_from_u64(seed);
+        let skin = random_skin(&mut random);
+        let (outline, usual) = (skin.outline(), press_range(&skin));
+        let (low, high) = outline.bounds_m();
+        let sides = [0, 1].map(|axis| high[axis] - low[axis]);
+        let places = random_presses(&outline, &usual, 400, seed).unwrap();
+        let mut groups: Vec<Vec<Indenter>> = places[..SINGLES].to_vec();
+        let apart = 0.25 * sides[0].max(sides[1]);
+        let flat: Vec<Indenter> = places.into_iter().flatten().collect();
+        let of_pairs = (0..flat.len())
+            .flat_map(|b| (0..b).map(move |a| (a, b)))
+            .filter(|&(a, b)| (distance_m(flat[a].centre_m, flat[b].centre_m) / apart - 1.0).abs() < SLACK);
+        groups.extend(of_pairs.step_by(41).take(PAIRS).map(|(a, b)| vec![flat[a], flat[b]]));
+        let found = pressed_and_read(skin.clone(), groups.clone(), seed);
+        let (mut of_skin, before) = (Vec::new(), (missed, split, right));
+        for (group, touches) in groups.iter().zip(&found) {
+            if group.len() == 2 {
+                pairs += 1;
+                right += usize::from(touches.len() == 2);
+                continue;
+            }
+            singles += 1;
+            missed += usize::from(touches.is_empty());
+            split += usize::from(touches.len() > 1);
+            let at = |touch: &&Vec<f64>| distance_m([1e-3 * touch[2], 1e-3 * touch[3]], group[0].centre_m);
+            let Some(touch) = touches.iter().min_by(|a, b| at(a).total_cmp(&at(b))) else { continue };
+            of_skin.push(at(&touch) / sides[0].min(sides[1]));
+            for axis in 0..2 {
+                let sigmas = (1e-3 * touch[2 + axis] - group[0].centre_m[axis]).abs() / (1e-3 * touch[6 + axis]);
+                inside[0] += usize::from(sigmas <= 1.0);
+                inside[1] += usize::from(sigmas <= 2.5);
+            }
+        }
+        of_skin.sort_by(f64::total_cmp);
+        let median = of_skin[of_skin.len() / 2];
+        let counts = (missed - before.0, split - before.1, right - before.2);
+        told += &format!(
+            "{seed}: {:?}, median {:.2} %, missed, split, pairs {counts:?}\n",
+            skin.frontend.layer,
+            1e2 * median
+        );
+        shares.push(median);
+    }
+    shares.sort_by(f64::total_cmp);
+    let coordinates = 2.0 * (singles - missed) as f64;
+    let within = inside.map(|count| count as f64 / coordinates);
+    let (median, worst) = (shares[SKINS / 2], shares[SKINS - 1]);
+    told += &format!("within {within:?}, missed {missed}, split {split} of {singles}, pairs {right} of {pairs}");
+    // Half a per cent of the shorter side at most on the skin in the middle; on the worst, few electrodes limit what noise
+    // leaves of the place.
+    assert!(median <= 0.004 && worst <= 0.02, "{told}");
+    assert!(missed == 0 && split * 30 <= singles && right * 20 >= 19 * pairs, "{told}");
+    // 288 coordinates scatter by 3 %; those of one press are not independent.
+    assert!((0.57..=0.84).contains(&within[0]) && within[1] >= 0.93, "{told}");
+}
