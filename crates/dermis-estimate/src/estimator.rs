@@ -9,6 +9,13 @@ use crate::press::{Cost, Effort, Press, PressFit};
 const LEAST_APART: f64 = 1.0;
 /// A press whose own significance exceeds its threshold by this factor need not be left out to know that it is there.
 const CLEARLY: f64 = 2.0;
+/// Largest load. An inclusion answers at most like 2 (it insulates, or conducts without limit); twice that leaves room
+/// for gains that the file does not know.
+const MOST_LOAD: f64 = 4.0;
+/// Least significance of the strength of one press among several, by the fit's own covariance.
+const LEAST_SIGNIFICANT: f64 = 2.0;
+/// The first press is looked for where the matched filter promises this share of its threshold, squared.
+const PROMISING: f64 = 0.6;
 /// Presses that are added in a row before the evidence of all of them is judged.
 const LOOKAHEAD: usize = 3;
 /// Radius of the halves of a split press, in its radii.
@@ -88,7 +95,7 @@ impl<F: PressFit> Estimator<F> {
             best = self.without_superfluous(warm, &null);
         }
         best = self.grown(best, &null, hints);
-        if best.presses.is_empty() {
+        if best.presses.is_empty() && !null.is_noise() {
             best = self.roughly(&null).unwrap_or(best);
         }
         let estimate = self.estimate(best, &null);
@@ -142,7 +149,14 @@ impl<F: PressFit> Estimator<F> {
     }
 
     fn may_be(&self, press: &Press) -> bool {
-        (self.negative || press.load > 0.0) && self.fit.is_inside(press.position_m) && press.load.is_finite()
+        let is_possible = press.load.abs() <= MOST_LOAD && (self.negative || press.load > 0.0);
+        is_possible && self.fit.is_inside(press.position_m)
+    }
+
+    /// Whether the place of a press among so many is known at all: one more whose place is not makes up for what the others
+    /// do not explain.
+    fn is_placed(&self, press: &Press, count: usize) -> bool {
+        count == 1 || press.place_sigma_m() <= self.fit.most_sigma_m() && press.significance() >= LEAST_SIGNIFICANT
     }
 
     /// Standard deviations by which a press of an explanation is there; of one beside others, from the fit's own
@@ -157,8 +171,9 @@ impl<F: PressFit> Estimator<F> {
     /// An explanation without the presses that it does not need.
     fn without_superfluous(&mut self, mut of: Explanation, null: &Cost) -> Explanation {
         while !of.presses.is_empty() {
+            let is_sound = |press: &Press| self.may_be(press) && self.is_placed(press, of.presses.len());
             let worst = (0..of.presses.len())
-                .map(|k| (k, if self.may_be(&of.presses[k]) { self.sureness(&of.presses[k], &of, null) } else { -1.0 }))
+                .map(|k| (k, if is_sound(&of.presses[k]) { self.sureness(&of.presses[k], &of, null) } else { -1.0 }))
                 .min_by(|a, b| a.1.total_cmp(&b.1));
             let Some((worst, sureness)) = worst else { break };
             let overlaps = self.overlapping(&of.presses);
@@ -206,11 +221,9 @@ impl<F: PressFit> Estimator<F> {
         }
         // Even presses that leave nothing but noise could not be told from chance.
         let perfect = Cost { residual: best.cost.freedom, ..best.cost };
-        let found = if Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin {
-            None
-        } else {
-            self.search(best, null, hints)
-        };
+        let is_chance = Evidence::of(&best.cost, &perfect, is_first) < self.evidence.begin
+            || is_first && self.fit.most_gain(self.negative) < PROMISING * self.evidence.begin.powi(2);
+        let found = if is_chance { None } else { self.search(best, null, hints) };
         if found.is_none() && !is_first && !self.is_unhurried {
             (self.wait, self.in_vain_at) = (WAIT_FRAMES, best.cost.residual);
         }
@@ -273,7 +286,8 @@ impl<F: PressFit> Estimator<F> {
 
     /// Whether all presses may be where they are, and do not overlap.
     fn is_possible(&self, of: &Explanation) -> bool {
-        of.presses.iter().all(|press| self.may_be(press)) && self.overlapping(&of.presses).is_none()
+        let is_sound = |press| self.may_be(press) && self.is_placed(press, of.presses.len());
+        of.presses.iter().all(is_sound) && self.overlapping(&of.presses).is_none()
     }
 
     /// Whether each press more is worth its threshold.

@@ -20,6 +20,11 @@ impl Press {
         self.load * self.radius_m * self.radius_m
     }
 
+    /// Standard deviation of the place, both coordinates together, metres.
+    pub fn place_sigma_m(&self) -> f64 {
+        (self.covariance[0][0] + self.covariance[1][1]).sqrt()
+    }
+
     /// Distance from another press, metres.
     pub fn distance_m(&self, other: &Self) -> f64 {
         (self.position_m[0] - other.position_m[0]).hypot(self.position_m[1] - other.position_m[1])
@@ -52,14 +57,21 @@ pub struct Cost {
 /// Mean square of what noise alone leaves, at most: it is known to a third from 32 frames at rest.
 const MOST_NOISE: f64 = 1.5;
 
+/// Mean square from which what is left of a weak frame is more than noise.
+const UNEXPLAINED_BY_NOISE: f64 = 2.0;
+
 impl Cost {
     /// Whether noise explains what is left.
     pub fn is_noise(&self) -> bool {
         self.residual <= MOST_NOISE * self.freedom
     }
 
-    /// Share of the frame's energy beyond the noise that is left beyond the noise, 0 to 1.
+    /// Share of the frame's energy beyond the noise that is left beyond the noise, 0 to 1; 0 where what is left may be
+    /// noise.
     pub fn unexplained(&self) -> f64 {
+        if self.residual <= UNEXPLAINED_BY_NOISE * self.freedom {
+            return 0.0;
+        }
         let beyond = |value: f64| (value - self.freedom).max(0.0);
         match beyond(self.energy) {
             0.0 => 0.0,
@@ -111,8 +123,14 @@ pub trait PressFit {
     /// `negative` is set.
     fn seek(&self, negative: bool) -> Vec<Proposal>;
 
+    /// By how much the best of these lowers the residual, without making a list of them.
+    fn most_gain(&self, negative: bool) -> f64;
+
     /// Whether a place is on the skin.
     fn is_inside(&self, position_m: [f64; 2]) -> bool;
+
+    /// Largest standard deviation of the place of one press among several, metres.
+    fn most_sigma_m(&self) -> f64;
 
     /// Most presses that can be fitted together.
     fn most_presses(&self) -> usize;

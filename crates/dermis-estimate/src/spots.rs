@@ -29,7 +29,8 @@ impl SpotFit {
     }
 
     /// Goes on with another weighting of the same responses.
-    pub fn set_model(&mut self, model: SpotModel) {
+    pub fn set_model(&mut self, model: SpotModel, error_share: f64) {
+        self.error_share = error_share;
         let (grid, inside) = (&self.grid, &self.inside);
         self.filter = model.filter(|place| grid.pixel_at(place).is_some_and(|pixel| inside[pixel]));
         self.scratch = model.scratch();
@@ -108,8 +109,17 @@ impl PressFit for SpotFit {
         found.into_iter().map(proposal).collect()
     }
 
+    fn most_gain(&self, negative: bool) -> f64 {
+        self.model.most_gain(&self.filter, negative, &self.scratch)
+    }
+
     fn is_inside(&self, position_m: [f64; 2]) -> bool {
         self.grid.pixel_at(position_m).is_some_and(|pixel| self.inside[pixel])
+    }
+
+    fn most_sigma_m(&self) -> f64 {
+        // A tenth to a quarter of half the shorter side.
+        2.0 * self.model.options().typical_radius_m
     }
 
     fn most_presses(&self) -> usize {

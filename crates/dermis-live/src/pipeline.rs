@@ -1,6 +1,5 @@
 //! The live pipeline: frame, channels, baseline, image, touches. Typed stages called one after another; after start-up
-//! nothing is allocated per frame, but where touches are fitted as contacts, dents of a liquid are deep or elements are
-//! solved for. It knows neither where frames come from nor where results go. Stages know nothing of each other: those
+//! nothing is allocated per frame while nothing touches the skin, and elements are not solved for. It knows neither where frames come from nor where results go. Stages know nothing of each other: those
 //! that look at health, damage and classes return what follows, and it is applied here.
 
 mod baselines;

@@ -65,6 +65,7 @@ pub struct Baseline {
     drift_factor: f64,
     drift_held: bool,
     follows_rest: bool,
+    catches_up: bool,
     time_ns: Option<u64>,
     learned_time_ns: Option<u64>,
     load: Load,
@@ -96,6 +97,7 @@ impl Baseline {
             drift_factor: 1.0,
             drift_held: false,
             follows_rest: false,
+            catches_up: false,
             time_ns: None,
             learned_time_ns: None,
             load: Load::Free,
@@ -165,6 +167,12 @@ impl Baseline {
     /// sheet heals, it changes here and there.
     pub fn follow_rest(&mut self, follows: bool) {
         self.follows_rest = follows;
+    }
+
+    /// Lets exponential compensation catch up fast after a touch, or not: only where what is left of a frame without
+    /// touches is known to be none.
+    pub fn catch_up(&mut self, catches_up: bool) {
+        self.catches_up = catches_up;
     }
 
     /// How far the baseline is.
@@ -402,9 +410,8 @@ impl Baseline {
             return;
         }
         let after_touch_s = time_ns.saturating_sub(self.frozen_until_ns) as f64 * 1e-9;
-        let catches_up = self.frozen_until_ns > 0
-            && after_touch_s < CATCH_UP_S
-            && matches!(self.params.drift, DriftCompensation::Exponential { .. });
+        let is_exponential = matches!(self.params.drift, DriftCompensation::Exponential { .. });
+        let catches_up = self.catches_up && is_exponential && self.frozen_until_ns > 0 && after_touch_s < CATCH_UP_S;
         let time_constant_s = if catches_up { time_constant_s.min(CATCH_UP_TIME_CONSTANT_S) } else { time_constant_s };
         let gain = -(-elapsed_s / time_constant_s).exp_m1();
         if matches!(self.params.drift, DriftCompensation::Uniform { .. }) {

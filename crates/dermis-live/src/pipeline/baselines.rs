@@ -138,6 +138,7 @@ impl Pipeline {
     pub(super) fn use_baseline(&mut self, at: (u64, u64)) -> Result<(), Error> {
         self.match_baseline(at)?;
         let State::Running(running) = &mut self.state else { return Ok(()) };
+        self.baseline.catch_up(running.reconstructor.refinement.refines());
         if let Some(levels) = &mut self.levels {
             levels.set_baseline(&self.baseline, running.reconstructor.imager.noise_image())?;
         }

@@ -37,15 +37,26 @@ const BETTER: f64 = 0.5;
 /// frames pass before the next look.
 const GONE_FRAMES: u32 = 3;
 const MOST_GONE_WAIT: u32 = 64;
-/// Less than this share of a press's own greatest strength is no press but what it leaves behind: layers creep, and set
+/// A press that leaves more than this share of its frame and lies farther from the image's contact than this share of half
+/// the shorter side is not believed: the contact stays where the image has it. On patches, where the model does not know
+/// where they end, that is half a pitch.
+const EXPLAINED: f64 = 0.05;
+const FAR: f64 = 0.2;
+const PATCHES_EXPLAINED: f64 = 0.01;
+const FAR_PITCHES: f64 = 0.5;
+/// In a tank, a press below this share of the strongest is a lobe of it.
+const LOBE: f64 = 0.2;
+/// Less than this share of a press's own greatest amplitude is no press but what it leaves behind: layers creep, and set
 /// by a few per cent. The peak is remembered for this long, nanoseconds.
-const REMNANT_SHARE: f64 = 0.07;
+const REMNANT_SHARE: f64 = 0.1;
 const REMEMBERED_NS: u64 = 5_000_000_000;
-/// Share of a frame's energy that a smooth spot leaves of a press on separate patches, which conduct as a whole: 0.007 to
-/// 0.07 on twins of discs of 64 patches.
-const PATCHES_ERROR: f64 = 0.01;
-/// The same of presses on gels, foams and liquids: up to 0.002 on their twins.
+/// Share of a frame's energy that the model of a press leaves, on twins: of gels, foams and liquids up to 0.002; in
+/// proportion, where dents are deep; in open tanks, whose surface takes the shape of what presses, 0.002 to 0.006; on
+/// separate patches, which conduct as a whole, 0.007 to 0.07.
 const SPOTS_ERROR: f64 = 0.001;
+const IN_PROPORTION_ERROR: f64 = 0.005;
+const TANK_ERROR: f64 = 0.005;
+const PATCHES_ERROR: f64 = 0.04;
 /// Beyond proportion spots are fitted where frames are no more frequent: a fit takes 2 ms with 16 electrodes, 13 with
 /// 32 and three touches.
 const MOST_FRAMES_PER_S: f64 = 60.0;
@@ -55,7 +66,7 @@ const MOST_FRAMES_PER_S: f64 = 60.0;
 struct Peak {
     position_m: [f64; 2],
     radius_m: f64,
-    strength: f64,
+    amplitude: f64,
     seen_ns: u64,
 }
 
@@ -75,6 +86,12 @@ pub(crate) struct SpotStage {
     /// Number of each pixel among the image's unknowns; none outside.
     unknowns: Vec<Option<u32>>,
     typical_radius_m: f64,
+    error_share: f64,
+    explained: f64,
+    far_m: f64,
+    hints: Vec<Press>,
+    /// Contacts as the image has them.
+    of_image: Vec<Contact>,
     /// The presses that are shown.
     shown: Vec<Press>,
     /// Places and radii of presses while the baseline was fresh.
@@ -105,10 +122,11 @@ impl SpotStage {
         for (unknown, &pixel) in (0..).zip(prepared.map.inside_pixels()) {
             unknowns[pixel as usize] = Some(unknown);
         }
-        let error_share = match prepared.skin.frontend.layer {
-            Layer::Patches(_) => PATCHES_ERROR,
-            _ => SPOTS_ERROR,
+        let pitch_m = match &prepared.skin.frontend.layer {
+            Layer::Patches(layer) => Some(1e-3 * layer.pitch_mm),
+            _ => None,
         };
+        let error_share = error_share(prepared, &model);
         let fit = SpotFit::new(model, grid, prepared.map.inside_mask(), error_share);
         let evidence = Evidence { begin: touch.begin_sigma, hold: touch.hold_sigma };
         Self {
@@ -121,6 +139,11 @@ impl SpotStage {
             grid,
             unknowns,
             typical_radius_m: TYPICAL_RADIUS * prepared.half_width_m(),
+            error_share,
+            explained: if pitch_m.is_some() { PATCHES_EXPLAINED } else { EXPLAINED },
+            far_m: pitch_m.map_or(FAR * prepared.half_width_m(), |pitch_m| FAR_PITCHES * pitch_m),
+            hints: Vec::with_capacity(MOST_SPOTS),
+            of_image: Vec::with_capacity(MOST_SPOTS),
             shown: Vec::with_capacity(MOST_SPOTS),
             anchors: Vec::new(),
             is_aged: false,
@@ -145,7 +168,7 @@ impl SpotStage {
     /// Goes on with another weighting of the same responses: of a fresh baseline, or of one that has aged.
     pub(crate) fn set_model(&mut self, model: SpotModel, is_aged: bool) {
         self.is_aged = is_aged;
-        self.estimator.fit_mut().set_model(model);
+        self.estimator.fit_mut().set_model(model, self.error_share);
     }
 
     /// Whether presses are followed.
@@ -211,21 +234,20 @@ impl SpotStage {
     }
 
     /// Whether a press is what remains of one that has been far stronger: a layer's set, which the baseline takes in.
-    fn is_remnant(&mut self, time_ns: u64, press: &Press) -> bool {
+    fn is_remnant(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> bool {
         let is_there = |peak: &&mut Peak| {
             let sigma_m = (press.covariance[0][0] + press.covariance[1][1]).sqrt();
             distance(peak.position_m, press.position_m) <= peak.radius_m.max(press.radius_m) + 2.0 * sigma_m
         };
-        let strength = press.strength();
+        let Press { position_m, radius_m, .. } = *press;
         if let Some(peak) = self.peaks.iter_mut().find(is_there) {
             peak.seen_ns = time_ns;
-            if strength > peak.strength {
-                *peak = Peak { position_m: press.position_m, radius_m: press.radius_m, strength, seen_ns: time_ns };
+            if amplitude > peak.amplitude {
+                *peak = Peak { position_m, radius_m, amplitude, seen_ns: time_ns };
             }
-            return strength < REMNANT_SHARE * peak.strength;
+            return amplitude < REMNANT_SHARE * peak.amplitude;
         }
-        let Press { position_m, radius_m, .. } = *press;
-        self.peaks.push(Peak { position_m, radius_m, strength, seen_ns: time_ns });
+        self.peaks.push(Peak { position_m, radius_m, amplitude, seen_ns: time_ns });
         false
     }
 
@@ -252,16 +274,14 @@ impl SpotStage {
     pub(crate) fn refine(&mut self, time_ns: u64, difference: &[f64], imager: &Imager, contacts: &mut Vec<Contact>) {
         self.shown.clear();
         self.peaks.retain(|peak| time_ns.saturating_sub(peak.seen_ns) < REMEMBERED_NS);
-        let hints: Vec<Press> = contacts
-            .iter()
-            .map(|contact| Press {
-                position_m: contact.centroid_m,
-                radius_m: self.typical_radius_m,
-                load: contact.peak_value,
-                ..Press::default()
-            })
-            .collect();
-        let Some(mut estimate) = self.estimator.explain(difference, &hints) else { return };
+        self.hints.clear();
+        self.hints.extend(contacts.iter().map(|contact| Press {
+            position_m: contact.centroid_m,
+            radius_m: self.typical_radius_m,
+            load: contact.peak_value,
+            ..Press::default()
+        }));
+        let Some(mut estimate) = self.estimator.explain(difference, &self.hints) else { return };
         self.hold(&mut estimate.presses);
         if let Some(without_gone) = self.look_for_gone(&estimate) {
             contacts.clear();
@@ -270,10 +290,13 @@ impl SpotStage {
         if estimate.unexplained > self.most_unexplained {
             return;
         }
-        let of_image = std::mem::take(contacts);
+        self.of_image.clear();
+        self.of_image.append(contacts);
+        // In a tank all that explains dents may be lobes of a strong one.
+        let strongest = estimate.presses.first().map_or(0.0, Press::strength);
+        let least = if self.most_unexplained < 1.0 { LOBE * strongest } else { f64::NEG_INFINITY };
         for (press, sigma) in estimate.presses.iter().zip(&estimate.evidence) {
-            if !self.both_signs && self.is_remnant(time_ns, press) {
-                self.remnants.push(*press);
+            if press.strength() * strongest.signum() < least * strongest.signum() {
                 continue;
             }
             self.estimator.fit_mut().channels_of(std::slice::from_ref(press), &mut self.volts);
@@ -281,10 +304,21 @@ impl SpotStage {
             if value == 0.0 || !value.is_finite() {
                 continue;
             }
+            if !self.both_signs && self.is_remnant(time_ns, press, value.abs()) {
+                self.remnants.push(*press);
+                continue;
+            }
             let away = |contact: &&Contact| distance(contact.centroid_m, press.position_m);
-            let nearest = of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+            let nearest = self.of_image.iter().min_by(|a, b| away(a).total_cmp(&away(b))).copied();
             let area_m2 = nearest.map_or(std::f64::consts::PI * press.radius_m.powi(2), |contact| contact.area_m2);
             let c = &press.covariance;
+            let is_far = |contact: &Contact| distance(contact.centroid_m, press.position_m) > self.far_m;
+            if estimate.unexplained > self.explained
+                && let Some(contact) = nearest.filter(is_far)
+            {
+                contacts.push(contact);
+                continue;
+            }
             contacts.push(Contact {
                 covariance_m2: [[c[0][0], c[0][1]], [c[1][0], c[1][1]]],
                 significance: *sigma,
@@ -324,6 +358,17 @@ impl SpotStage {
     }
 }
 
+/// What the model of presses is known to leave of a frame.
+fn error_share(prepared: &Prepared, model: &SpotModel) -> f64 {
+    let layer = &prepared.skin.frontend.layer;
+    match layer {
+        Layer::Patches(_) => PATCHES_ERROR,
+        _ if layer.is_open_tank() => TANK_ERROR,
+        _ if model.looks_beyond_proportion() => SPOTS_ERROR,
+        _ => IN_PROPORTION_ERROR,
+    }
+}
+
 fn from_law((force_n, sigma_n): (f64, f64)) -> ForceReading {
     ForceReading::FromLaw { force_n, sigma_n }
 }
@@ -357,7 +402,8 @@ pub fn spot_model(prepared: &Prepared, deviations: &[f64]) -> Result<SpotModel, 
     let response = response.as_ref().unwrap_or(&pressed);
     let model = SpotModel::new(response.as_ref(), &uniform, deviations, &positions, pixel_m, options)?;
     // Usual presses take a third of a layer away and more.
-    let is_continuous = matches!(prepared.skin.frontend.layer, Layer::Liquid(_) | Layer::Sheet(_));
+    let layer = &prepared.skin.frontend.layer;
+    let is_continuous = matches!(layer, Layer::Liquid(_) | Layer::Sheet(_)) && !layer.is_open_tank();
     if is_continuous && may_look_beyond(prepared) {
         let response = change_response(prepared)?;
         let spread = spread.as_ref().map(|spread| spread.as_ref());

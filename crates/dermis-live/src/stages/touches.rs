@@ -63,7 +63,11 @@ impl TouchStage {
             min_age_frames: settings.least_frames,
             position_floor_m: settings.position_floor_mm * 1e-3,
             gate_max_m: 0.5 * half_width,
-            max_missed_frames: missed_frames(prepared.skin.backend.frame_rate_hz()),
+            max_missed_frames: match prepared.skin.fits_touches() {
+                true => missed_frames(prepared.skin.backend.frame_rate_hz()),
+                // What the image alone places comes and goes.
+                false => TrackerParams::default().max_missed_frames,
+            },
             ..TrackerParams::default()
         };
         Ok(Self {
@@ -143,6 +147,12 @@ impl TouchStage {
         only.strength = ContactStrength::Strong;
         let second = placement.second.map(|SecondTouch { position_m, share }| only.share_at(position_m, share));
         self.contacts.extend(second);
+    }
+
+    /// Leaves out contacts that a fit has found weaker than the skin file or the frame allows.
+    pub(crate) fn drop_weak(&mut self) {
+        let least = self.floor.max(self.finder.params().min_amplitude);
+        self.contacts.retain(|contact| contact.amplitude >= least);
     }
 
     /// True where the contacts just found begin no touch, and the model follows none.

@@ -185,6 +185,13 @@ impl SpotModel {
         found
     }
 
+    /// The largest gain of a place in [`SpotModel::seek`]. Allocates nothing.
+    pub fn most_gain(&self, filter: &SpotFilter, negative: bool, scratch: &FitScratch) -> f64 {
+        let products = filter.unit.chunks_exact(filter.length).map(|unit| dot(unit, &scratch.residual));
+        let most = products.map(|product| if negative { product.abs() } else { product }).fold(0.0, f32::max);
+        f64::from(most).powi(2)
+    }
+
     /// What these spots change the channels by, volts, within the combinations of the model; 0 for channels left out.
     pub fn channels_of(&self, spots: &[Spot], scratch: &mut FitScratch, volts: &mut Vec<f64>) {
         let length = self.combinations();
