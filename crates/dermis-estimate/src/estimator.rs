@@ -153,10 +153,10 @@ impl<F: PressFit> Estimator<F> {
         is_possible && self.fit.is_inside(press.position_m)
     }
 
-    /// Whether the place of a press among so many is known at all: one more whose place is not makes up for what the others
-    /// do not explain.
+    /// Whether the place of a press among so many is known at all: one whose place is not makes up for what others do not
+    /// explain, or for drift.
     fn is_placed(&self, press: &Press, count: usize) -> bool {
-        count == 1 || press.place_sigma_m() <= self.fit.most_sigma_m() && press.significance() >= LEAST_SIGNIFICANT
+        press.place_sigma_m() <= self.fit.most_sigma_m() && (count == 1 || press.significance() >= LEAST_SIGNIFICANT)
     }
 
     /// Standard deviations by which a press of an explanation is there; of one beside others, from the fit's own

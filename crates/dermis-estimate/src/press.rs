@@ -129,7 +129,7 @@ pub trait PressFit {
     /// Whether a place is on the skin.
     fn is_inside(&self, position_m: [f64; 2]) -> bool;
 
-    /// Largest standard deviation of the place of one press among several, metres.
+    /// Largest standard deviation of the place of a press, metres.
     fn most_sigma_m(&self) -> f64;
 
     /// Most presses that can be fitted together.

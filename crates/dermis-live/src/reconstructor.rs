@@ -83,7 +83,9 @@ impl Reconstructor {
         }
         if imposed.is_none() {
             self.refinement.refine(time_ns, &self.imager, image, self.touches.contacts_mut())?;
-            self.touches.drop_weak();
+            if self.refinement.fits_spots() {
+                self.touches.drop_weak();
+            }
         }
         match (correction, placement) {
             (Some(_), Some(placement)) if !placement.vague && self.touches.sees_nothing() => {

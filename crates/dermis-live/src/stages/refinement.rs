@@ -68,6 +68,11 @@ impl Refinement {
         !matches!(self.by, By::Nothing)
     }
 
+    /// Whether contacts are spots, whose amplitudes are the image's.
+    pub(crate) fn fits_spots(&self) -> bool {
+        matches!(self.by, By::Spots { .. })
+    }
+
     /// At this noise of the channels (model volts).
     ///
     /// # Errors

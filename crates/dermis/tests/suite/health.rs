@@ -308,6 +308,6 @@ fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
         let (error, intact) = (mean(&errors), mean(&intact));
         assert!(error <= 3.5 * intact, "without {electrode} and the next but one: {error:.2} mm, intact {intact:.2}");
         let largest = errors.iter().copied().fold(0.0, f64::max);
-        assert!(largest < 7.0, "without {electrode} and the next but one: {largest:.1} mm off");
+        assert!(largest < 9.0, "without {electrode} and the next but one: {largest:.1} mm off");
     }
 }
