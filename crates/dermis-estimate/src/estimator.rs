@@ -305,10 +305,10 @@ impl<F: PressFit> Estimator<F> {
         let peak = self.fit.seek(self.negative).first()?.press;
         let cost = self.fit.fit_loads(&[peak])?;
         let mut of = Explanation { presses: self.fit.presses(), cost };
-        let is_there = self.is_possible(&of) && Evidence::of(null, &cost, true) >= self.evidence.begin;
         for press in &mut of.presses {
             (0..2).for_each(|axis| press.covariance[axis][axis] += press.radius_m.powi(2));
         }
+        let is_there = self.is_possible(&of) && Evidence::of(null, &cost, true) >= self.evidence.begin;
         is_there.then_some(of)
     }
 
