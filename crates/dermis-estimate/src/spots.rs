@@ -118,8 +118,8 @@ impl PressFit for SpotFit {
     }
 
     fn most_sigma_m(&self) -> f64 {
-        // A tenth to a quarter of half the shorter side.
-        2.0 * self.model.options().typical_radius_m
+        // An eighth of half the shorter side.
+        self.model.options().typical_radius_m
     }
 
     fn most_presses(&self) -> usize {
