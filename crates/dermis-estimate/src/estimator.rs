@@ -116,12 +116,7 @@ impl<F: PressFit> Estimator<F> {
     fn grown(&mut self, mut best: Explanation, null: &Cost, hints: &[Press]) -> Explanation {
         while best.presses.len() < self.fit.most_presses() {
             let Some(more) = self.with_more(&best, null, hints) else { break };
-            let before = best.presses.len();
-            let pruned = self.without_superfluous(more, null);
-            if pruned.presses.len() <= before {
-                break;
-            }
-            best = pruned;
+            best = more;
         }
         best
     }

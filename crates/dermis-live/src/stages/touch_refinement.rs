@@ -212,9 +212,8 @@ impl SpotStage {
         self.gone.extend(found.presses.iter().filter(|press| press.load < 0.0));
         self.gone_alone = self.gone.len() == found.presses.len();
         self.gone_frames += 1;
-        let mut evidence = found.evidence.iter();
-        found.presses.retain(|press| press.load > 0.0);
-        found.evidence = evidence.by_ref().take(found.presses.len()).copied().collect();
+        let pairs = found.presses.into_iter().zip(found.evidence);
+        (found.presses, found.evidence) = pairs.filter(|(press, _)| press.load > 0.0).unzip();
         Some(found)
     }
 
@@ -236,8 +235,8 @@ impl SpotStage {
     /// Whether a press is what remains of one that has been far stronger: a layer's set, which the baseline takes in.
     fn is_remnant(&mut self, time_ns: u64, press: &Press, amplitude: f64) -> bool {
         let is_there = |peak: &&mut Peak| {
-            let sigma_m = (press.covariance[0][0] + press.covariance[1][1]).sqrt();
-            distance(peak.position_m, press.position_m) <= peak.radius_m.max(press.radius_m) + 2.0 * sigma_m
+            let reach_m = peak.radius_m.max(press.radius_m) + 2.0 * press.place_sigma_m();
+            distance(peak.position_m, press.position_m) <= reach_m
         };
         let Press { position_m, radius_m, .. } = *press;
         if let Some(peak) = self.peaks.iter_mut().find(is_there) {
@@ -294,9 +293,8 @@ impl SpotStage {
         self.of_image.append(contacts);
         // In a tank all that explains dents may be lobes of a strong one.
         let strongest = estimate.presses.first().map_or(0.0, Press::strength);
-        let least = if self.most_unexplained < 1.0 { LOBE * strongest } else { f64::NEG_INFINITY };
         for (press, sigma) in estimate.presses.iter().zip(&estimate.evidence) {
-            if press.strength() * strongest.signum() < least * strongest.signum() {
+            if self.most_unexplained < 1.0 && press.strength() / strongest < LOBE {
                 continue;
             }
             self.estimator.fit_mut().channels_of(std::slice::from_ref(press), &mut self.volts);
