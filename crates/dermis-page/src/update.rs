@@ -39,7 +39,7 @@ pub struct Update {
 /// Channels and electrodes that are left out; numbers count from 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct HealthView {
-    /// What is wrong with the frames as a whole (`frozen`, `saturated`, `flipped`, `out-of-range`): touches are unknown.
+    /// Fault of whole frames (`frozen`, `saturated`, `flipped`, `out-of-range`, `blank`). Touches are unknown.
     pub frame: Option<FrameFaultView>,
     /// Channels left out, those that go with an electrode included.
     pub left_out: u32,
@@ -49,10 +49,10 @@ pub struct HealthView {
     pub channels: Vec<FaultView>,
 }
 
-/// What is wrong with the frames as a whole.
+/// A fault of whole frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct FrameFaultView {
-    /// What is wrong, in a word.
+    /// Kind of fault, one word.
     pub kind: &'static str,
     /// Seconds since the first frame that showed it.
     pub for_s: f64,

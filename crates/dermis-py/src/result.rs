@@ -212,7 +212,7 @@ impl PyFrameResult {
     }
 
     /// ``sound``, ``frame`` (what is wrong with the frames as a whole: ``"frozen"``, ``"saturated"``, ``"flipped"``,
-    /// ``"out-of-range"``, or None), the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
+    /// ``"out-of-range"``, ``"blank"``, or None), the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
     /// 0.
     #[getter]
     fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {

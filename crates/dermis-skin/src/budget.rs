@@ -61,7 +61,7 @@ pub fn set_memory_limit(bytes: u64) {
 }
 
 /// Bytes that a preparation may use: what [`set_memory_limit`] was told, or three quarters of the machine's memory, of
-/// what its container may use, or of what the process may address, whichever is least. Every solver is told the same.
+/// the container's limit or of the limit on address space, whichever is least. Solvers get the same limit.
 pub fn memory_limit() -> u64 {
     let limit = match MEMORY.load(Ordering::Relaxed) {
         0 => (machine_bytes().map_or(MEMORY_BYTES, |bytes| 0.75 * bytes)) as u64,

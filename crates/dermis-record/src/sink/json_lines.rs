@@ -33,7 +33,7 @@ pub enum LinesFor {
 /// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward
 /// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
 /// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
-/// `health` too: `frame` (`kind`: `frozen`, `saturated`, `flipped` or `out-of-range`; `since_s`) where the frames are
+/// `health` too: `frame` (`kind`: `frozen`, `saturated`, `flipped`, `out-of-range` or `blank`; `since_s`) where the frames are
 /// wrong as a whole, and with it `"touches_known": false`, since an empty list then says nothing of the skin, and
 /// touches that end do so as `"known": false`; `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
 /// `with` another, `since_s`) and `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from

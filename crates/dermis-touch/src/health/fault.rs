@@ -89,6 +89,8 @@ pub enum FrameFaultKind {
     Flipped,
     /// The readings are far larger than any press makes them.
     OutOfRange,
+    /// The readings have gone: what is left is a small share of the resting frame, or noise.
+    Blank,
 }
 
 impl FrameFaultKind {
@@ -100,6 +102,7 @@ impl FrameFaultKind {
             Self::Saturated => "saturated",
             Self::Flipped => "flipped",
             Self::OutOfRange => "out-of-range",
+            Self::Blank => "blank",
         }
     }
 }

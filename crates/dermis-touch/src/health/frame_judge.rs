@@ -7,6 +7,8 @@ use super::{FrameFault, FrameFaultKind};
 
 /// Repetitions of a whole frame in a row that make it frozen, unless start-up has seen longer ones.
 const FROZEN_REPEATS: u32 = 4;
+/// Frames of start-up, which tell whether readings move and how often frames repeat.
+const START_FRAMES: u32 = 32;
 /// Start-up sees only a few dozen frames: longer repetitions than it saw are allowed by this factor.
 const LONGER_THAN_SEEN: u32 = 3;
 /// Largest probability of repeating by chance at which a run of equal frames still counts as frozen.
@@ -15,15 +17,24 @@ const FROZEN_CHANCE: f64 = 1e-12;
 const SUSPECT_FRAMES: u32 = 3;
 /// Sound frames in a row that end a verdict.
 const SOUND_FRAMES: u32 = 3;
-/// A frame is flipped below this projection on the resting frame (1 at rest, -1 flipped). Presses keep it above 0.2 on
-/// every built-in skin at 1.5 times the usual pressure.
-const FLIPPED: f64 = -0.5;
-/// A frame is out of range above this multiple of the resting frame, root mean square over root mean square.
-const OUT_OF_RANGE: f64 = 30.0;
+/// Share of the channels that must have changed sign, vanished or left the range together: one wild channel, or an
+/// electrode that is lost, is none of these.
+const TOGETHER: f64 = 0.8;
+/// Share of the channels that must be out of range together: those that rest near zero may stay in it.
+const OUT_TOGETHER: f64 = 0.5;
+/// A reading has changed sign where it is between these multiples of minus its resting value.
+const FLIPPED: [f64; 2] = [0.1, 10.0];
+/// A reading is out of range above this multiple of its resting value, or of a tenth of the resting frame's root mean
+/// square. Presses make voltages several times as large.
+const OUT_OF_RANGE: f64 = 100.0;
+const LEAST_OF_FRAME: f64 = 0.1;
+/// A reading has vanished below this share of its resting value, or within this many standard deviations.
+const BLANK: f64 = 0.02;
+const BLANK_DEVIATIONS: f64 = 3.0;
 /// Share of the channels that stand at the largest magnitude of a saturated frame, and how close, relative.
 const SATURATED_SHARE: f64 = 0.5;
 const AT_THE_END: f64 = 1e-3;
-/// A resting frame this close to noise (root mean square in standard deviations) has no sign and no size.
+/// A resting value within this many standard deviations of zero has neither sign nor size.
 const LEAST_REST: f64 = 10.0;
 /// Fewest channels of which a frame can be told from a channel.
 const FEWEST_CHANNELS: usize = 2;
@@ -33,13 +44,16 @@ const FEWEST_CHANNELS: usize = 2;
 pub(super) struct FrameJudge {
     last: Vec<f64>,
     rest: Vec<f64>,
-    /// Mean square of the resting frame; 0 before there is one, or where it is noise.
-    rest_square: f64,
+    deviation: Vec<f64>,
+    /// Root mean square of the resting frame.
+    rest_size: f64,
     /// More than half of the channels stand at the end of the range in the resting frame too.
     rests_at_one_magnitude: bool,
     full_scale: Option<f64>,
     repeats: u32,
-    /// Longest run of repetitions while nothing could be judged yet.
+    /// Frames of start-up so far.
+    started: u32,
+    /// Longest run of repetitions in start-up, and whether any frame differed from the one before.
     longest_at_start: u32,
     has_moved: bool,
     begun: bool,
@@ -55,10 +69,12 @@ impl FrameJudge {
         Self {
             last: vec![f64::NAN; channels],
             rest: vec![f64::NAN; channels],
-            rest_square: 0.0,
+            deviation: vec![f64::NAN; channels],
+            rest_size: 0.0,
             rests_at_one_magnitude: false,
             full_scale,
             repeats: 0,
+            started: 0,
             longest_at_start: 0,
             has_moved: false,
             begun: false,
@@ -74,9 +90,9 @@ impl FrameJudge {
     /// deviations of its channels.
     pub fn begin(&mut self, rest: &[f64], deviation: &[f64]) {
         self.rest.copy_from_slice(rest);
-        let square = mean_square(rest.iter().copied());
-        let noise = mean_square(deviation.iter().copied());
-        self.rest_square = if square > LEAST_REST * LEAST_REST * noise { square } else { 0.0 };
+        self.deviation.copy_from_slice(deviation);
+        let present = || rest.iter().filter(|value| value.is_finite());
+        self.rest_size = (present().map(|value| value * value).sum::<f64>() / present().count().max(1) as f64).sqrt();
         self.rests_at_one_magnitude = self.stands_at_one_magnitude(rest, |_| true);
         self.begun = true;
     }
@@ -96,16 +112,17 @@ impl FrameJudge {
             }
         }
         let repeats = counted >= FEWEST_CHANNELS && equal == counted;
-        self.has_moved |= !repeats && counted > 0 && self.last.iter().any(|value| value.is_finite());
-        self.repeats = if repeats { self.repeats + 1 } else { 0 };
-        if !self.begun {
+        self.repeats = if repeats { self.repeats.saturating_add(1) } else { 0 };
+        if self.started < START_FRAMES && counted > 0 {
+            self.started += 1;
+            self.has_moved |= !repeats && self.last.iter().any(|value| value.is_finite());
             self.longest_at_start = self.longest_at_start.max(self.repeats);
         }
         self.last.copy_from_slice(readings);
         let limit = FROZEN_REPEATS.max(LONGER_THAN_SEEN * self.longest_at_start);
-        // An instrument that never moved has no noise: that it stands still says nothing.
-        let is_frozen =
-            self.has_moved && self.repeats >= limit && f64::from(self.repeats) * chance < FROZEN_CHANCE.ln();
+        // An instrument that did not move at rest has no noise: that it stands still says nothing.
+        let is_started = self.started == START_FRAMES && self.has_moved;
+        let is_frozen = is_started && self.repeats >= limit && f64::from(self.repeats) * chance < FROZEN_CHANCE.ln();
         self.suspect = if !self.begun || counted < FEWEST_CHANNELS {
             None
         } else if is_frozen {
@@ -128,17 +145,25 @@ impl FrameJudge {
         {
             return Some(FrameFaultKind::Saturated);
         }
-        if self.rest_square == 0.0 {
-            return None;
+        // Channels whose resting value has a sign and a size.
+        let tells = |&c: &usize| is_in(c) && self.rest[c].abs() > LEAST_REST * self.deviation[c];
+        let (mut all, mut flipped, mut blank, mut out) = (0_usize, 0, 0, 0);
+        for channel in (0..readings.len()).filter(tells) {
+            let (reading, rest) = (readings[channel], self.rest[channel]);
+            let share = -reading / rest;
+            all += 1;
+            flipped += usize::from((FLIPPED[0]..=FLIPPED[1]).contains(&share));
+            blank += usize::from(reading.abs() < (BLANK * rest.abs()).max(BLANK_DEVIATIONS * self.deviation[channel]));
+            out += usize::from(reading.abs() > OUT_OF_RANGE * rest.abs().max(LEAST_OF_FRAME * self.rest_size));
         }
-        let both = || (0..readings.len()).filter(|&c| is_in(c) && self.rest[c].is_finite());
-        let size = mean_square(both().map(|channel| readings[channel]));
-        let rest = mean_square(both().map(|channel| self.rest[channel]));
-        if size > OUT_OF_RANGE * OUT_OF_RANGE * rest.max(self.rest_square) {
-            return Some(FrameFaultKind::OutOfRange);
+        let are = |some: usize, share: f64| all >= FEWEST_CHANNELS && some as f64 >= share * all as f64;
+        if are(out, OUT_TOGETHER) {
+            Some(FrameFaultKind::OutOfRange)
+        } else if are(blank, TOGETHER) {
+            Some(FrameFaultKind::Blank)
+        } else {
+            are(flipped, TOGETHER).then_some(FrameFaultKind::Flipped)
         }
-        let along = mean(both().map(|channel| readings[channel] * self.rest[channel]));
-        (along < FLIPPED * rest).then_some(FrameFaultKind::Flipped)
     }
 
     /// At least half of the channels stand at the largest magnitude, and that is not zero.
@@ -181,14 +206,4 @@ impl FrameJudge {
     pub fn is_suspect(&self) -> bool {
         self.suspect.is_some() || self.fault.is_some()
     }
-}
-
-fn mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) = values.fold((0.0, 0_usize), |(sum, count), value| (sum + value, count + 1));
-    if count == 0 { 0.0 } else { sum / count as f64 }
-}
-
-/// Of what is finite.
-fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
-    mean(values.filter(|value| value.is_finite()).map(|value| value * value))
 }

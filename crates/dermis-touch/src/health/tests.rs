@@ -235,12 +235,14 @@ fn frames_wrong_as_a_whole_are_known_within_five_frames_and_blame_no_channel() {
     bench.sound(50);
     for round in 0..20 {
         let gain = 10_f64.powi(2 + round % 11);
-        let cases: [(FrameFaultKind, &dyn Fn([u32; 2], f64, f64) -> f64); 5] = [
+        let cases: [(FrameFaultKind, &dyn Fn([u32; 2], f64, f64) -> f64); 7] = [
             (FrameFaultKind::Saturated, &|_, _, uniform| 10.0 * sign(uniform)),
             (FrameFaultKind::Saturated, &|_, _, uniform| -2.5 + 1e-4 * uniform),
             (FrameFaultKind::Flipped, &|_, v, _| -v),
             (FrameFaultKind::Flipped, &|c, v, _| 0.4 * rest(c) * f64::from((c[0] + c[1]) % 2) - v),
-            (FrameFaultKind::OutOfRange, &|_, v, _| gain * v),
+            (FrameFaultKind::OutOfRange, &|_, v, _| 2.0 * gain * v),
+            (FrameFaultKind::Blank, &|_, v, _| v / gain),
+            (FrameFaultKind::Blank, &|c, v, _| v - rest(c)),
         ];
         for (kind, change) in cases {
             assert_eq!(verdict(&mut bench, change), kind);

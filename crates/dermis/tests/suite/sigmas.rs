@@ -70,6 +70,7 @@ fn press(name: &str, at_once: usize, seed: u64) -> Trial {
         baseline: Some(FileSpec::all(at("b.csv"))),
         frames: FileSpec::all(at("f.csv")),
         format: None,
+        as_skin: false,
         calibration: None,
         forces: None,
         hyperparameter: None,

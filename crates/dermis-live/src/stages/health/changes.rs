@@ -114,6 +114,7 @@ fn frame_change(fault: Option<FrameFault>) -> HealthChange {
         FrameFaultKind::Frozen => "all channels read the same, frame after frame",
         FrameFaultKind::Saturated => "most channels stand at the end of the range",
         FrameFaultKind::Flipped => "all channels have changed sign",
+        FrameFaultKind::Blank => "all readings have gone",
         FrameFaultKind::OutOfRange => "the readings are far larger than any press makes them",
     };
     let detail = format!("touches are unknown since frame {since_sequence}: {what}");
