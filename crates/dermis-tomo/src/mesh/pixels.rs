@@ -212,8 +212,12 @@ impl PixelMap {
                 let step = if whole { 1 } else { (2 * ring).max(1) };
                 let first = if whole { left } else { column.wrapping_sub(ring) };
                 for x in (0..).map(|k| first.wrapping_add(k * step)).take(if whole { right - left + 1 } else { 2 }) {
+                    // Left of the first column the number has wrapped.
+                    if x >= columns {
+                        continue;
+                    }
                     let pixel = y * columns + x;
-                    if x < columns && self.coverage[pixel] >= INSIDE_COVERAGE {
+                    if self.coverage[pixel] >= INSIDE_COVERAGE {
                         let distance = plane::distance(self.grid.centre_m(pixel), p);
                         let is_nearer =
                             |(least, old): (f64, u32)| distance < least || (distance == least && (pixel as u32) < old);
