@@ -156,6 +156,71 @@ def toml(value):
     return json.dumps(value)
 
 
+@attack("skin-magnitudes", "every numeric key of six skins at five magnitudes; memory and time from outside")
+def skin_magnitudes(ground):
+    cases = []
+    em = Path(__file__).parents[2] / "skins/examples/em-3x4.toml"
+    for name in ["healing-square", "ionic-disc", "piezo-disc", "hydrogel-disc", "em-8", em]:
+        asked = ground.ask("skins", "show", name)
+        name = Path(name).stem
+        skin = tomllib.loads(asked.out())
+        for path in numbers(skin):
+            value = skin
+            for step in path:
+                value = value[step]
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                continue
+            for factor in (1e-3, 1e-1, 10.0, 1e3, 1e6):
+                changed = copy.deepcopy(skin)
+                place = changed
+                for step in path[:-1]:
+                    place = place[step]
+                scaled = value * factor
+                place[path[-1]] = max(1, round(scaled)) if isinstance(value, int) else scaled
+                text = "\n".join(f"{json.dumps(key)} = {toml(inner)}" for key, inner in changed.items())
+                cases.append((name, ".".join(map(str, path)), place[path[-1]], text))
+    ground.random.shuffle(cases)
+    counts = {"refused": 0, "ran": 0}
+    deadline = time.monotonic() + (ground.options.seconds or math.inf)
+    worst = {"MB": (0.0, ""), "s": (0.0, "")}
+    for name, key, value, text in cases:
+        if time.monotonic() > deadline:
+            break
+        shown = f"{name}: {key} = {value}"
+        path = ground.folder / "case.toml"
+        path.write_text(text)
+        table = ["--baseline", ground.folder / "rest.npy", "--frames", ground.folder / "presses.npy"]
+        for words in (["twin", "sample", path, "--presses", "random:1", *table], ["skins", "show", path]):
+            for file in table[1::2]:
+                file.unlink(missing_ok=True)
+            asked = ground.start("--memory", f"{MOST_MB}MB", *words, env={"DERMIS_CACHE": str(ground.folder / "cache")})
+            try:
+                asked.wait(MOST_S)
+            finally:
+                asked.kill()
+            said = asked.err()
+            check(not PANIC.search(said), f"{shown}: a panic: {said[-400:]}")
+            check(asked.code in (0, 1, 2, 3), f"{shown}: {words[0]} ended with {asked.code}: {said[-400:]}")
+            check(asked.peak_mb() < 2.0 * MOST_MB, f"{shown}: {words[0]} took {asked.peak_mb():.0f} MB of {MOST_MB}")
+            worst["MB"] = max(worst["MB"], (asked.peak_mb(), shown))
+            worst["s"] = max(worst["s"], (asked.took, shown))
+            ground.processes.remove(asked)
+            for file in (asked.out_file, asked.err_file):
+                os.unlink(file.name)
+                file.close()
+        counts["ran" if asked.code == 0 else "refused"] += 1
+    tried = sum(counts.values())
+    ground.say(f"{tried} of {len(cases)} skins tried: {counts['refused']} refused, {counts['ran']} shown")
+    for unit, (most, shown) in worst.items():
+        ground.say(f"most: {most:.1f} {unit} ({shown})")
+    check(tried >= min(len(cases), 20), "too few were tried")
+
+
+# Memory that every skin is given, and the longest that one may take within it.
+MOST_MB = 1000
+MOST_S = 300
+
+
 @attack("skin-keys", "every key of six skins with NaN, inf, -1, 0, 1e-300, 1e300, an empty and a huge text")
 def skin_keys(ground):
     drawn = [math.nan, math.inf, -1.0, 0.0, 1e-300, 1e300, "", "x" * 100_000, -1, 0, 2**63 - 1]

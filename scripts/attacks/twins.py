@@ -1,5 +1,6 @@
 """Work that people ask of a twin, in bursts: through the page, and on standard input of a served one."""
 
+import random
 import signal
 import time
 
@@ -54,6 +55,61 @@ def page_bursts(ground):
     for commands, _ in BURSTS.values():
         for command_ in commands:
             page.ask(command_)
+    three_signals(ground, command)
+
+
+def random_cut(dice):
+    """A cut anywhere on the skin, so that most cross each other and pads."""
+    return {"treat": {"cut": {end: [dice.uniform(-60, 60), dice.uniform(-60, 60)] for end in ("from_mm", "to_mm")}}}
+
+
+def random_heal(dice):
+    at, radius = [dice.uniform(-60, 60), dice.uniform(-60, 60)], dice.uniform(2, 60)
+    heat = {"temperature_c": dice.uniform(40, 150), "hours": dice.uniform(0.1, 24)}
+    return {"treat": {"heal": {"at_mm": at, "radius_mm": radius, **heat}}}
+
+
+# Longest time without a state more than the quiet one, seconds: two frames and a half at 25 frames a second.
+LONGEST_TREATED_S = 0.1
+
+
+@attack("page-treatments", "random cuts and heals through the page, in bursts and as a stream; 3 SIGINT meanwhile")
+def page_treatments(ground):
+    command = ground.start("run", "healing-square", "--no-open", "--port", 0)
+    page = Page(command.url())
+    page.runs()
+    page.ask({"demonstrate": False})
+    begun = time.monotonic()
+    time.sleep(5)
+    quiet = page.gap(begun)
+    dice = random.Random(39)
+    cuts = [random_cut(dice) for _ in range(60)]
+    heals = [random_heal(dice) for _ in range(60)]
+    mixed = [ask for pair in zip(cuts, heals) for ask in pair]
+    for what, commands, pause_s in [
+        ("32 random cuts", cuts[:32], 0.0),
+        ("60 random cuts and 60 heals", cuts + heals, 0.0),
+        ("a stream of cuts and heals", mixed, 8.0 / 120),
+        ("cuts, heals and new sheets", [one for ask in mixed[:40] for one in (ask, {"treat": "renew"})], 0.1),
+    ]:
+        answers, begun = len(page.answers), time.monotonic()
+        for one in commands:
+            page.ask(one)
+            time.sleep(pause_s)
+        time.sleep(max(2.0, begun + 10.0 - time.monotonic()))
+        gap, losses = page.gap(begun), page.losses()
+        seconds = time.monotonic() - begun
+        states = sum(at > begun for at, _ in page.states)
+        refused = sum(not answer["ok"] for answer in page.answers[answers:])
+        ground.say(f"{what}: longest time without a state {gap:.2f} s (quiet {quiet:.2f} s), {states / seconds:.1f} states/s,"
+                   f" {refused} of {len(commands)} refused, losses {losses}")
+        check(command.poll() is None, f"the command ended with {command.code}: {command.err()[-600:]}")
+        check(gap < LONGEST_TREATED_S + quiet, f"{what}: no state for {gap:.2f} s")
+        check(not any(losses.values()), f"{what}: frames were lost: {losses}")
+        page.ask({"treat": "renew"})
+        time.sleep(2)
+    for one in mixed:
+        page.ask(one)
     three_signals(ground, command)
 
 

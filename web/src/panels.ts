@@ -86,10 +86,11 @@ export function showCounters(counters: State["counters"]): void {
 const duration = (seconds: number) => (seconds < 120 ? `${seconds.toFixed(0)} s` : `${(seconds / 60).toFixed(0)} min`);
 
 /** What is broken, in words, and since when; says so where nothing is. */
-export function showHealth({ left_out, electrodes, channels }: Health, scene: Scene): void {
+export function showHealth({ frame, left_out, electrodes, channels }: Health, scene: Scene): void {
   const name = scene.modality === "mit" ? "coil" : "electrode";
   const how = ({ kind, with: other }: Fault) => (kind === "shorted" ? `shorted with ${other}` : kind);
   const texts = electrodes.map((fault): [string, string] => [`e${fault.number}`, `${name} ${fault.number} ${how(fault)} for ${duration(fault.for_s)}`]);
+  if (frame) texts.unshift(["frame", `all channels ${frame.kind} for ${duration(frame.for_s)}: touches unknown`]);
   for (const fault of channels) {
     const label = scene.channel_labels[fault.number - 1];
     texts.push([`c${fault.number}`, `channel ${fault.number}${label ? ` (${label})` : ""} ${fault.kind} for ${duration(fault.for_s)}`]);

@@ -81,6 +81,8 @@ export interface Fault {
 }
 
 export interface Health {
+  /** What is wrong with the frames as a whole: touches are unknown. */
+  frame: { kind: "frozen" | "saturated" | "flipped" | "out-of-range" | "blank"; for_s: number } | null;
   left_out: number;
   electrodes: Fault[];
   channels: Fault[];

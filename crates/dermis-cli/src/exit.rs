@@ -195,6 +195,7 @@ fn code_of_live(error: &dermis::live::Error) -> u8 {
     match error {
         Error::Skin(error) => code_of_skin(error),
         Error::Content { .. } | Error::Frames { .. } | Error::Mesh { .. } | Error::Protocol { .. } => BAD_INPUT,
+        Error::OtherSkin { .. } => BAD_INPUT,
         Error::Touch(_) => BAD_INPUT,
         Error::Io { source, .. } => code_of_io(source),
         Error::Device(error) => code_of_device(error),

@@ -224,6 +224,37 @@ fn every_command_that_reads_a_damaged_recording_ends_with_3_and_says_so() {
     }
 }
 
+#[test]
+fn a_recording_of_another_skin_is_refused_with_both_names_by_every_command() {
+    let desk = tempfile::tempdir().expect("a directory");
+    resting(&desk.path().join("h.mcap"), 40);
+    let shown = dermis(desk.path(), &["skins", "show", "healing-square"]);
+    let doubled = text(&shown).replace("side_mm = 100.0", "side_mm = 200.0").replace("healing-square", "doubled");
+    std::fs::write(desk.path().join("doubled.toml"), doubled).expect("a file");
+    let run = ["--headless", "--speed", "0", "--only-touches", "--source", "h.mcap"];
+    let reconstruct = ["--baseline", "h.mcap", "--frames", "h.mcap", "--touches", "t.csv"];
+    for skin in ["ionic-disc", "doubled.toml"] {
+        let name = skin.trim_end_matches(".toml");
+        for command in
+            [[&["run", skin][..], &run[..]].concat(), [&["reconstruct", skin][..], &reconstruct[..]].concat()]
+        {
+            let output = dermis(desk.path(), &command);
+            let said = message(&output);
+            assert!(matches!(output.status.code(), Some(1 | 2)), "{command:?}: {said}");
+            assert!(said.contains("healing-square") && said.contains(name), "{command:?}: {said}");
+            assert!(said.contains("--as-skin") && said.contains("differ"), "{command:?}: {said}");
+        }
+    }
+    // Both have 208 channels, so the frames can be read as the other skin's on request.
+    let insisted = [&["run", "doubled.toml", "--as-skin"][..], &run[..]].concat();
+    let output = dermis(desk.path(), &insisted);
+    assert_eq!(output.status.code(), Some(0), "{}", message(&output));
+    for command in [[&["run", "healing-square"][..], &run[..]].concat(), [&["run"][..], &run[..]].concat()] {
+        let output = dermis(desk.path(), &command);
+        assert_eq!(output.status.code(), Some(0), "{command:?}: {}", message(&output));
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_disk_that_is_full_from_the_start_is_refused() {

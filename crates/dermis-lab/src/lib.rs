@@ -36,6 +36,7 @@ pub mod experiments;
 pub mod forces;
 pub mod learning;
 pub mod measured_list;
+mod odd_frames;
 pub mod reconstruct;
 pub mod report;
 pub mod serve;

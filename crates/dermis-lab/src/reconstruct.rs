@@ -5,15 +5,16 @@ use std::path::PathBuf;
 
 use dermis_device::{FileSpec, Format};
 use dermis_tomo::eit::OrderReport;
-use dermis_touch::health::Health;
+use dermis_touch::health::{FrameFault, FrameFaultKind, Health};
 use dermis_touch::{Observation, Touch};
 
 use crate::Error;
+use crate::odd_frames::{describe, describe_baseline, odd};
 use dermis_live::calibration::{
     CalibratedImager, Calibration, CircuitFit, PlacementFinder, find_circuit, relative_changes, set_channels,
 };
 use dermis_live::channels::ChannelReader;
-use dermis_live::forces::load_forces;
+use dermis_live::forces::{load_forces, parse_forces_as};
 use dermis_live::output::Output;
 use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
@@ -34,6 +35,8 @@ pub struct Request {
     pub frames: FileSpec,
     /// Format of both files; detected where `None`.
     pub format: Option<Format>,
+    /// Recordings of another skin, and calibrations of it, are used as this skin's.
+    pub as_skin: bool,
     /// A calibration of the skin.
     pub calibration: Option<PathBuf>,
     /// A force calibration of the skin.
@@ -50,6 +53,8 @@ pub struct Request {
 /// How it went.
 #[derive(Clone, Debug)]
 pub struct Report {
+    /// Mismatches of scale and sign between model, baseline and frames, in words.
+    pub mismatches: Vec<String>,
     /// Frames reconstructed.
     pub frames: usize,
     /// Rows of the table of touches.
@@ -109,12 +114,26 @@ fn reconstruct_to(
     // Offline every frame counts at once: a touch need not be seen twice before it is reported.
     skin.touch.least_frames = 1;
     skin.backend.differences |= request.baseline.is_none();
+    if !request.as_skin && request.format.is_none() {
+        request
+            .baseline
+            .iter()
+            .chain([&request.frames])
+            .try_for_each(|file| dermis_record::check_skin(file, &request.skin))?;
+    }
     let read = |file| dermis_record::read_frames(file, request.format);
     let baseline_table = request.baseline.as_ref().map(read).transpose()?;
     let frame_table = dermis_record::read_frames(&request.frames, request.format)?;
     let loaded = request.calibration.as_deref().map(Calibration::load).transpose()?;
+    let loaded = if request.as_skin { loaded.map(Calibration::insist) } else { loaded };
     let calibration = at_hand.or(loaded.as_ref());
-    let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
+    let forces = match &request.forces {
+        Some(path) if request.as_skin => {
+            Some(parse_forces_as(&dermis_device::instruments::read_bytes(path)?, path, &skin)?)
+        }
+        Some(path) => Some(load_forces(path, &skin)?),
+        None => None,
+    };
     let mut prepared = Prepared::new(skin)?;
     let reads = prepared.skin.backend.reads;
     let reader = |table: &dermis_device::FrameTable| {
@@ -144,11 +163,33 @@ fn reconstruct_to(
         Some(_) => Reference::of(&prepared, &baselines)?,
         None => Reference::of_differences(&prepared, &frames)?,
     };
+    let is_compared = baseline_table.is_some() && prepared.skin.backend.wiring.is_known();
+    let said = is_compared.then(|| describe_baseline(&reference.baseline, &prepared.voltages)).flatten();
+    let odd: Vec<Option<FrameFaultKind>> = match &baseline_table {
+        Some(_) => frames
+            .iter()
+            .enumerate()
+            .map(|(index, frame)| odd(frame, if paired { &baselines[index] } else { &reference.baseline }))
+            .collect(),
+        None => vec![None; frames.len()],
+    };
+    let mismatches: Vec<String> = said.into_iter().chain(describe(&odd)).collect();
+    mismatches.iter().for_each(|text| tracing::warn!("{}: {text}", request.frames.path.display()));
     let own = |index: usize| paired.then(|| baselines[index].as_slice());
     let differences_to = |reference: &Reference| -> Vec<Vec<f64>> {
-        frames.iter().enumerate().map(|(index, frame)| reference.difference(frame, own(index))).collect()
+        let difference = |(index, frame): (usize, &Vec<f64>)| match odd[index] {
+            // Nothing has changed, as far as is known.
+            Some(_) => vec![0.0; frame.len()],
+            None => reference.difference(frame, own(index)),
+        };
+        frames.iter().enumerate().map(difference).collect()
     };
-    let data = differences_to(&reference);
+    // Rules and noise look at the frames that are what they should be.
+    let mut data = differences_to(&reference);
+    let mut sound = odd.iter().map(Option::is_none);
+    if odd.iter().any(Option::is_none) {
+        data.retain(|_| sound.next().unwrap_or(true));
+    }
     if !paired {
         reference.estimate_noise(&data);
     }
@@ -198,21 +239,27 @@ fn reconstruct_to(
     }
     let rate = prepared.skin.backend.frames_per_s.unwrap_or(DEFAULT_FRAMES_PER_S);
     let mut image = vec![f32::NAN; grid.len()];
+    let unknown = vec![f64::NAN; prepared.channels()];
     let rim = prepared.rim_pixels();
     let mut touches: Vec<Touch> = Vec::new();
     let mut touch_rows = 0;
     for (index, difference) in differences.iter().enumerate() {
         let seconds = frame_table.times_s().map_or(index as f64 / rate, |times| times[index] - times[0]);
         let time_ns = (seconds.max(0.0) * 1e9) as u64;
-        reconstructor.image(difference, &mut image)?;
-        if let Some(refined) = refined.get(index) {
-            image.copy_from_slice(refined);
-        }
-        if paired {
+        if odd[index].is_some() {
+            image.fill(f32::NAN);
             reconstructor.forget(time_ns);
+        } else {
+            reconstructor.image(difference, &mut image)?;
+            if let Some(refined) = refined.get(index) {
+                image.copy_from_slice(refined);
+            }
+            if paired {
+                reconstructor.forget(time_ns);
+            }
+            let placement = reconstructor.place(time_ns, difference)?;
+            reconstructor.follow_touches(time_ns, &image, placement)?;
         }
-        let placement = reconstructor.place(time_ns, difference)?;
-        reconstructor.follow_touches(time_ns, &image, placement)?;
         if let Some(refinement) = &refinement {
             refinement.threshold(&mut image);
         }
@@ -228,14 +275,17 @@ fn reconstruct_to(
             time_ns,
             wall_ns: 0,
             raw: &frames[index],
-            compensated: difference,
+            compensated: if odd[index].is_some() { &unknown } else { difference },
             image: &image,
             columns: grid.columns,
             rows: grid.rows,
             touches: &touches,
             events: reconstructor.touches.events(),
             classes: None,
-            health: Health::default(),
+            health: Health {
+                frame: odd[index].map(|kind| FrameFault { kind, since_ns: time_ns, since_sequence: index as u64 }),
+                ..Health::default()
+            },
             damage: dermis_live::stages::damage::DamageView::default(),
             circuit: None,
             anomalies: dermis_live::clock::FrameAnomalies::default(),
@@ -251,6 +301,7 @@ fn reconstruct_to(
     }
     beside.iter_mut().try_for_each(|sink| sink.finish().map(|_| ()))?;
     Ok(Report {
+        mismatches,
         frames: frames.len(),
         touch_rows,
         hyperparameter,

@@ -47,6 +47,20 @@ pub enum Error {
         /// Found.
         got: String,
     },
+    /// Frames, or a calibration, of another skin than the one they are used for.
+    #[error(
+        "{what}: recorded on skin {got}, used as {expected}{differs}; name the right skin, or insist with --as-skin"
+    )]
+    OtherSkin {
+        /// Which file or frames.
+        what: String,
+        /// The skin that they are of.
+        got: String,
+        /// The skin that they are used for.
+        expected: String,
+        /// The keys that differ, as the end of a sentence; empty where only fingerprints are known.
+        differs: String,
+    },
     /// From the mesh.
     #[error("mesh of {skin}: {source}")]
     Mesh {

@@ -1,17 +1,28 @@
-//! Force calibrations as files.
+//! Force calibrations as files: the calibration with the fingerprint of the skin that it was made on.
 
 use std::path::Path;
 
+use dermis_skin::Skin;
 use dermis_touch::force::ForceCalibration;
+use serde::Deserialize;
+use serde_json::Value;
 
 use crate::Error;
+use crate::same_skin::{check_print, frames_sha256};
 
-/// Writes a force calibration as JSON, atomically.
+/// Key of the fingerprint in the file.
+const PRINT: &str = "skin_sha256";
+
+/// Writes a force calibration of a skin as JSON, atomically.
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn save_forces(calibration: &ForceCalibration, path: &Path) -> Result<(), Error> {
-    dermis_device::write_atomic(path, |out| Ok(serde_json::to_writer_pretty(out, calibration)?))?;
+pub fn save_forces(calibration: &ForceCalibration, skin: &Skin, path: &Path) -> Result<(), Error> {
+    dermis_device::write_atomic(path, |out| {
+        let mut stored = serde_json::to_value(calibration)?;
+        stored[PRINT] = Value::String(frames_sha256(skin));
+        Ok(serde_json::to_writer_pretty(out, &stored)?)
+    })?;
     Ok(())
 }
 
@@ -19,7 +30,7 @@ pub fn save_forces(calibration: &ForceCalibration, path: &Path) -> Result<(), Er
 ///
 /// # Errors
 /// No such file, not a force calibration, one of another skin, or numbers that make no sense.
-pub fn load_forces(path: &Path, skin: &str) -> Result<ForceCalibration, Error> {
+pub fn load_forces(path: &Path, skin: &Skin) -> Result<ForceCalibration, Error> {
     parse_forces(&dermis_device::instruments::read_bytes(path)?, path, skin)
 }
 
@@ -27,10 +38,49 @@ pub fn load_forces(path: &Path, skin: &str) -> Result<ForceCalibration, Error> {
 ///
 /// # Errors
 /// As [`load_forces`].
-pub fn parse_forces(text: &[u8], path: &Path, skin: &str) -> Result<ForceCalibration, Error> {
+pub fn parse_forces(text: &[u8], path: &Path, skin: &Skin) -> Result<ForceCalibration, Error> {
+    let (calibration, print) = read(text, path)?;
+    let what = format!("{}: force calibration", path.display());
+    check_print(&what, (&calibration.scope.skin, print.as_deref()), skin)?;
+    check(calibration, path, &skin.name)
+}
+
+/// Reads a force calibration for a skin whatever its fingerprint says; its name must be the skin's.
+///
+/// # Errors
+/// As [`load_forces`].
+pub fn parse_forces_as(text: &[u8], path: &Path, skin: &Skin) -> Result<ForceCalibration, Error> {
+    check(read(text, path)?.0, path, &skin.name)
+}
+
+fn check(calibration: ForceCalibration, path: &Path, skin: &str) -> Result<ForceCalibration, Error> {
     let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
-    let calibration: ForceCalibration = serde_json::from_slice(text)
-        .map_err(|error| content(format!("line {}, column {}", error.line(), error.column()), error.to_string()))?;
     calibration.check(skin).map_err(|error| content("force calibration".into(), error.to_string()))?;
     Ok(calibration)
+}
+
+/// The calibration and the fingerprint, where the file has one.
+fn read(text: &[u8], path: &Path) -> Result<(ForceCalibration, Option<String>), Error> {
+    #[derive(Deserialize)]
+    struct Print {
+        #[serde(default)]
+        skin_sha256: Option<String>,
+    }
+    let place = |error: serde_json::Error| Error::Content {
+        file: path.to_path_buf(),
+        field: format!("line {}, column {}", error.line(), error.column()),
+        reason: error.to_string(),
+    };
+    let Print { skin_sha256 } = serde_json::from_slice(text).map_err(place)?;
+    if skin_sha256.is_none() {
+        return Ok((serde_json::from_slice(text).map_err(place)?, None));
+    }
+    let mut stored: Value = serde_json::from_slice(text).map_err(place)?;
+    stored.as_object_mut().map(|stored| stored.remove(PRINT));
+    let content = |error: serde_json::Error| Error::Content {
+        file: path.to_path_buf(),
+        field: "force calibration".into(),
+        reason: error.to_string(),
+    };
+    Ok((serde_json::from_value(stored).map_err(content)?, skin_sha256))
 }

@@ -55,6 +55,7 @@ pub mod pipeline;
 pub mod prepare;
 pub mod reconstructor;
 pub mod reference;
+pub mod same_skin;
 pub mod stages;
 
 pub use error::Error;

@@ -222,14 +222,18 @@ impl Pipeline {
 
     /// Looks at the frame just read, and lets the baseline learn from it.
     fn learn_from(&mut self, time_ns: u64, at: (u64, u64), start: Instant) -> Result<BaselineChange, Error> {
-        self.follow_levels(time_ns)?;
-        self.baseline.observe(time_ns, &self.buffers.channels)?;
         if let Some(health) = &mut self.health {
-            health.read(self.baseline.raw())?;
+            health.read(&self.buffers.channels)?;
         }
+        // A frame that is wrong as a whole says nothing of levels, baselines or damage.
+        let is_sound = self.health.as_ref().is_none_or(HealthStage::is_frame_sound);
+        if is_sound {
+            self.follow_levels(time_ns)?;
+        }
+        self.baseline.observe(time_ns, &self.buffers.channels)?;
         let seen = self.see(time_ns, at, start)?;
         self.gather_presses(time_ns, seen.believed);
-        let is_level = self.watch_levels(time_ns, at)?;
+        let is_level = is_sound && self.watch_levels(time_ns, at)?;
         let is_free = seen.believed && (self.watch_damage(time_ns, at, seen.touched)? || is_level);
         Ok(self.baseline.learn(if seen.touched && !is_free { Load::Touched } else { Load::Free }))
     }
@@ -265,7 +269,8 @@ impl Pipeline {
                     classes.forget(at.1);
                 }
                 reconstructor.forget(time_ns);
-                return Ok(Seen { touched: false, believed: false });
+                // Nobody knows whether the skin is touched: the baseline does not learn from what nobody sees.
+                return Ok(Seen { touched: true, believed: false });
             }
         }
         reconstructor.image(difference, image)?;

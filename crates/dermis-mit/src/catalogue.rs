@@ -55,7 +55,15 @@ pub fn body_of(element: &Element, frequency_hz: f64) -> Result<Polarizability, M
     body_cached(element, frequency_hz, cache_directory().as_deref())
 }
 
-/// The same with a cache of one's own, or none.
+/// Whether [`body_of`] has to solve for this element: no closed form, not in the program, not in the cache.
+pub fn needs_solving(element: &Element, frequency_hz: f64) -> bool {
+    let is_built_in =
+        || builtin_records().is_ok_and(|records| records.iter().any(|record| record.is_of(element, frequency_hz)));
+    let is_kept = || cache_directory().is_some_and(|cache| cache.join(file_name(element, frequency_hz)).exists());
+    !matches!(element.shape, ElementShape::Sphere { .. }) && !is_built_in() && !is_kept()
+}
+
+/// [`body_of`] with a cache of one's own, or none.
 ///
 /// # Errors
 /// As [`body_of`].

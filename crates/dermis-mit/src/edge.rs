@@ -19,7 +19,7 @@ mod system;
 mod tau;
 
 pub use mesh::EdgeMesh;
-pub use shapes::{Grading, box_mesh, cylinder_mesh, plate_mesh, sphere_mesh};
+pub use shapes::{Grading, TETRAHEDRON_BYTES, box_mesh, cylinder_mesh, plate_mesh, sphere_mesh};
 pub use solution::{Fields, Sensitivity};
 pub use source::{Dipole, Source, Wires};
 pub use symmetry::SymmetricBody;

@@ -133,6 +133,9 @@ pub enum MitError {
     /// A finite-element system could not be factored.
     #[error("the finite-element system: {0}")]
     System(#[from] SparseError),
+    /// A mesh that would need more memory than may be used.
+    #[error("{0}")]
+    OutOfMemory(#[from] dermis_tomo::memory::OutOfMemory),
     /// An iteration that did not come to its end.
     #[error(
         "field not found after {iterations} iterations: residual {residual:e} of the source, expected {tolerance:e}"

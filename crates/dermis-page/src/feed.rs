@@ -9,12 +9,13 @@ use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
-use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind};
+use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFault};
 use dermis_touch::{BaselineState, Touch, TouchEvent};
 
 use crate::recent::Recent;
 use crate::update::{
-    Counter, FaultView, OtherPlaceView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+    Counter, FaultView, FrameFaultView, OtherPlaceView, SourceState, StageLatency, TareState, TouchPhase, TouchView,
+    Update,
 };
 
 const MM: f64 = 1e3;
@@ -128,6 +129,8 @@ impl PageFeed {
     fn show_health(&mut self, output: &Output<'_>) {
         let health = &mut self.update.health;
         let for_s = |since_ns: u64| output.time_ns.saturating_sub(since_ns) as f64 * 1e-9;
+        let of_frame = |fault: FrameFault| FrameFaultView { kind: fault.kind.name(), for_s: for_s(fault.since_ns) };
+        health.frame = output.health.frame.map(of_frame);
         health.left_out = output.health.channels.len() as u32;
         health.electrodes.clear();
         health.electrodes.extend(output.health.electrodes.iter().map(|fault| {

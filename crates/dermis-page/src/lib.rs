@@ -32,6 +32,7 @@ pub use error::UpdateError;
 pub use scene::{ElectrodeView, GridView, PressLimits, Scene};
 pub use skin_scene::scene;
 pub use update::{
-    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, HealthView, Image,
-    OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update,
+    BaselineRow, ChannelValues, ClassImage, Counter, DamageRow, DamageView, FaultView, FrameFaultView, HealthView,
+    Image, OtherPlaceView, PipelineState, ProposalView, SourceState, StageLatency, TareState, TouchPhase, TouchView,
+    Update,
 };

@@ -39,12 +39,23 @@ pub struct Update {
 /// Channels and electrodes that are left out; numbers count from 1.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct HealthView {
+    /// Fault of whole frames (`frozen`, `saturated`, `flipped`, `out-of-range`, `blank`). Touches are unknown.
+    pub frame: Option<FrameFaultView>,
     /// Channels left out, those that go with an electrode included.
     pub left_out: u32,
     /// Electrodes (or coils) blamed.
     pub electrodes: Vec<FaultView>,
     /// Channels with faults of their own.
     pub channels: Vec<FaultView>,
+}
+
+/// A fault of whole frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct FrameFaultView {
+    /// Kind of fault, one word.
+    pub kind: &'static str,
+    /// Seconds since the first frame that showed it.
+    pub for_s: f64,
 }
 
 /// Damage, and the baselines that it is judged against.
@@ -325,6 +336,7 @@ impl Update {
         self.latency.clone_from(&other.latency);
         self.counters.clone_from(&other.counters);
         self.state.copy_from(&other.state);
+        self.health.frame = other.health.frame;
         self.health.left_out = other.health.left_out;
         self.health.electrodes.clone_from(&other.health.electrodes);
         self.health.channels.clone_from(&other.health.channels);

@@ -11,6 +11,10 @@ use dermis::skin::Error as SkinError;
 use pyo3::prelude::*;
 use pyo3::types::PyType;
 
+/// Maximum length of a message, and of a quoted argument in it, characters.
+const MOST_SHOWN: usize = 2000;
+const MOST_ECHOED: usize = 200;
+
 /// Which exception an error becomes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -57,11 +61,12 @@ pub struct Fault {
 impl Fault {
     /// Of this kind, with these words.
     pub fn new(kind: Kind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into() }
+        Self { kind, message: shown(&message.into(), MOST_SHOWN) }
     }
 
     /// An argument that does not fit.
     pub fn input(what: &str, expected: impl std::fmt::Display, got: impl std::fmt::Display) -> Self {
+        let got = shown(&got.to_string(), MOST_ECHOED);
         Self::new(Kind::Input, format!("{what}: expected {expected}, got {got}"))
     }
 
@@ -82,8 +87,30 @@ impl Fault {
             }
             cause = next.source();
         }
-        Self { kind, message }
+        Self::new(kind, message)
     }
+}
+
+/// Text for people: control characters but line ends escaped, and cut in the middle where it is long.
+fn shown(text: &str, most: usize) -> String {
+    let count = text.chars().count();
+    let escaped = |text: &mut dyn Iterator<Item = char>| -> String {
+        let mut shown = String::new();
+        for letter in text {
+            if letter.is_control() && letter != '\n' {
+                shown.extend(letter.escape_default());
+            } else {
+                shown.push(letter);
+            }
+        }
+        shown
+    };
+    if count <= most {
+        return escaped(&mut text.chars());
+    }
+    let half = most / 2;
+    let (head, tail) = (escaped(&mut text.chars().take(half)), escaped(&mut text.chars().skip(count - half)));
+    format!("{head} ... ({} characters left out) ... {tail}", count - 2 * half)
 }
 
 impl From<Fault> for PyErr {
@@ -138,6 +165,7 @@ fn kind_of_live(error: &LiveError) -> Kind {
         LiveError::Skin(error) => kind_of_skin(error),
         LiveError::Io { source, .. } => kind_of_io(source),
         LiveError::Content { .. } => Kind::File,
+        LiveError::OtherSkin { .. } => Kind::Input,
         LiveError::Frames { .. } | LiveError::Touch(_) | LiveError::Locator(_) | LiveError::Quality(_) => Kind::Input,
         LiveError::Mesh { .. } | LiveError::Protocol { .. } | LiveError::Magnetic(_) => Kind::Skin,
         LiveError::Forward(error) => kind_of_forward(error),

@@ -123,8 +123,15 @@ impl PyModel {
     }
 }
 
+/// Dictionaries in dictionaries that a skin file's value may be made of.
+const MOST_NESTED: usize = 32;
+
 /// A word, a number or a dictionary, as it would stand in a skin file.
 fn written(what: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
+    written_within(what, value, MOST_NESTED)
+}
+
+fn written_within(what: &str, value: &Bound<'_, PyAny>, depth: usize) -> PyResult<String> {
     if let Ok(text) = value.extract::<String>() {
         return Ok(text);
     }
@@ -134,7 +141,10 @@ fn written(what: &str, value: &Bound<'_, PyAny>) -> PyResult<String> {
     if let Ok(table) = value.cast::<PyDict>() {
         let mut entries = Vec::new();
         for (key, value) in table {
-            entries.push(format!("{} = {}", key.extract::<String>()?, written(what, &value)?));
+            let left = depth.checked_sub(1).ok_or_else(|| {
+                Fault::input(what, format!("dictionaries nested at most {MOST_NESTED} deep"), "deeper ones")
+            })?;
+            entries.push(format!("{} = {}", key.extract::<String>()?, written_within(what, &value, left)?));
         }
         return Ok(format!("{{ {} }}", entries.join(", ")));
     }

@@ -90,7 +90,7 @@ impl PyPipeline {
         let forces = match &forces {
             Some(path) => {
                 let text = dermis::device::instruments::read_bytes(path).map_err(Fault::from)?;
-                Some(parse_forces(&text, path, &skin.name).map_err(Fault::from)?)
+                Some(parse_forces(&text, path, &skin).map_err(Fault::from)?)
             }
             None => None,
         };

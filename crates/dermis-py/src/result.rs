@@ -93,6 +93,7 @@ pub struct PyFrameResult {
     extent_mm: [f64; 4],
     quantity: &'static str,
     touches: Vec<TouchRow>,
+    frame: Option<&'static str>,
     channels: Vec<(u32, &'static str)>,
     electrodes: Vec<u32>,
     damages: Vec<Damage>,
@@ -138,6 +139,7 @@ impl PyFrameResult {
             extent_mm,
             quantity,
             touches: output.touches.iter().chain(ended).map(row_of).collect(),
+            frame: output.health.frame.map(|fault| fault.kind.name()),
             channels: output.health.channels.iter().map(|fault| (fault.channel, fault.kind.name())).collect(),
             electrodes: output.health.electrodes.iter().map(|fault| fault.electrode).collect(),
             damages: output.damage.damages.iter().map(damage).collect(),
@@ -209,12 +211,14 @@ impl PyFrameResult {
         Ok(self.table.get_or_try_init(py, make)?.clone_ref(py))
     }
 
-    /// ``sound``, the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
+    /// ``sound``, ``frame`` (what is wrong with the frames as a whole: ``"frozen"``, ``"saturated"``, ``"flipped"``,
+    /// ``"out-of-range"``, ``"blank"``, or None), the ``channels`` that are left out with what is wrong, and the ``electrodes`` that are blamed, from
     /// 0.
     #[getter]
     fn health<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let health = PyDict::new(py);
-        health.set_item("sound", self.channels.is_empty() && self.electrodes.is_empty())?;
+        health.set_item("sound", self.frame.is_none() && self.channels.is_empty() && self.electrodes.is_empty())?;
+        health.set_item("frame", self.frame)?;
         health.set_item("channels", self.channels.iter().copied().collect::<std::collections::BTreeMap<_, _>>())?;
         health.set_item("electrodes", self.electrodes.clone())?;
         Ok(health)

@@ -85,6 +85,8 @@ pub struct PySession {
 ///     Files made by ``dermis calibrate``.
 /// as_set : bool
 ///     Leave an instrument on the wire as it is set.
+/// as_skin : bool
+///     Read a recording, and calibrations, as `skin`'s though they are of another skin.
 ///
 /// Returns
 /// -------
@@ -96,7 +98,7 @@ pub struct PySession {
 /// Error
 ///     A source or a skin that cannot be opened.
 #[pyfunction]
-#[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false))]
+#[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false, as_skin=false))]
 pub fn open(
     py: Python<'_>,
     source: PathBuf,
@@ -106,11 +108,15 @@ pub fn open(
     calibration: Option<PathBuf>,
     forces: Option<PathBuf>,
     as_set: bool,
+    as_skin: bool,
 ) -> PyResult<PySession> {
     if !(speed >= 0.0 && speed.is_finite()) {
         return Err(Fault::input("speed", "0 (as fast as possible) or a positive number", speed).into());
     }
     let given = skin.map(skin_of).transpose()?;
+    if as_skin && given.is_none() {
+        return Err(Fault::input("as_skin", "a skin as which to read", "none").into());
+    }
     let selector = source.to_string_lossy().into_owned();
     let named = selector.clone();
     let (opened, pipeline, head) = run_interruptibly(py, "open", move || {
@@ -121,7 +127,8 @@ pub fn open(
                 (None, None) => Ok(Skin::open(dermis::skin::DEFAULT_NAME)?),
             }
         };
-        let mut opened = open_of(&named, &find, &SourceOptions { speed, as_set, format: None })?;
+        let options = SourceOptions { speed, as_set, as_skin, format: None };
+        let mut opened = open_of(&named, &find, given.as_ref(), &options)?;
         let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
         Ok((opened, pipeline, head))
     })?;

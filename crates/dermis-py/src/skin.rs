@@ -12,7 +12,7 @@ use crate::arrays::{array2, read_only};
 use crate::errors::{Fault, Kind};
 use crate::model::PyModel;
 pub use crate::skin_argument::{PySkin, skin_of};
-use crate::work::{run, run_interruptibly};
+use crate::work::run_interruptibly;
 
 /// Corners of the polygon that a disc is drawn as.
 const DISC_CORNERS: usize = 128;
@@ -164,7 +164,8 @@ impl PySkin {
         if self.skin.modality == Modality::Mit && self.skin.frontend.coils.is_none() {
             return Ok(None);
         }
-        run(py, || Ok(Some(dermis_cli::skin_svg(&self.skin)?)))
+        let skin = self.skin.clone();
+        run_interruptibly(py, "drawing", move || Ok(Some(dermis_cli::skin_svg(&skin)?)))
     }
 
     fn __repr__(&self) -> String {

@@ -184,6 +184,21 @@ pub fn run_interruptibly<T: Send + 'static>(
     py.detach(|| wait(&lock(&receiver), &Progress::default(), Bar::new(label, None)))
 }
 
+/// Operations a second that every machine of this century does on one core.
+const OPERATIONS_PER_S: f64 = 1e9;
+/// Work of more seconds than this is done where Ctrl-C is answered; a thread for it costs a hundredth of that.
+const SHORT_S: f64 = 0.01;
+
+/// Chooses by the number of operations: [`run`] for short work, [`run_interruptibly`] for long work.
+pub fn run_sized<T: Send + 'static>(
+    py: Python<'_>,
+    label: &'static str,
+    operations: f64,
+    work: impl FnOnce() -> Result<T, Fault> + Send + 'static,
+) -> PyResult<T> {
+    if operations > SHORT_S * OPERATIONS_PER_S { run_interruptibly(py, label, work) } else { run(py, work) }
+}
+
 /// Long work of so many equal steps, on so many threads or as many as there are processors. It counts its steps, and
 /// ends at the next one when it is interrupted.
 pub fn run_steps<T: Send>(

@@ -346,3 +346,53 @@ def test_meshes_that_cannot_be():
         eit.Protocol.generate(8, "sideways")
     with pytest.raises(TypeError):
         eit.ForwardModel(mesh, [1, 2], eit.Protocol.adjacent(4))
+
+
+def test_what_nests_is_refused_before_the_stack_ends():
+    prior = eit.Prior.laplace()
+    for _ in range(16):
+        prior = eit.Prior.mixture([(1.0, prior)])
+    with pytest.raises(dermis.InputError, match="at most 16 deep"):
+        eit.Prior.mixture([(1.0, prior)])
+    model = dermis.Skin("healing-square").model()
+    choice = "laplace"
+    for _ in range(20_000):
+        choice = {"mixture": choice}
+    with pytest.raises(dermis.Error):
+        model.image(model.voltages(), model.voltages(), prior=choice)
+    while isinstance(choice, dict):
+        choice = choice.pop("mixture")
+
+
+def test_a_sphere_of_any_radius_takes_the_same_time():
+    from dermis import mit
+
+    begun = time.monotonic()
+    for radius_m in (1e-5, 1e-2, 1.0, 1e2, 1e5):
+        body = mit.Body.sphere(radius_m, 6e7, 1e6)
+        assert np.isfinite(body.tau).all()
+    assert time.monotonic() - begun < 0.2
+
+
+def test_counts_of_electrodes_are_checked_before_work():
+    mesh = eit.Mesh([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]])
+    for count in (0, -1, 10**9):
+        with pytest.raises(dermis.InputError, match="count: expected 1 to 512"):
+            eit.ring_electrodes(mesh, count, 0.1, 0.1)
+
+
+def test_protocols_of_pyeit_with_other_shapes_are_told_theirs():
+    class Protocol:
+        ex_mat = np.array([[0, 1], [1, 2]])
+        meas_mat = np.array([[2, 3], [3, 0]])
+
+    with pytest.raises(dermis.InputError, match="meas_mat: expected shape"):
+        eit.protocol_from_pyeit(Protocol)
+
+
+def test_what_is_echoed_is_short_and_harmless():
+    for text in ("x" * 10_000, "\x1b[31mred\x07" * 100, "a\rb"):
+        with pytest.raises(dermis.Error) as caught:
+            eit.Protocol.generate(8, text)
+        said = str(caught.value)
+        assert len(said) < 2500 and not any(ord(letter) < 32 and letter != "\n" for letter in said), said

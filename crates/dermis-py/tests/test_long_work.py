@@ -41,6 +41,32 @@ def voltages_many_of_a_large_mesh(skin, folder):
     return lambda: model.voltages_many(sigmas)
 
 
+def grid_of_many_pixels(skin, folder):
+    from test_eit import square
+
+    from dermis import eit
+
+    mesh = eit.Mesh(*square(60)[:2])
+    return lambda: [mesh.grid(4000) for _ in range(10)]
+
+
+def operator_of_many_unknowns(skin, folder):
+    from dermis import eit
+
+    jacobian = np.random.default_rng(1).standard_normal((4000, 4000))
+    return lambda: eit.Operator(jacobian, eit.Prior.noser(), 1e-2)
+
+
+def forward_model_of_a_large_mesh(skin, folder):
+    from test_eit import square
+
+    from dermis import eit
+
+    mesh = eit.Mesh(*square(400)[:2])
+    protocol = eit.Protocol.generate(4, keep_driven=True)
+    return lambda: [eit.ForwardModel(mesh, eit.points([0, 399, 159999, 159600]), protocol) for _ in range(20)]
+
+
 def calibrate(skin, folder):
     model, pokes = skin.model(), many_pokes(skin, 1500)
     return lambda: [dermis.calibrate(model, *pokes) for _ in range(20)]
@@ -69,7 +95,18 @@ def images(skin, folder):
     return lambda: [model.image(baseline, frames) for _ in range(20)]
 
 
-LONG = [voltages_many, voltages_many_of_a_large_mesh, calibrate, design, tolerances, shards, images]
+LONG = [
+    voltages_many,
+    voltages_many_of_a_large_mesh,
+    grid_of_many_pixels,
+    operator_of_many_unknowns,
+    forward_model_of_a_large_mesh,
+    calibrate,
+    design,
+    tolerances,
+    shards,
+    images,
+]
 
 
 # What a shell starts in its background ignores the signal of Ctrl-C, and hands that on.

@@ -5,6 +5,8 @@ use std::path::Path;
 
 use dermis_device::instruments::MOST_BYTES;
 use dermis_device::{DeviceError, FileSpec, Format, Frame, FrameTable, open_regular};
+use dermis_live::same_skin::check_frames;
+use dermis_skin::Skin;
 
 use crate::{Error, Recording};
 
@@ -18,6 +20,19 @@ pub fn is_recording(path: &Path) -> bool {
         Ok(()) => first == MAGIC,
         Err(_) => path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
     }
+}
+
+/// Refuses a recording whose frames are of another skin than this one; files of other kinds say nothing of their skin.
+///
+/// # Errors
+/// [`dermis_live::Error::OtherSkin`]; a recording that cannot be read.
+pub fn check_skin(spec: &FileSpec, skin: &Skin) -> Result<(), Error> {
+    if spec.path.is_dir() || !is_recording(&spec.path) {
+        return Ok(());
+    }
+    let name = spec.path.display().to_string();
+    let recorded = Skin::parse_any_version(&Recording::open(&spec.path)?.head().skin_toml, &name)?;
+    Ok(check_frames(&name, &recorded, skin)?)
 }
 
 /// Reads the frames that `spec` names, of a recording or of a table in `format`, which is recognised where `None`. The

@@ -81,7 +81,7 @@ mod writer;
 
 pub use error::Error;
 pub use export::{Exported, Table, TableFormat, export};
-pub use frames::{is_recording, read_frames};
+pub use frames::{check_skin, is_recording, read_frames};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
 pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};

@@ -15,7 +15,7 @@ use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, RecordingHead};
 use crate::Error;
 use dermis_live::calibration::Calibration;
 use dermis_live::driver::{Command, Driver, Feed, Next, Progress};
-use dermis_live::forces::parse_forces;
+use dermis_live::forces::parse_forces_as;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
@@ -72,14 +72,16 @@ impl RecordingHead {
         head
     }
 
-    /// The pipeline that the recording was made with, for the recorded skin or another one; `file` is for messages.
+    /// The pipeline that the recording was made with, for the recorded skin or another one; `file` is for messages. The
+    /// recorded calibrations are used without checking their fingerprints, since the caller chose the skin.
     ///
     /// # Errors
     /// A skin that cannot be prepared or does not fit the recorded frames, calibrations that cannot be read.
     pub fn pipeline(&self, skin: Skin, file: &Path) -> Result<Pipeline, Error> {
         let calibration =
             self.calibration.as_deref().map(|text| Calibration::parse(text.as_bytes(), file)).transpose()?;
-        let forces = self.forces.as_deref().map(|text| parse_forces(text.as_bytes(), file, &skin.name)).transpose()?;
+        let calibration = calibration.map(Calibration::insist);
+        let forces = self.forces.as_deref().map(|text| parse_forces_as(text.as_bytes(), file, &skin)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, &self.layout, calibration)?;
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
         Ok(pipeline)

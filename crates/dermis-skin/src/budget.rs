@@ -5,6 +5,10 @@
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use dermis_mit::catalogue::needs_solving;
+use dermis_mit::edge::TETRAHEDRON_BYTES;
+use dermis_mit::skin_depth_m;
+
 use crate::backend::{DrivePattern, MeasurePattern};
 use crate::error::Error;
 use crate::imaging::{Imaging, PriorChoice, Solve};
@@ -41,6 +45,9 @@ const POKE_FRAMES: f64 = 4.0;
 const TRIANGLE: f64 = 600.0;
 /// Triangles that an electrode brings besides those of the sheet.
 const ELECTRODE_TRIANGLES: f64 = 250.0;
+/// Bytes of the factor of an element's system, and operations of its solution, for each tetrahedron of its mesh.
+const BODY_FACTOR: f64 = 6000.0;
+const BODY_OPERATIONS: f64 = 1e7;
 /// Operations that placing a triangle costs for each electrode and vertex of the outline that its size depends on.
 const MESHING: f64 = 400.0;
 
@@ -50,21 +57,35 @@ static MEMORY: AtomicU64 = AtomicU64::new(0);
 /// Lets preparations use so many bytes, and as long as they take.
 pub fn set_memory_limit(bytes: u64) {
     MEMORY.store(bytes.max(1), Ordering::Relaxed);
+    dermis_tomo::memory::set_limit(bytes);
 }
 
-/// Bytes that a preparation may use: what [`set_memory_limit`] was told, or three quarters of the machine's memory.
+/// Bytes that a preparation may use: what [`set_memory_limit`] was told, or three quarters of the machine's memory, of
+/// the container's limit or of the limit on address space, whichever is least. Solvers get the same limit.
 pub fn memory_limit() -> u64 {
-    match MEMORY.load(Ordering::Relaxed) {
+    let limit = match MEMORY.load(Ordering::Relaxed) {
         0 => (machine_bytes().map_or(MEMORY_BYTES, |bytes| 0.75 * bytes)) as u64,
         said => said,
-    }
+    };
+    dermis_tomo::memory::set_limit(limit);
+    limit
 }
 
 fn machine_bytes() -> Option<f64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
-    let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kilobytes * 1024.0)
+    let read = |path: &str| std::fs::read_to_string(path).ok();
+    let machine = || {
+        let text = read("/proc/meminfo")?;
+        let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+        let kilobytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+        Some(kilobytes * 1024.0)
+    };
+    // "max" where there is no limit.
+    let container = || read("/sys/fs/cgroup/memory.max")?.trim().parse().ok();
+    let process = || {
+        let text = read("/proc/self/limits")?;
+        text.lines().find_map(|line| line.strip_prefix("Max address space"))?.split_whitespace().next()?.parse().ok()
+    };
+    [machine(), container(), process()].into_iter().flatten().reduce(f64::min)
 }
 
 /// What a preparation costs.
@@ -159,6 +180,7 @@ impl Budget {
         if skin.modality == Modality::Eit {
             costs.push(fields_cost(triangles, electrodes.max(drives), electrodes));
         }
+        costs.extend(body_cost(skin));
         costs.push(Cost {
             bytes: JACOBIANS * NUMBER * channels * pixels,
             operations: 2.0 * channels * pixels * 30.0,
@@ -211,6 +233,7 @@ impl Budget {
         if skin.modality == Modality::Eit {
             costs.push(fields_cost(triangles, electrodes.max(drives), electrodes));
         }
+        costs.extend(body_cost(skin));
         Self::sum(0.0, costs)
     }
 
@@ -280,6 +303,23 @@ fn mesh_cost(triangles: f64, electrodes: f64, vertices: f64, change: String) -> 
             format!("{change}: take fewer or larger elements")
         },
     }
+}
+
+/// Eddy currents in an element that is solved for the first time, by edge elements.
+fn body_cost(skin: &Skin) -> Option<Cost> {
+    let (element, frequency_hz) = (skin.element()?, 1e3 * skin.backend.frequency_khz?);
+    if !needs_solving(&element, frequency_hz) {
+        return None;
+    }
+    let depth_m = skin_depth_m(element.conductivity_s_per_m, element.relative_permeability, frequency_hz).ok()?;
+    let solid = element.shape.solid();
+    let tetrahedra = solid.tetrahedron_count(&solid.grading(depth_m));
+    Some(Cost {
+        bytes: (TETRAHEDRON_BYTES + BODY_FACTOR) * tetrahedra,
+        operations: BODY_OPERATIONS * tetrahedra,
+        driver: format!("eddy currents in an element of {tetrahedra:.0} tetrahedra"),
+        change: "frontend.elements.shape: make its sizes less unequal".to_owned(),
+    })
 }
 
 fn nodes_of(triangles: f64, electrodes: f64) -> f64 {

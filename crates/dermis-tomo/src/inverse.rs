@@ -36,7 +36,7 @@ pub use measured::MeasuredJacobian;
 pub use missing::MissingChannels;
 pub use nonlinear::{GaussNewton, GaussNewtonResult, NonlinearProblem, ReducedChannels};
 pub use parametric::{ChangeResponse, FitOutcome, FitScratch, Spot, SpotFilter, SpotModel, SpotOptions, SpotProposal};
-pub use prior::{ImageBasis, Prior, PriorMatrix};
+pub use prior::{ImageBasis, MOST_NESTED, Prior, PriorMatrix};
 pub use quantised_operator::QuantisedOperator;
 pub use self_calibration::{
     CalibrationOptions, LEAST_CALIBRATION_FRAMES, MatchedPair, MatchedTouch, PairSearch, SelfCalibration, TouchEffect,

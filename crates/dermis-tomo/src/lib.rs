@@ -40,6 +40,7 @@
 //! | [`membrane`] | a membrane under tension and pressure |
 //! | [`least_squares`], [`sparse`] | the damped least-squares loop of all fits; sparse factorisations |
 //! | [`quality`] | figures of merit of images |
+//! | [`memory`] | the memory that solvers may use |
 //!
 //! Conventions: SI units throughout; frame of a flat skin: x right, y up, z out of the skin toward the toucher; images
 //! are row-major with row 0 at the top (+y), pixel value at the pixel centre, `NaN` outside the skin; EIT signs as in
@@ -49,6 +50,7 @@ pub mod eit;
 pub mod inverse;
 pub mod least_squares;
 pub mod membrane;
+pub mod memory;
 pub mod mesh;
 pub mod quality;
 pub mod sparse;

@@ -23,8 +23,10 @@ use multifrontal::Fronts;
 use substitution::{Rows, Supernodal, WIDTH};
 use thiserror::Error;
 
+use crate::memory::{self, OutOfMemory};
+
 /// Why a system could not be factored.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[derive(Clone, Debug, Error, PartialEq)]
 #[non_exhaustive]
 pub enum SparseError {
     /// A pivot was zero, negative or NaN.
@@ -35,6 +37,9 @@ pub enum SparseError {
         /// Size of the system.
         size: usize,
     },
+    /// The factor would need more memory than may be used.
+    #[error(transparent)]
+    OutOfMemory(#[from] OutOfMemory),
     /// The structure itself was refused.
     #[error("the system's structure was refused: {reason}")]
     Structure {
@@ -59,6 +64,9 @@ pub enum Ordering<'a> {
 /// blocks than `faer`'s default, as fronts of a few columns cost more in moving than in computing.
 const RELAXATION: [(usize, f64); 4] = [(16, 1.0), (48, 0.5), (96, 0.2), (usize::MAX, 0.1)];
 
+/// Bytes that a position takes while the structure is made: keys, their order, slots, and the same in `faer`.
+const POSITION_BYTES: f64 = 40.0;
+
 /// The structure of a symmetric matrix and its symbolic Cholesky factorisation.
 #[derive(Debug)]
 pub struct SpdStructure {
@@ -79,8 +87,11 @@ impl SpdStructure {
     /// it adds to.
     ///
     /// # Errors
-    /// Positions outside the matrix, or a structure too large for 32-bit indices.
+    /// Positions outside the matrix, a structure too large for 32-bit indices, a factor that needs more memory than may
+    /// be used ([`memory::limit`]).
     pub fn new(size: usize, positions: &[(u32, u32)], ordering: Ordering<'_>) -> Result<(Self, Vec<u32>), SparseError> {
+        let what = || format!("a system of {size} unknowns");
+        memory::check(POSITION_BYTES * (positions.len() + size) as f64, what)?;
         let fold = |&(row, column): &(u32, u32)| (row.min(column), row.max(column));
         let mut keys: Vec<(u32, u32)> = positions.iter().map(fold).collect();
         if let Some(key) = keys.iter().find(|key| key.1 as usize >= size) {
@@ -129,6 +140,8 @@ impl SpdStructure {
         }
         .map_err(refuse)?;
         let fronts = Fronts::new(&pattern, &symbolic);
+        let working = fronts.as_ref().map_or(0, |fronts| fronts.working_len(&symbolic));
+        memory::check(8.0 * (symbolic.len_val() + working) as f64, what)?;
         Ok((Self { pattern, symbolic, fronts }, slots))
     }
 
@@ -173,9 +186,10 @@ impl SpdStructure {
     /// Factors the matrix whose lower triangle holds `values`, in the slots that [`SpdStructure::new`] told.
     ///
     /// # Errors
-    /// [`SparseError::NotPositiveDefinite`].
+    /// [`SparseError::NotPositiveDefinite`], [`SparseError::OutOfMemory`].
     pub fn factor(&self, values: &[f64]) -> Result<SpdFactor, SparseError> {
-        let mut factor = SpdFactor { values: vec![0.0; self.symbolic.len_val()] };
+        let what = || format!("the factor of a system of {} unknowns", self.size());
+        let mut factor = SpdFactor { values: memory::zeros(self.symbolic.len_val(), what)? };
         self.refactor(values, &mut factor)?;
         Ok(factor)
     }

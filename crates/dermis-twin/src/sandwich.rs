@@ -241,7 +241,7 @@ impl Plan {
         let (sheet_s, map, share) = (self.sheet_s, &self.conductance, wear.share());
         let inset_m = 0.5 * self.spec.element_size_m;
         let blocking = cuts.iter().zip(&slits.is_slit).filter(|(_, is_slit)| !**is_slit);
-        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| drawn_in(pieces, inset_m)).collect();
+        let blocking: Vec<Cut> = blocking.flat_map(|(pieces, _)| joined(drawn_in(pieces, inset_m))).collect();
         sheets.set_sensing_by(|point| sheet_s * share(point) * map.at(point), &blocking);
         sheets.set_joints(|edge, middle| {
             let cut = slits.cut_of_edge[edge];
@@ -358,6 +358,18 @@ fn drawn_in(pieces: &[Cut], by_m: f64) -> Vec<Cut> {
         ..*piece
     };
     pieces.iter().enumerate().map(piece).collect()
+}
+
+/// The same cut in fewer pieces: neighbours that conduct alike are one. Every element looks at every piece.
+fn joined(pieces: Vec<Cut>) -> Vec<Cut> {
+    let mut joined: Vec<Cut> = Vec::with_capacity(pieces.len());
+    for piece in pieces {
+        match joined.last_mut().filter(|last| last.residual == piece.residual) {
+            Some(last) => last.to_m = piece.to_m,
+            None => joined.push(piece),
+        }
+    }
+    joined
 }
 
 impl Frontend for Sandwich {

@@ -103,7 +103,7 @@ impl Session {
             Some(path) => Some(Calibration::parse(&instruments::read_bytes(path)?, path)?),
             None => None,
         };
-        let forces = options.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
+        let forces = options.forces.as_deref().map(|path| load_forces(path, &skin)).transpose()?;
         let mut pipeline = Pipeline::new(Prepared::new(skin)?, source.layout(), calibration)?;
         forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
         baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;

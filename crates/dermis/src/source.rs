@@ -8,7 +8,7 @@ use dermis_device::{
 use dermis_lab::Error;
 use dermis_lab::measured_list::setup_of;
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
-use dermis_record::{Recording, Replay, is_recording, read_frames};
+use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames};
 use dermis_skin::Skin;
 use dermis_twin::PressRange;
 
@@ -22,6 +22,8 @@ pub struct SourceOptions {
     pub speed: f64,
     /// An instrument on the wire stays set as it is; without it, it is told the skin's protocol, current and frequency.
     pub as_set: bool,
+    /// A recording of another skin is read as one of this skin.
+    pub as_skin: bool,
     /// Format of a file of frames; recognised where `None`.
     pub format: Option<Format>,
 }
@@ -29,7 +31,7 @@ pub struct SourceOptions {
 impl Default for SourceOptions {
     /// As fast as frames are taken, instruments set to the skin.
     fn default() -> Self {
-        Self { speed: 0.0, as_set: false, format: None }
+        Self { speed: 0.0, as_set: false, as_skin: false, format: None }
     }
 }
 
@@ -60,7 +62,7 @@ pub struct TwinControl {
 /// must be as many; a file is a recording or anything else that [`dermis_record::read_frames`] reads.
 ///
 /// # Errors
-/// A speed that is negative or not finite, a file that cannot be read, an instrument that does not answer, a twin that
+/// A speed that is negative or not finite, a file that cannot be read, a recording of another skin, an instrument that does not answer, a twin that
 /// cannot be made.
 pub fn open_source(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -> Result<OpenedSource, Error> {
     if !(options.speed >= 0.0 && options.speed.is_finite()) {
@@ -97,6 +99,9 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
         (_, None) => Pacing::Recorded,
         (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
     };
+    if !options.as_skin && options.format.is_none() {
+        check_skin(spec, skin)?;
+    }
     let is_whole = spec.select == FrameSelect::All && options.format.is_none();
     let source: Box<dyn Source> = if is_whole && is_recording(&spec.path) {
         Box::new(Replay::new(Recording::open(&spec.path)?, pacing(None), Repeat::Once)?)

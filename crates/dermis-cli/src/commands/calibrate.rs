@@ -140,7 +140,12 @@ impl Measured {
         let reader = |table: &FrameTable| {
             ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
         };
-        let table = |file: &FileSpec| dermis::record::read_frames(file, format);
+        let table = |file: &FileSpec| {
+            if format.is_none() {
+                dermis::record::check_skin(file, &prepared.skin)?;
+            }
+            dermis::record::read_frames(file, format)
+        };
         let frames = table(frames)?;
         let mut frame_reader = reader(&frames)?;
         let mut baselines = None;
@@ -199,7 +204,7 @@ impl Arguments {
             })?;
             let samples = force_samples(&prepared, baselines, &measured.frames, &pokes)?;
             let count = measured.frames.len();
-            self.write_forces(&prepared.skin.name, &samples, count, 1e-3 * diameter_mm, path, out)?;
+            self.write_forces(&prepared.skin, &samples, count, 1e-3 * diameter_mm, path, out)?;
         }
         let Some(path) = &self.out else { return Ok(Outcome::Done) };
         let spinner = spinner("fitting the calibration");
@@ -276,7 +281,7 @@ impl Arguments {
             })
         });
         let path = self.forces.as_ref().context("--forces is needed")?;
-        self.write_forces(&skin.name, &samples?, presses, plan.indenter_m, path, out)
+        self.write_forces(skin, &samples?, presses, plan.indenter_m, path, out)
     }
 
     /// A calibration from the twin's pokes at random places: what it would be worth on the skin.
@@ -304,7 +309,7 @@ impl Arguments {
 
     fn write_forces(
         &self,
-        skin: &str,
+        skin: &Skin,
         samples: &[ForceSample],
         presses: usize,
         indenter_m: f64,
@@ -317,9 +322,9 @@ impl Arguments {
             Shape::Monotone => CurveKind::Monotone,
         };
         let indenter_area_m2 = 0.25 * std::f64::consts::PI * indenter_m * indenter_m;
-        let scope = CalibrationScope { skin: skin.to_string(), indenter_area_m2, date: today() };
+        let scope = CalibrationScope { skin: skin.name.clone(), indenter_area_m2, date: today() };
         let calibration = fit_forces(samples, kind, scope)?;
-        save_forces(&calibration, path)?;
+        save_forces(&calibration, skin, path)?;
         print_forces(&calibration, presses, out)?;
         writeln!(out, "written: {}", path.display())?;
         Ok(())

@@ -74,6 +74,7 @@ impl Arguments {
             baseline: self.baseline,
             frames: self.recorded.frames,
             format: self.recorded.format,
+            as_skin: self.recorded.as_skin,
             calibration: self.calibration,
             forces: self.forces,
             hyperparameter: self.hyperparameter,
@@ -114,6 +115,7 @@ fn as_json(report: &Report, differences: bool, found: Option<&FoundOrder>) -> se
     });
     serde_json::json!({
         "frames": report.frames,
+        "mismatches": report.mismatches,
         "touch_rows": report.touch_rows,
         "hyperparameter": report.hyperparameter,
         "frames_with_missing": report.frames_with_missing,

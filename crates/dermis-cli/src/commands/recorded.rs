@@ -17,6 +17,9 @@ pub(super) struct RecordedFrames {
     /// Format of all files of frames (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
     #[arg(long)]
     pub format: Option<Format>,
+    /// Read the frames of a recording as SKIN's though they are of another skin.
+    #[arg(long)]
+    pub as_skin: bool,
 }
 
 /// Whether frames are differences already: a baseline is given, or said not to be needed.

@@ -56,8 +56,14 @@ impl Arguments {
         if self.out.is_none() && self.probabilities.is_none() {
             return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
         }
+        let skin = self.recorded.skin.open()?;
+        if !self.recorded.as_skin && self.recorded.format.is_none() {
+            [&self.baseline, &self.recorded.frames]
+                .into_iter()
+                .try_for_each(|file| dermis::record::check_skin(file, &skin))?;
+        }
         let request = SegmentRequest {
-            skin: self.recorded.skin.open()?,
+            skin,
             reference: self.baseline,
             frames: self.recorded.frames,
             format: self.recorded.format,

@@ -3,7 +3,8 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use dermis::skin::{BUILTIN_NAMES, Skin, upgrade};
+use dermis::skin::budget::Budget;
+use dermis::skin::{BUILTIN_NAMES, Skin, SkinBody, upgrade};
 use dermis_device::write_atomic;
 
 use crate::draw::{self, Picture, SkinDrawing};
@@ -122,6 +123,7 @@ fn list(json: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
 fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let skin = Skin::open(name)?;
     let protocol = skin.protocol()?;
+    meshed(&skin)?;
     let (low, high) = skin.outline().bounds_m();
     let (width_mm, height_mm) = (1e3 * (high[0] - low[0]), 1e3 * (high[1] - low[1]));
     let (count, drives, channels) =
@@ -178,10 +180,16 @@ fn upgrade_file(file: &Path, to: Option<&Path>, out: &mut dyn Write) -> anyhow::
     Ok(Outcome::Done)
 }
 
+/// A skin's mesh, unless it is larger than what may be prepared: what `show` refuses `draw` refuses as well.
+fn meshed(skin: &Skin) -> anyhow::Result<SkinBody> {
+    Budget::of_imaging(skin).check(skin, "its image")?;
+    Ok(skin.body()?)
+}
+
 fn draw_skin(name: &str, path: &Path, width_px: u32, mesh: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let encode = encoder(path)?;
     let skin = Skin::open(name)?;
-    let body = skin.body()?;
+    let body = meshed(&skin)?;
     let title = if skin.title.is_empty() { &skin.name } else { &skin.title };
     let picture = SkinDrawing { body: &body.mesh, title, width_px, mesh }.picture();
     let content = encode(&picture)?;
@@ -195,7 +203,7 @@ fn draw_skin(name: &str, path: &Path, width_px: u32, mesh: bool, out: &mut dyn W
 /// # Errors
 /// A skin that cannot be meshed.
 pub fn skin_svg(skin: &Skin) -> anyhow::Result<String> {
-    let body = skin.body()?;
+    let body = meshed(skin)?;
     let title = if skin.title.is_empty() { &skin.name } else { &skin.title };
     Ok(draw::svg(&SkinDrawing { body: &body.mesh, title, width_px: 640, mesh: false }.picture()))
 }

@@ -84,6 +84,14 @@ impl Arguments {
         let files = [self.out.clone(), self.out.with_extension("safetensors")];
         let stood = files.each_ref().map(|file| file.exists());
         let options = self.options();
+        let (rows, columns) = (set.manifest().rows, set.manifest().columns);
+        dermis::skin::budget::memory_limit();
+        dermis::tomo::memory::check(options.bytes(set.manifest().inputs.len(), rows, columns), || {
+            format!(
+                "a training of width {}, {} levels and batches of {} images of {rows} x {columns} pixels",
+                options.width, options.levels, options.batch
+            )
+        })?;
         let command = self.command();
         // Weights go with the factors that their images were multiplied by.
         let (start, mut input_scale) = match (&self.start, &self.weights) {

@@ -38,8 +38,8 @@ pub use dermis_page::message::{HubStats, Level};
 pub use dermis_page::protocol::PROTOCOL_VERSION;
 pub use dermis_page::{
     BaselineRow, ChannelValues, ClassImage, Command, Counter, DamageRow, DamageView, ElectrodeView, FaultView,
-    GridView, HealthView, Image, OtherPlaceView, PipelineState, Press, PressLimits, ProposalView, Scene, SourceState,
-    StageLatency, TareState, TouchPhase, TouchView, Update, UpdateError,
+    FrameFaultView, GridView, HealthView, Image, OtherPlaceView, PipelineState, Press, PressLimits, ProposalView,
+    Scene, SourceState, StageLatency, TareState, TouchPhase, TouchView, Update, UpdateError,
 };
 pub use error::PageError;
 pub use hub::Hub;

@@ -78,6 +78,7 @@ pub fn imaged(
         baseline,
         frames,
         format: None,
+        as_skin: false,
         calibration: None,
         forces: None,
         hyperparameter: None,

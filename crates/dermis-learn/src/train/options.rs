@@ -51,7 +51,26 @@ impl Default for TrainOptions {
     }
 }
 
+/// Single-precision numbers kept for each number of an image on its way through a block, and its gradient: convolution,
+/// norm, Softsign. Two blocks on the way down and two on the way up.
+const OF_A_BLOCK: f64 = 4.0;
+const BLOCKS: f64 = 4.0;
+/// Copies of every weight: value, gradient, two moments of Adam, best value so far.
+const OF_A_WEIGHT: f64 = 5.0;
+
 impl TrainOptions {
+    /// Bytes that a training on images of this size takes at once, about: a batch on its way through all levels, and
+    /// the weights.
+    pub fn bytes(&self, inputs: usize, rows: usize, columns: usize) -> f64 {
+        let (width, pixels) = (self.width as f64, rows as f64 * columns as f64);
+        let levels = self.levels.min(64) as i32;
+        let level = |level: i32| width * 2_f64.powi(level) * pixels / 4_f64.powi(level);
+        let images: f64 = (0..levels).map(level).sum::<f64>() * OF_A_BLOCK * BLOCKS + inputs as f64 * pixels;
+        // The coarsest level has most weights: four 3x3 convolutions. A third is added for the finer levels.
+        let weights = 9.0 * 4.0 * (width * 2_f64.powi(levels - 1)).powi(2) * 4.0 / 3.0;
+        4.0 * (self.batch as f64 * images + OF_A_WEIGHT * weights)
+    }
+
     pub(super) fn check(&self) -> Result<(), LearnError> {
         let refuse = |what: &'static str, value: String, expected: &str| {
             Err(LearnError::Value { what, value, expected: expected.into() })

@@ -85,6 +85,8 @@ pub struct PokeReview {
 #[serde(try_from = "stored::StoredCalibration", into = "stored::StoredCalibration")]
 pub struct Calibration {
     skin: String,
+    /// Fingerprint of the skin ([`crate::same_skin`]); `None` of files of earlier versions.
+    skin_sha256: Option<String>,
     channels: usize,
     load: Option<LoadQuantity>,
     /// Difference data of each poke, model volts, divided by nothing; some of them where they are very many.
@@ -174,6 +176,7 @@ impl Calibration {
             scatter.map_or_else(Vec::new, |scatter| scatter.robust().iter().map(|v| v.max(0.0)).collect());
         Ok(Self {
             skin: prepared.skin.name.clone(),
+            skin_sha256: Some(crate::same_skin::frames_sha256(&prepared.skin)),
             channels: prepared.channels(),
             load: pokes.loads.as_ref().map(|(quantity, _)| *quantity),
             frames: kept.iter().map(|&i| without_silence(&differences[i], &dead_channels)).collect(),
@@ -404,7 +407,12 @@ impl Calibration {
                 got: format!("one of skin {} with {} channels", self.skin, self.channels),
             });
         }
-        Ok(())
+        crate::same_skin::check_print("calibration", (&self.skin, self.skin_sha256.as_deref()), &prepared.skin)
+    }
+
+    /// Uses it for a skin of the same name whatever its fingerprint says.
+    pub fn insist(self) -> Self {
+        Self { skin_sha256: None, ..self }
     }
 
     /// Writes the calibration as JSON, atomically.

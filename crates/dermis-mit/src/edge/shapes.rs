@@ -94,6 +94,74 @@ impl Grading {
         positions
     }
 
+    /// Number of [`Grading::inward`]'s layers, without making them: about, and never fewer.
+    fn inward_count(&self, thickness_m: f64) -> f64 {
+        let growing = if self.growth > 1.0 {
+            ((self.most_m / self.first_m).max(1.0).ln() / self.growth.ln()).ceil()
+        } else {
+            0.0
+        };
+        let thinnest = if self.growth > 1.0 { self.most_m } else { self.first_m.min(self.most_m) };
+        growing + (thickness_m / thinnest).ceil() + 2.0
+    }
+
+    /// The same of [`Grading::outward`].
+    fn outward_count(&self, from_m: f64, first_m: f64) -> f64 {
+        if self.air_growth > 1.0 {
+            ((1.0 + (self.air_m - from_m) * (self.air_growth - 1.0) / first_m).max(1.0).ln() / self.air_growth.ln())
+                .ceil()
+                + 1.0
+        } else {
+            ((self.air_m - from_m) / first_m).ceil() + 1.0
+        }
+    }
+
+    /// The same of [`Grading::symmetric`].
+    fn symmetric_count(&self, half_m: f64, air_first_m: f64) -> f64 {
+        let first_m = (self.air_growth.sqrt() * self.first_m.max(0.1 * half_m)).max(air_first_m);
+        2.0 * (self.inward_count(half_m) + self.outward_count(half_m, first_m))
+    }
+
+    /// This grading along the radius of a cylinder: the rim of a thin disc needs no rings thinner than the disc itself.
+    fn of_radius(&self, radius_m: f64, height_m: f64) -> Self {
+        if radius_m > 1.5 * height_m {
+            Self { first_m: self.first_m.max(0.8 * height_m), most_m: self.wide_m, ..*self }
+        } else {
+            *self
+        }
+    }
+
+    /// This grading along a side of a plate: edges of a thin plate need no layers thinner than the plate itself.
+    fn of_side(&self, side_m: f64, thinnest_m: f64) -> Self {
+        if side_m > 3.0 * thinnest_m {
+            Self { first_m: self.first_m.max(0.8 * thinnest_m), most_m: self.wide_m, ..*self }
+        } else {
+            *self
+        }
+    }
+
+    /// Tetrahedra of a mesh around a cylinder, without making it: about, and never fewer.
+    pub fn cylinder_count(&self, radius_m: f64, height_m: f64) -> f64 {
+        let side = TAU * radius_m / self.around as f64;
+        let rings = self.of_radius(radius_m, height_m).inward_count(radius_m)
+            + self.outward_count(radius_m, 0.8 * side.min(0.5 * radius_m));
+        3.0 * 2.0 * self.around as f64 * rings * self.symmetric_count(0.5 * height_m, 0.0)
+    }
+
+    /// Tetrahedra of a mesh around a plate, without making it: about, and never fewer.
+    pub fn plate_count(&self, size_m: [f64; 3]) -> f64 {
+        let longest = size_m.iter().copied().fold(0.0, f64::max);
+        let thinnest = size_m.iter().copied().fold(f64::INFINITY, f64::min);
+        let along = |size: f64| self.of_side(size, thinnest).symmetric_count(0.5 * size, 0.06 * longest);
+        6.0 * size_m.map(along).iter().product::<f64>()
+    }
+
+    /// Tetrahedra of a mesh around a sphere, without making it: about, and never fewer.
+    pub fn sphere_count(&self, radius_m: f64) -> f64 {
+        let triangles = if self.around > 14 { 320.0 } else { 80.0 };
+        3.0 * triangles * (self.inward_count(radius_m) + self.outward_count(radius_m, 0.3 * radius_m))
+    }
+
     /// Positions along an axis from minus to plus the outer boundary, for a body between plus and minus a half width;
     /// the first layer of air is no thinner than given.
     fn symmetric(&self, half_m: f64, air_first_m: f64) -> Vec<f64> {
@@ -106,6 +174,17 @@ impl Grading {
         all.extend(positive);
         all
     }
+}
+
+/// Bytes that a tetrahedron takes in a mesh and in its system of second order, without the factor.
+pub const TETRAHEDRON_BYTES: f64 = 2500.0;
+
+/// Refuses a mesh that would need more memory than may be used, before it is made.
+fn fits(body: &'static str, tetrahedra: f64) -> Result<(), MitError> {
+    let what = || {
+        format!("a mesh of {tetrahedra:.2e} tetrahedra around {body}, whose thinnest side is far below its longest,")
+    };
+    Ok(dermis_tomo::memory::check(TETRAHEDRON_BYTES * tetrahedra, what)?)
 }
 
 /// Triangles that are to be repeated in layers.
@@ -200,13 +279,8 @@ pub fn cylinder_mesh(radius_m: f64, height_m: f64, grading: &Grading) -> Result<
     positive("radius_m", radius_m)?;
     positive("height_m", height_m)?;
     grading.check(radius_m.max(0.5 * height_m))?;
-    // The rim of a thin disc needs no rings thinner than the disc itself.
-    let thin = radius_m > 1.5 * height_m;
-    let rim = if thin {
-        Grading { first_m: grading.first_m.max(0.8 * height_m), most_m: grading.wide_m, ..*grading }
-    } else {
-        *grading
-    };
+    fits("a cylinder", grading.cylinder_count(radius_m, height_m))?;
+    let rim = grading.of_radius(radius_m, height_m);
     let mut radii: Vec<f64> = rim.inward(radius_m).iter().rev().skip(1).map(|d| radius_m - d).collect();
     radii.push(radius_m);
     let body_rings = radii.len();
@@ -248,12 +322,10 @@ pub fn plate_mesh(size_m: [f64; 3], grading: &Grading) -> Result<EdgeMesh, MitEr
     }
     let longest = size_m.iter().copied().fold(0.0, f64::max);
     grading.check(0.5 * longest)?;
+    fits("a plate", grading.plate_count(size_m))?;
     let axes = size_m.map(|size| {
-        // Edges of a thin plate need no layers thinner than the plate itself.
-        let thin = size_m.iter().copied().fold(f64::INFINITY, f64::min);
-        let first_m = if size > 3.0 * thin { grading.first_m.max(0.8 * thin) } else { grading.first_m };
-        let most_m = if size > 3.0 * thin { grading.wide_m } else { grading.most_m };
-        Grading { first_m, most_m, ..*grading }.symmetric(0.5 * size, 0.06 * longest)
+        let thinnest = size_m.iter().copied().fold(f64::INFINITY, f64::min);
+        grading.of_side(size, thinnest).symmetric(0.5 * size, 0.06 * longest)
     });
     let inside = |middle: Vector| u8::from((0..3).all(|k| middle[k].abs() < 0.5 * size_m[k]));
     box_mesh(&axes, inside)
@@ -308,6 +380,7 @@ pub fn box_mesh(axes: &[Vec<f64>; 3], region: impl Fn(Vector) -> u8) -> Result<E
 pub fn sphere_mesh(radius_m: f64, grading: &Grading) -> Result<EdgeMesh, MitError> {
     positive("radius_m", radius_m)?;
     grading.check(radius_m)?;
+    fits("a sphere", grading.sphere_count(radius_m))?;
     let (directions, sheet) = icosphere(if grading.around > 14 { 2 } else { 1 });
     let inside = grading.inward(radius_m);
     let mut radii: Vec<f64> = inside.iter().rev().skip(1).map(|d| radius_m - d).collect();

@@ -91,6 +91,15 @@ impl Shape {
         Grading::for_body(skin_depth_m, least, greatest)
     }
 
+    /// Tetrahedra of [`Shape::mesh`], without making it: about, and never fewer.
+    pub fn tetrahedron_count(&self, grading: &Grading) -> f64 {
+        match *self {
+            Self::Cylinder { radius_m, height_m } => grading.cylinder_count(radius_m, height_m),
+            Self::Plate { size_m } => grading.plate_count(size_m),
+            Self::Sphere { radius_m } => grading.sphere_count(radius_m),
+        }
+    }
+
     /// A mesh around it.
     ///
     /// # Errors

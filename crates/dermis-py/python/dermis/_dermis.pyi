@@ -242,6 +242,7 @@ def open(
     calibration: _Path | None = None,
     forces: _Path | None = None,
     as_set: bool = False,
+    as_skin: bool = False,
 ) -> Session: ...
 @final
 class Recording:

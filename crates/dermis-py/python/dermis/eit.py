@@ -40,6 +40,10 @@ __all__ = [
 ]
 
 
+# Channels go with the square of the electrodes: more would not fit into memory.
+_MOST_ELECTRODES = 512
+
+
 def points(nodes: Any) -> list[Electrode]:
     """Point electrodes at these nodes, in order."""
     return [Electrode.point(int(node)) for node in np.asarray(nodes).ravel()]
@@ -131,12 +135,22 @@ def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:
     """
     drives = np.asarray(protocol.ex_mat, np.int64)
     reads = np.asarray(protocol.meas_mat, np.int64)
+    if drives.ndim != 2 or drives.shape[1] != 2 or not len(drives):
+        raise InputError(f"ex_mat: expected shape (s, 2), got {drives.shape}")
+    if reads.ndim not in (2, 3) or reads.shape[-1] < 2 or not reads.size or (reads.ndim == 2 and reads.shape[1] != 3):
+        expected = "shape (s, k, 2 or more), or (k, 3) with the stimulation in the third column"
+        raise InputError(f"meas_mat: expected {expected}, got {reads.shape}")
+    if min(drives.min(), reads.min()) < 0:
+        raise InputError("ex_mat, meas_mat: expected indices from 0, got a negative one")
     if reads.ndim == 3:
         of = np.repeat(np.arange(reads.shape[0]), reads.shape[1])
         reads = reads.reshape(-1, reads.shape[2])
     else:
         of = reads[:, 2]
     count = int(getattr(protocol, "n_el", 1 + max(drives.max(), reads[:, :2].max())))
+    most = max(drives.max(), reads[:, :2].max())
+    if not most < count <= _MOST_ELECTRODES:
+        raise InputError(f"n_el: expected {most + 1} to {_MOST_ELECTRODES} electrodes, got {count}")
     stimulations = np.zeros((len(drives), count))
     rows = np.arange(len(drives))
     np.add.at(stimulations, (rows, drives[:, 0]), amplitude_a)
@@ -227,6 +241,8 @@ def ring_electrodes(mesh: Mesh, count: int, width_m: float, contact_impedance: f
     list of Electrode
         In order.
     """
+    if not 1 <= count <= _MOST_ELECTRODES:
+        raise InputError(f"count: expected 1 to {_MOST_ELECTRODES}, got {count}")
     nodes = np.asarray(mesh.nodes)[:, :2]
     edges = mesh.boundary_faces
     if edges.shape[1] != 2:

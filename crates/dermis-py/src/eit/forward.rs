@@ -1,7 +1,9 @@
 //! Forward models: mesh, electrodes and protocol made ready to solve.
 
+use std::sync::Arc;
+
 use dermis::tomo::eit::{ForwardModel, Solution};
-use dermis::tomo::mesh::ElectrodedMesh;
+use dermis::tomo::mesh::{ElectrodedMesh, Mesh};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -11,7 +13,11 @@ use super::mesh::{PyElectrode, PyMesh};
 use super::protocol::PyProtocol;
 use crate::arrays::{Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
-use crate::work::{run, run_steps};
+use crate::work::{run, run_sized, run_steps};
+
+/// Operations of making a model ready and of factoring it for each element, and of each electrode's field.
+const PER_ELEMENT: f64 = 5000.0;
+const PER_FIELD: f64 = 60.0;
 
 /// The electrodes of a mesh.
 pub fn electrodes_of(body: &ElectrodedMesh) -> Vec<PyElectrode> {
@@ -69,7 +75,7 @@ pub fn voltages_of_rows<'py>(
 #[pyclass(frozen, module = "dermis.eit", name = "ForwardModel")]
 pub struct PyForwardModel {
     /// The model.
-    pub model: ForwardModel,
+    pub model: Arc<ForwardModel>,
 }
 
 impl PyForwardModel {
@@ -97,6 +103,12 @@ impl PyForwardModel {
         run(py, || read(self.model.solve(sigma)?))
     }
 
+    /// Operations of a solution, about.
+    fn operations(&self) -> f64 {
+        let fields = self.model.protocol().electrode_count() as f64;
+        (PER_ELEMENT + PER_FIELD * fields) * self.elements() as f64
+    }
+
     fn stimulation(&self, stimulation: usize) -> Result<usize, Fault> {
         let count = self.model.protocol().stimulations().len();
         if stimulation < count {
@@ -116,10 +128,11 @@ impl PyForwardModel {
         protocol: &Bound<'_, PyProtocol>,
     ) -> PyResult<Self> {
         let electrodes = electrodes.iter().map(|electrode| electrode.get().electrode.clone()).collect();
-        let (mesh, protocol) = (&mesh.get().mesh, &protocol.get().protocol);
-        let model = run(py, || {
-            let body = ElectrodedMesh::new(mesh.clone(), electrodes)?;
-            Ok(ForwardModel::new(body, protocol.clone())?)
+        let (mesh, protocol) = (Arc::clone(&mesh.get().mesh), protocol.get().protocol.clone());
+        let operations = PER_ELEMENT * mesh.element_count() as f64;
+        let model = run_sized(py, "forward model", operations, move || {
+            let body = ElectrodedMesh::new(Mesh::clone(&mesh), electrodes)?;
+            Ok(Arc::new(ForwardModel::new(body, protocol)?))
         })?;
         Ok(Self { model })
     }
@@ -127,7 +140,7 @@ impl PyForwardModel {
     /// The mesh.
     #[getter]
     fn mesh(&self) -> PyMesh {
-        PyMesh { mesh: self.model.body().mesh.clone() }
+        PyMesh { mesh: Arc::new(self.model.body().mesh.clone()) }
     }
 
     /// The electrodes.
@@ -154,9 +167,9 @@ impl PyForwardModel {
     /// numpy.ndarray
     ///     Shape (k,), volts.
     fn voltages<'py>(&self, py: Python<'py>, sigma: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let sigma = self.sigma(sigma)?;
-        let sigma = sigma.values()?;
-        Ok(array1(py, run(py, || Ok(self.model.voltages(sigma)?))?))
+        let sigma = self.sigma(sigma)?.values()?.to_vec();
+        let (model, operations) = (Arc::clone(&self.model), self.operations());
+        Ok(array1(py, run_sized(py, "voltages", operations, move || Ok(model.voltages(&sigma)?))?))
     }
 
     /// Voltages of many conductivities, in parallel.

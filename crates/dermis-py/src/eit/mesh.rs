@@ -7,9 +7,9 @@ use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use crate::arrays::{Doubles, array1, array2, indices, read_only, shape_text};
-use crate::errors::Fault;
+use crate::errors::{Fault, Kind};
 use crate::grid::PyGrid;
-use crate::work::run;
+use crate::work::run_sized;
 
 /// Nodes as an array, two columns where all lie in the plane z = 0.
 pub fn nodes_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyArray2<f64>>> {
@@ -42,7 +42,7 @@ pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyA
 #[pyclass(frozen, module = "dermis.eit", name = "Mesh")]
 pub struct PyMesh {
     /// The mesh, checked.
-    pub mesh: Mesh,
+    pub mesh: Arc<Mesh>,
 }
 
 #[pymethods]
@@ -61,11 +61,10 @@ impl PyMesh {
             return Err(Fault::input("nodes", "shape (n, 3) with elements of four nodes", "shape (n, 2)").into());
         }
         let kind = if corners == 3 { CellKind::Triangle } else { CellKind::Tetrahedron };
-        let values = nodes.values()?;
-        let mesh = run(py, || {
-            let point = |row: &[f64]| [row[0], row[1], row.get(2).copied().unwrap_or(0.0)];
-            Ok(Mesh::new(kind, values.chunks_exact(columns).map(point).collect(), list)?)
-        })?;
+        let point = |row: &[f64]| [row[0], row[1], row.get(2).copied().unwrap_or(0.0)];
+        let points: Vec<[f64; 3]> = nodes.values()?.chunks_exact(columns).map(point).collect();
+        let size = (points.len() + list.len()) as f64;
+        let mesh = run_sized(py, "mesh", PER_INDEX * size, move || Ok(Arc::new(Mesh::new(kind, points, list)?)))?;
         Ok(Self { mesh })
     }
 
@@ -120,7 +119,13 @@ impl PyMesh {
         if !(1..=MOST_PIXELS).contains(&pixels) {
             return Err(Fault::input("pixels", format!("1 to {MOST_PIXELS} along the longer side"), pixels).into());
         }
-        let map = run(py, || Ok(PixelMap::new(PixelGrid::over_mesh(&self.mesh, pixels)?, &self.mesh)?))?;
+        let mesh = Arc::clone(&self.mesh);
+        let size = (pixels * pixels + mesh.element_count()) as f64;
+        let map = run_sized(py, "grid", PER_PIXEL * size, move || {
+            dermis::tomo::memory::check(PIXEL_BYTES * size, || format!("a grid of {pixels} x {pixels} pixels"))
+                .map_err(|error| Fault::new(Kind::Input, error.to_string()))?;
+            Ok(PixelMap::new(PixelGrid::over_mesh(&mesh, pixels)?, &mesh)?)
+        })?;
         Ok(PyGrid { map: Arc::new(map) })
     }
 
@@ -144,6 +149,11 @@ pub struct PyElectrode {
     pub electrode: Electrode,
 }
 
+/// Operations of checking a mesh for each of its indices, and of overlaying it with pixels for each pixel and element.
+const PER_INDEX: f64 = 500.0;
+const PER_PIXEL: f64 = 300.0;
+/// Bytes of a pixel while a mesh is overlaid: coverage, numbers, shares, weights.
+const PIXEL_BYTES: f64 = 150.0;
 /// Pixels along the longer side of a grid: more would not fit into memory.
 const MOST_PIXELS: usize = 4096;
 /// Node indices are checked against the mesh that an electrode is put on.

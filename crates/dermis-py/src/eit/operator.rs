@@ -2,20 +2,22 @@
 
 use std::sync::Arc;
 
-use dermis::tomo::inverse::{Hyperparameter, ImageBasis, LinearProblem, Operator, Prior, Weighting};
+use dermis::tomo::inverse::{Hyperparameter, ImageBasis, LinearProblem, MOST_NESTED, Operator, Prior, Weighting};
 use faer::{Mat, MatRef};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;
 
 use super::mesh::PyMesh;
 use crate::arrays::{Doubles, array1, array2, shape_text};
-use crate::errors::Fault;
-use crate::work::run;
+use crate::errors::{Fault, Kind};
+use crate::work::run_sized;
 
 /// What is known of an image beforehand.
 #[pyclass(frozen, module = "dermis.eit", name = "Prior")]
 pub struct PyPrior {
     prior: Prior,
+    /// Mixtures in mixtures.
+    depth: usize,
 }
 
 #[pymethods]
@@ -23,26 +25,26 @@ impl PyPrior {
     /// R = I.
     #[staticmethod]
     fn identity() -> Self {
-        Self { prior: Prior::Identity }
+        Self { prior: Prior::Identity, depth: 0 }
     }
 
     /// Twice the graph Laplacian over shared faces, as EIDORS has it.
     #[staticmethod]
     fn laplace() -> Self {
-        Self { prior: Prior::Laplace }
+        Self { prior: Prior::Laplace, depth: 0 }
     }
 
     /// R = diag(J'J)^exponent.
     #[staticmethod]
     #[pyo3(signature = (exponent=0.5))]
     fn noser(exponent: f64) -> Self {
-        Self { prior: Prior::Noser { exponent } }
+        Self { prior: Prior::Noser { exponent }, depth: 0 }
     }
 
     /// Covariance exp(-d^2 / (2 l^2)) of elements a distance d apart, with l in metres.
     #[staticmethod]
     fn gaussian(correlation_length_m: f64) -> Self {
-        Self { prior: Prior::Gaussian { correlation_length_m } }
+        Self { prior: Prior::Gaussian { correlation_length_m }, depth: 0 }
     }
 
     /// The covariance of :meth:`gaussian`, balanced by sensitivity.
@@ -60,14 +62,19 @@ impl PyPrior {
     #[staticmethod]
     #[pyo3(signature = (correlation_length_m, exponent=1.0))]
     fn balanced(correlation_length_m: f64, exponent: f64) -> Self {
-        Self { prior: Prior::GaussianNoser { correlation_length_m, exponent } }
+        Self { prior: Prior::GaussianNoser { correlation_length_m, exponent }, depth: 0 }
     }
 
     /// A weighted sum: pairs of weight and prior.
     #[staticmethod]
-    fn mixture(parts: Vec<(f64, Bound<'_, PyPrior>)>) -> Self {
+    fn mixture(parts: Vec<(f64, Bound<'_, PyPrior>)>) -> PyResult<Self> {
+        let depth = 1 + parts.iter().map(|(_, prior)| prior.get().depth).max().unwrap_or(0);
+        if depth > MOST_NESTED {
+            let expected = format!("mixtures of mixtures at most {MOST_NESTED} deep");
+            return Err(Fault::input("parts", expected, depth).into());
+        }
         let parts = parts.iter().map(|(weight, prior)| (*weight, prior.get().prior.clone())).collect();
-        Self { prior: Prior::Mixture(parts) }
+        Ok(Self { prior: Prior::Mixture(parts), depth })
     }
 
     fn __repr__(&self) -> String {
@@ -131,12 +138,46 @@ fn rule_of(value: &Bound<'_, PyAny>, signal: Option<&Bound<'_, PyAny>>) -> PyRes
 #[pyclass(frozen, module = "dermis.eit", name = "Operator")]
 pub struct PyOperator {
     problem: Arc<LinearProblem>,
-    operator: Operator,
+    operator: Arc<Operator>,
+}
+
+/// Deviations of the channels' noise, or its covariance.
+enum Noise {
+    None,
+    Deviations(Vec<f64>),
+    Covariance(Vec<f64>),
+}
+
+/// Matrices of channels x unknowns, and of the smaller of both squared, that are in memory at once.
+const MATRICES: f64 = 6.0;
+const SYSTEMS: f64 = 4.0;
+
+/// Numbers of a prior between all unknowns, and operations of making it.
+fn prior_numbers(prior: &Prior, unknowns: f64) -> f64 {
+    match prior {
+        Prior::Identity | Prior::Noser { .. } | Prior::Laplace => 20.0 * unknowns,
+        Prior::Gaussian { .. } | Prior::GaussianNoser { .. } => 2.0 * unknowns * unknowns,
+        Prior::Mixture(_) => 3.0 * unknowns * unknowns,
+    }
+}
+
+fn prior_operations(prior: &Prior, unknowns: f64) -> f64 {
+    match prior {
+        Prior::Identity | Prior::Noser { .. } | Prior::Laplace => 100.0 * unknowns,
+        Prior::Gaussian { .. } | Prior::GaussianNoser { .. } => 30.0 * unknowns * unknowns,
+        Prior::Mixture(_) => unknowns.powi(3),
+    }
 }
 
 impl PyOperator {
     fn channels(&self) -> usize {
         self.operator.matrix.ncols()
+    }
+
+    /// Approximate operations of one solution.
+    fn operations(&self) -> f64 {
+        let (rows, columns) = (self.operator.matrix.nrows() as f64, self.operator.matrix.ncols() as f64);
+        4.0 * rows * columns * rows.min(columns)
     }
 }
 
@@ -163,17 +204,14 @@ impl PyOperator {
                 Fault::input("jacobian", "at least one channel and element", shape_text(jacobian.shape())).into()
             );
         }
-        let weighting = match noise {
-            None => Weighting::Identity,
+        let noise = match noise {
+            None => Noise::None,
             Some(noise) => {
                 let noise = Doubles::of("noise", noise)?;
                 match noise.shape() {
-                    [length] if *length == channels => {
-                        Weighting::from_standard_deviations(noise.values()?).map_err(Fault::from)?
-                    }
+                    [length] if *length == channels => Noise::Deviations(noise.values()?.to_vec()),
                     [rows, columns] if *rows == channels && *columns == channels => {
-                        let covariance = MatRef::from_row_major_slice(noise.values()?, channels, channels);
-                        Weighting::from_covariance(covariance).map_err(Fault::from)?
+                        Noise::Covariance(noise.values()?.to_vec())
                     }
                     shape => {
                         let expected = format!(
@@ -184,11 +222,9 @@ impl PyOperator {
                 }
             }
         };
-        let basis = match mesh {
-            Some(mesh) => ImageBasis::of_elements(&mesh.get().mesh),
-            None if matches!(prior.get().prior, Prior::Identity | Prior::Noser { .. }) => {
-                ImageBasis { positions: vec![[0.0; 3]; unknowns], neighbours: Vec::new() }
-            }
+        let mesh = match mesh {
+            Some(mesh) => Some(Arc::clone(&mesh.get().mesh)),
+            None if matches!(prior.get().prior, Prior::Identity | Prior::Noser { .. }) => None,
             None => return Err(Fault::input("mesh", "the mesh of the elements, which this prior needs", "None").into()),
         };
         let data = match data {
@@ -196,14 +232,32 @@ impl PyOperator {
             None => Vec::new(),
         };
         let rule = rule_of(hyperparameter, signal)?;
-        let (prior, values) = (&prior.get().prior, jacobian.values()?);
-        let (problem, operator) = run(py, || {
-            let matrix = MatRef::from_row_major_slice(values, channels, unknowns);
+        let (prior, values) = (prior.get().prior.clone(), jacobian.values()?.to_vec());
+        let (rows, columns) = (channels as f64, unknowns as f64);
+        let smaller = rows.min(columns);
+        let operations = 4.0 * rows * columns * smaller + prior_operations(&prior, columns) + rows.powi(2);
+        let (problem, operator) = run_sized(py, "operator", operations, move || {
+            let bytes =
+                8.0 * (MATRICES * rows * columns + SYSTEMS * smaller * smaller + prior_numbers(&prior, columns));
+            dermis::tomo::memory::check(bytes, || format!("an operator of {channels} channels x {unknowns} unknowns"))
+                .map_err(|error| Fault::new(Kind::Input, error.to_string()))?;
+            let weighting = match noise {
+                Noise::None => Weighting::Identity,
+                Noise::Deviations(deviations) => Weighting::from_standard_deviations(&deviations)?,
+                Noise::Covariance(values) => {
+                    Weighting::from_covariance(MatRef::from_row_major_slice(&values, channels, channels))?
+                }
+            };
+            let basis = match mesh {
+                Some(mesh) => ImageBasis::of_elements(&mesh),
+                None => ImageBasis { positions: vec![[0.0; 3]; unknowns], neighbours: Vec::new() },
+            };
+            let matrix = MatRef::from_row_major_slice(&values, channels, unknowns);
             let prior = prior.matrix(matrix, &weighting, &basis)?;
             let problem = LinearProblem::new(matrix, weighting, prior)?;
             let lambda = problem.choose(&rule, &data)?;
             let operator = problem.operator(lambda)?;
-            Ok((Arc::new(problem), operator))
+            Ok((Arc::new(problem), Arc::new(operator)))
         })?;
         Ok(Self { problem, operator })
     }
@@ -234,8 +288,10 @@ impl PyOperator {
 
     /// Deviation of every unknown given the data, shape (elements,).
     fn posterior_deviation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let lambda = self.operator.hyperparameter;
-        Ok(array1(py, run(py, || Ok(self.problem.posterior_deviation(lambda)?))?))
+        let (lambda, problem) = (self.operator.hyperparameter, Arc::clone(&self.problem));
+        let operations = self.operations();
+        let work = move || Ok(problem.posterior_deviation(lambda)?);
+        Ok(array1(py, run_sized(py, "deviations", operations, work)?))
     }
 
     /// The same problem at another hyperparameter.
@@ -265,19 +321,22 @@ impl PyOperator {
             None => Vec::new(),
         };
         let rule = rule_of(hyperparameter, signal)?;
-        let operator = run(py, || Ok(self.problem.operator(self.problem.choose(&rule, &data)?)?))?;
-        Ok(Self { problem: self.problem.clone(), operator })
+        let (problem, operations) = (Arc::clone(&self.problem), self.operations());
+        let work = move || Ok(problem.operator(problem.choose(&rule, &data)?)?);
+        let operator = run_sized(py, "operator", operations, work)?;
+        Ok(Self { problem: self.problem.clone(), operator: Arc::new(operator) })
     }
 
     fn __call__<'py>(&self, py: Python<'py>, differences: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let (rows, single) = Doubles::rows("differences", differences, self.channels(), "one difference a channel")?;
         let rows = rows.finite("differences")?;
-        let values = rows.values()?;
         let (channels, unknowns) = (self.channels(), self.operator.matrix.nrows());
+        let (values, operator) = (rows.values()?.to_vec(), Arc::clone(&self.operator));
         let count = values.len() / channels.max(1);
-        let images = run(py, || {
-            let data = MatRef::from_row_major_slice(values, count, channels);
-            let images = &self.operator.matrix * data.transpose();
+        let operations = 2.0 * count as f64 * channels as f64 * unknowns as f64;
+        let images = run_sized(py, "images", operations, move || {
+            let data = MatRef::from_row_major_slice(&values, count, channels);
+            let images = &operator.matrix * data.transpose();
             Ok((0..count * unknowns).map(|at| images[(at % unknowns, at / unknowns)]).collect::<Vec<f64>>())
         })?;
         if single {

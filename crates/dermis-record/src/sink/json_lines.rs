@@ -34,7 +34,9 @@ pub enum LinesFor {
 /// law of the layer, with `sigma_force_n`) and, where the forward
 /// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
 /// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
-/// `health` too: `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
+/// `health` too: `frame` (`kind`: `frozen`, `saturated`, `flipped`, `out-of-range` or `blank`; `since_s`) where the frames are
+/// wrong as a whole, and with it `"touches_known": false`, since an empty list then says nothing of the skin, and
+/// touches that end do so as `"known": false`; `left_out`, the number of channels that are, `electrodes` (`electrode`, `kind`: `lost` or `shorted`
 /// `with` another, `since_s`) and `channels` with faults of their own (`channel`, `kind`, `since_s`), all counted from
 /// 1; where a frame's number or time is odd there is `marks`: `lost_before`, `renumbered`, `clock_jump_s`
 /// ([`FrameAnomalies`]). Where there is damage, or something to tell of it, there is `damage`: `list` (`id`, `state`,
@@ -76,7 +78,7 @@ impl<W: Write + Send> Sink for JsonLines<W> {
             return Ok(());
         }
         self.line.clear();
-        push_open(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
+        push_open(&mut self.line, output);
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
@@ -99,7 +101,9 @@ fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
 }
 
 /// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
-fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+fn push_open(text: &mut String, output: &Output<'_>) {
+    let Output { sequence, time_ns, touches, events, .. } = output;
+    let is_known = output.health.frame.is_none();
     let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     // Writing to a String cannot fail.
     let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
@@ -107,9 +111,12 @@ fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], 
         if index > 0 {
             text.push(',');
         }
-        push_touch(text, touch);
+        push_touch(text, touch, is_known);
     }
     text.push(']');
+    if !is_known {
+        text.push_str(",\"touches_known\":false");
+    }
 }
 
 /// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in
@@ -118,7 +125,13 @@ fn push_health(text: &mut String, health: Health<'_>) {
     if health.is_sound() {
         return;
     }
-    let _ = write!(text, ",\"health\":{{\"left_out\":{},\"electrodes\":[", health.channels.len());
+    text.push_str(",\"health\":{");
+    if let Some(fault) = health.frame {
+        let _ = write!(text, "\"frame\":{{\"kind\":\"{}\"", fault.kind.name());
+        push_since(text, fault.since_ns);
+        text.push(',');
+    }
+    let _ = write!(text, "\"left_out\":{},\"electrodes\":[", health.channels.len());
     for (index, fault) in health.electrodes.iter().enumerate() {
         let comma = if index > 0 { "," } else { "" };
         let _ = write!(text, "{comma}{{\"electrode\":{},", fault.electrode + 1);
@@ -153,13 +166,16 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     );
 }
 
-fn push_touch(text: &mut String, touch: &Touch) {
+fn push_touch(text: &mut String, touch: &Touch, is_known: bool) {
     let phase = match touch.phase {
         TouchPhase::Begin => "begin",
         TouchPhase::Move => "move",
         TouchPhase::End => "end",
     };
     let _ = write!(text, "{{\"id\":{},\"phase\":\"{phase}\"", touch.id);
+    if !is_known {
+        text.push_str(",\"known\":false");
+    }
     let row = TouchRow::new(touch);
     let fields = [
         ("x_mm", row.x_mm),
@@ -261,13 +277,27 @@ mod tests {
         let kind = ElectrodeFaultKind::Shorted { with: 5 };
         let electrodes = [ElectrodeFault { electrode: 4, kind, since_ns, since_sequence }];
         let mut bytes = Vec::new();
-        let health = Health { channels: &channels, electrodes: &electrodes };
+        let health = Health { channels: &channels, electrodes: &electrodes, ..Health::default() };
         let output = Output { health, ..output(1, &[0.0; 6], &[], &[]) };
         JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
         let expected = json!({"left_out": 2,
             "electrodes": [{"electrode": 5, "kind": "shorted", "with": 6, "since_s": 2.5}],
             "channels": [{"channel": 12, "kind": "stuck", "since_s": 2.5}]});
         assert_eq!(lines(&bytes)[0]["health"], expected);
+    }
+
+    #[test]
+    fn touches_that_end_because_nobody_can_see_are_unknown() {
+        use dermis_touch::health::{FrameFault, FrameFaultKind};
+        let frame = Some(FrameFault { kind: FrameFaultKind::Flipped, since_ns: 2_500_000_000, since_sequence: 7 });
+        let events = [TouchEvent::End(touch(3, TouchPhase::End, 1.0, 2.0))];
+        let health = Health { frame, ..Health::default() };
+        let mut bytes = Vec::new();
+        let output = Output { health, ..output(1, &[0.0; 6], &[], &events) };
+        JsonLines::new(&mut bytes, "test", LinesFor::EveryFrame).accept(&output).unwrap();
+        let line = &lines(&bytes)[0];
+        assert_eq!((&line["touches"][0]["known"], &line["touches_known"]), (&json!(false), &json!(false)));
+        assert_eq!(line["health"]["frame"], json!({"kind": "flipped", "since_s": 2.5}));
     }
 
     #[test]

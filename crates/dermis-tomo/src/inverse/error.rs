@@ -42,6 +42,12 @@ pub enum InverseError {
     /// A fit was asked for with parameters that make no sense.
     #[error(transparent)]
     Fit(#[from] crate::least_squares::Error),
+    /// Priors within priors.
+    #[error("prior: mixtures are nested deeper than {most}; expected at most that")]
+    Nested {
+        /// Deepest that is taken.
+        most: usize,
+    },
     /// Every channel is missing.
     #[error("all {channels} channels are missing")]
     NoChannels {

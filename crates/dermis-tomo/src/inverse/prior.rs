@@ -33,6 +33,9 @@ impl ImageBasis {
     }
 }
 
+/// Maximum nesting of mixtures. Copying, printing and building a prior recurse, so deeper ones are refused.
+pub const MOST_NESTED: usize = 16;
+
 /// The regularisation matrices that the field uses.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Prior {
@@ -84,6 +87,14 @@ pub enum PriorMatrix {
 }
 
 impl Prior {
+    /// Whether mixtures are nested no deeper than so.
+    fn is_within(&self, depth: usize) -> bool {
+        match self {
+            Prior::Mixture(parts) => depth > 0 && parts.iter().all(|(_, part)| part.is_within(depth - 1)),
+            _ => true,
+        }
+    }
+
     /// Builds R (or its inverse) for a Jacobian (channels x unknowns).
     ///
     /// # Errors
@@ -96,6 +107,9 @@ impl Prior {
         basis: &ImageBasis,
     ) -> Result<PriorMatrix, InverseError> {
         let size = jacobian.ncols();
+        if !self.is_within(MOST_NESTED) {
+            return Err(InverseError::Nested { most: MOST_NESTED });
+        }
         if basis.len() != size {
             return Err(InverseError::Size { what: "unknowns of the image basis", expected: size, got: basis.len() });
         }

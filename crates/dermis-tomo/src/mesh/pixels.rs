@@ -196,8 +196,40 @@ impl PixelMap {
     }
 
     fn nearest_inside(&self, p: Point) -> u32 {
-        let gap = |k: &usize| plane::distance(self.grid.centre_m(self.inside[*k] as usize), p);
-        (0..self.inside.len()).min_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap_or(0) as u32
+        let PixelGrid { columns, rows, left_m, top_m, pixel_m } = self.grid;
+        let place = |offset_m: f64, count: usize| ((offset_m / pixel_m).max(0.0) as usize).min(count - 1);
+        let (column, row) = (place(p[0] - left_m, columns), place(top_m - p[1], rows));
+        let mut best: Option<(f64, u32)> = None;
+        // Squares around the pixel that holds the point. The pixels of the next one are at least this far off.
+        for ring in 0..columns.max(rows) {
+            if best.is_some_and(|(distance, _)| (ring as f64 - 0.5) * pixel_m > distance) {
+                break;
+            }
+            let (low, high) = (row.saturating_sub(ring), (row + ring).min(rows - 1));
+            for y in low..=high {
+                let whole = y.abs_diff(row) == ring;
+                let (left, right) = (column.saturating_sub(ring), (column + ring).min(columns - 1));
+                let step = if whole { 1 } else { (2 * ring).max(1) };
+                let first = if whole { left } else { column.wrapping_sub(ring) };
+                for x in (0..).map(|k| first.wrapping_add(k * step)).take(if whole { right - left + 1 } else { 2 }) {
+                    // Left of the first column the number has wrapped.
+                    if x >= columns {
+                        continue;
+                    }
+                    let pixel = y * columns + x;
+                    if self.coverage[pixel] >= INSIDE_COVERAGE {
+                        let distance = plane::distance(self.grid.centre_m(pixel), p);
+                        let is_nearer =
+                            |(least, old): (f64, u32)| distance < least || (distance == least && (pixel as u32) < old);
+                        if best.is_none_or(is_nearer) {
+                            best = Some((distance, pixel as u32));
+                        }
+                    }
+                }
+            }
+        }
+        let nearest = best.map_or(0, |(_, pixel)| pixel);
+        self.inside.binary_search(&nearest).unwrap_or(0) as u32
     }
 
     /// The grid.

@@ -95,8 +95,17 @@ fn seeds(layout: &Layout) -> Vec<Point> {
     for level in (0..=levels).rev() {
         let pitch = field.base * LEVEL.powi(level);
         let coarser = pitch / LEVEL;
+        // Boxes of electrodes close together have most places in common, which are looked at once.
+        let mut visited: Vec<(Point, Point)> = Vec::new();
         let mut visit = |box_low: Point, box_high: Point| {
+            let holds = |&(low, high): &(Point, Point), p: Point| (0..2).all(|k| (low[k]..=high[k]).contains(&p[k]));
+            let meets = |(low, high): &(Point, Point)| (0..2).all(|k| low[k] <= box_high[k] && high[k] >= box_low[k]);
+            let before: Vec<(Point, Point)> = visited.iter().filter(|other| meets(other)).copied().collect();
+            visited.push((box_low, box_high));
             for p in lattice(pitch, box_low, box_high) {
+                if before.iter().any(|other| holds(other, p)) {
+                    continue;
+                }
                 let size = field.at(p);
                 let belongs = size >= pitch * (1.0 - 1e-9) && (size < coarser * (1.0 - 1e-9) || level == 0);
                 if (belongs || level == levels && size < pitch)

@@ -82,6 +82,20 @@ impl Fronts {
         Some(Self { targets, children, child_starts, places, place_starts, widest })
     }
 
+    /// Most numbers that fronts on their way to their parents take at once.
+    pub(super) fn working_len(&self, symbolic: &SymbolicCholesky<u32>) -> usize {
+        let SymbolicCholeskyRaw::Supernodal(symbolic) = symbolic.raw() else { return 0 };
+        let square = |supernode: usize| symbolic.supernode(supernode).pattern().len().pow(2);
+        let (mut now, mut most) = (0, 0);
+        for supernode in 0..symbolic.n_supernodes() {
+            now += square(supernode);
+            most = most.max(now);
+            let range = self.child_starts[supernode] as usize..self.child_starts[supernode + 1] as usize;
+            now -= self.children[range].iter().map(|&child| square(child as usize)).sum::<usize>();
+        }
+        most
+    }
+
     /// Factors the matrix of these values into `factor`; an error is the pivot that was not positive.
     pub(super) fn factor(
         &self,

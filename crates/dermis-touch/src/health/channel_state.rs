@@ -131,10 +131,14 @@ impl ChannelState {
         }
     }
 
-    /// True where so long a run of equal readings is no chance, by how often this channel repeats itself; three
-    /// repetitions more are allowed than were seen, for luck.
+    /// Chance that the next reading equals this one, by those that did; three more are allowed than were seen, for luck.
+    pub fn repeat_chance(&self) -> f64 {
+        (self.repeats + 3.0) / (self.pairs + 4.0)
+    }
+
+    /// True where so long a run of equal readings is no chance, by [`Self::repeat_chance`].
     fn is_frozen(&self, params: &HealthParams) -> bool {
-        let usual = (self.repeats + 3.0) / (self.pairs + 4.0);
+        let usual = self.repeat_chance();
         usual < 1.0 && self.pairs > 0.0 && f64::from(self.run) * usual.ln() < params.stuck_chance.ln()
     }
 

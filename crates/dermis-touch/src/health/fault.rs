@@ -77,9 +77,53 @@ pub struct ElectrodeFault {
     pub since_sequence: u64,
 }
 
+/// What is wrong with frames as a whole.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrameFaultKind {
+    /// Every channel reads what it read in the frame before, to the last bit, though the channels have noise.
+    Frozen,
+    /// Most channels stand at the same largest magnitude: the end of the converter's range.
+    Saturated,
+    /// The frame is the resting frame with the other sign.
+    Flipped,
+    /// The readings are far larger than any press makes them.
+    OutOfRange,
+    /// The readings have gone: what is left is a small share of the resting frame, or noise.
+    Blank,
+}
+
+impl FrameFaultKind {
+    /// The kind in a word, as in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Frozen => "frozen",
+            Self::Saturated => "saturated",
+            Self::Flipped => "flipped",
+            Self::OutOfRange => "out-of-range",
+            Self::Blank => "blank",
+        }
+    }
+}
+
+/// A fault of all channels together. Nobody knows what touches the skin while it lasts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct FrameFault {
+    /// What is wrong.
+    pub kind: FrameFaultKind,
+    /// Time of the first frame that showed it, nanoseconds.
+    pub since_ns: u64,
+    /// Number of that frame.
+    pub since_sequence: u64,
+}
+
 /// What is known to be broken, both lists in the order of their indices.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Health<'a> {
+    /// What is wrong with the frames as a whole. While there is something, touches are unknown: none are reported, and
+    /// that says nothing of whether the skin is touched.
+    pub frame: Option<FrameFault>,
     /// Channels left out.
     pub channels: &'a [ChannelFault],
     /// Electrodes blamed.
@@ -90,6 +134,6 @@ impl Health<'_> {
     /// True where nothing is.
     #[must_use]
     pub fn is_sound(&self) -> bool {
-        self.channels.is_empty() && self.electrodes.is_empty()
+        self.frame.is_none() && self.channels.is_empty() && self.electrodes.is_empty()
     }
 }

@@ -13,6 +13,7 @@
 mod channel_state;
 mod electrode_faults;
 mod fault;
+mod frame_judge;
 mod monitor;
 mod params;
 mod rest;
@@ -22,7 +23,9 @@ mod wiring;
 #[cfg(test)]
 mod tests;
 
-pub use fault::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
+pub use fault::{
+    ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, FrameFault, FrameFaultKind, Health,
+};
 pub use monitor::HealthMonitor;
 pub use params::{HEALTH_WINDOW, HealthParams};
 pub use rest::{FEWEST_AT_REST, RestScatter};

@@ -2,6 +2,7 @@
 
 use super::channel_state::ChannelState;
 use super::electrode_faults::ElectrodeFaults;
+use super::frame_judge::FrameJudge;
 use super::wiring::Wiring;
 use super::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health, HealthParams};
 use crate::error::{TouchError, require_length};
@@ -25,6 +26,7 @@ pub struct HealthMonitor {
     pub(super) params: HealthParams,
     pub(super) channels: Vec<ChannelState>,
     electrodes: ElectrodeFaults,
+    pub(super) frame: FrameJudge,
     faults: Vec<ChannelFault>,
     electrode_faults: Vec<ElectrodeFault>,
     /// Declared: bad, or using a lost electrode.
@@ -48,6 +50,7 @@ impl HealthMonitor {
         let count = wiring.channel_count();
         Self {
             electrodes: ElectrodeFaults::new(&wiring),
+            frame: FrameJudge::new(count, params.full_scale),
             channels: vec![ChannelState::new(); count],
             faults: Vec::with_capacity(count),
             electrode_faults: Vec::with_capacity(2 * wiring.electrode_count()),
@@ -75,7 +78,7 @@ impl HealthMonitor {
     /// What is known to be broken.
     #[must_use]
     pub fn health(&self) -> Health<'_> {
-        Health { channels: &self.faults, electrodes: &self.electrode_faults }
+        Health { frame: self.frame.fault(), channels: &self.faults, electrodes: &self.electrode_faults }
     }
 
     /// Channels to leave out for good: those of [`HealthMonitor::health`].
@@ -95,6 +98,12 @@ impl HealthMonitor {
     #[must_use]
     pub fn is_doubtful(&self) -> bool {
         self.excluded.iter().zip(&self.declared).any(|(excluded, declared)| *excluded && !*declared)
+    }
+
+    /// True where the frame read last is wrong as a whole, or follows frames that were: nothing is to be made of it.
+    #[must_use]
+    pub fn is_frame_suspect(&self) -> bool {
+        self.frame.is_suspect()
     }
 
     /// True where the frame judged last shows no fault of a channel.
@@ -119,6 +128,8 @@ impl HealthMonitor {
         let pairs = || self.channels.iter().zip(readings);
         let repeated = pairs().filter(|(state, reading)| state.equals_last(**reading)).count();
         let whole_frame_repeats = 2 * repeated > readings.len() && repeated > FEWEST_TOGETHER;
+        let channels = &self.channels;
+        self.frame.read(readings, &self.declared, |channel| channels[channel].repeat_chance().ln());
         let largest = readings.iter().map(|v| v.abs()).filter(|v| v.is_finite()).fold(0.0, f64::max);
         for (state, &reading) in self.channels.iter_mut().zip(readings) {
             state.read(reading, whole_frame_repeats, largest, &self.params);
@@ -127,7 +138,7 @@ impl HealthMonitor {
     }
 
     /// Judges the frame read last from its difference data (model volts, NaN where missing): true where what is known
-    /// has changed. `unexplained` is how far each channel is from what the good ones let expect (model volts), where
+    /// has changed. A frame that is wrong as a whole says nothing of its channels. `unexplained` is how far each channel is from what the good ones let expect (model volts), where
     /// that is known. `at` is the frame's time in nanoseconds and its number.
     ///
     /// # Errors
@@ -148,11 +159,17 @@ impl HealthMonitor {
         if !self.begun {
             return Ok(false);
         }
+        let verdict = self.frame.judge(at);
+        if self.frame.is_suspect() {
+            self.previous.fill(f64::NAN);
+            return Ok(verdict);
+        }
         self.find_dead(difference);
         self.gather(at, difference, unexplained);
         self.previous.copy_from_slice(difference);
-        let changed = self.declare(at);
-        if changed {
+        let declared = self.declare(at);
+        let changed = declared || verdict;
+        if declared {
             self.conclude();
         }
         for ((excluded, declared), state) in self.excluded.iter_mut().zip(&self.declared).zip(&self.channels) {

@@ -19,6 +19,10 @@ pub struct HealthReference<'a> {
     pub rest: &'a [f64],
     /// Standard deviation of a reading, model volts.
     pub deviation: &'a [f64],
+    /// Resting values in the unit of the readings; empty where whole frames are not to be judged.
+    pub readings: &'a [f64],
+    /// Standard deviation of these, in the unit of the readings.
+    pub readings_deviation: &'a [f64],
     /// Standard deviation of what the other channels leave unexplained, model volts, where that is worked out.
     pub unexplained: Option<&'a [f64]>,
 }
@@ -81,6 +85,11 @@ impl HealthMonitor {
         require_length("resting values", count, reference.rest.len())?;
         require_length("deviations", count, reference.deviation.len())?;
         require_length("unexplained deviations", count, reference.unexplained.map_or(count, <[f64]>::len))?;
+        if !reference.readings.is_empty() {
+            require_length("resting readings", count, reference.readings.len())?;
+            require_length("deviations of readings", count, reference.readings_deviation.len())?;
+            self.frame.begin(reference.readings, reference.readings_deviation);
+        }
         self.restart(reference.rest, reference.deviation, reference.unexplained);
         Ok(())
     }

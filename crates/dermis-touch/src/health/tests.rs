@@ -57,7 +57,10 @@ impl Bench {
         let mut monitor = HealthMonitor::new(wiring(), HealthParams::default());
         let rest: Vec<f64> = channels.iter().map(|c| rest(*c)).collect();
         let deviation = vec![SIGMA; rest.len()];
-        monitor.begin(&HealthReference { rest: &rest, deviation: &deviation, unexplained: None }).unwrap();
+        let (readings, readings_deviation) = (&rest[..], &deviation[..]);
+        let reference =
+            HealthReference { rest: &rest, deviation: &deviation, readings, readings_deviation, unexplained: None };
+        monitor.begin(&reference).unwrap();
         Self { monitor, channels, noise: Noise(7), frame: 0, baseline: rest }
     }
 
@@ -185,7 +188,7 @@ fn a_short_is_known_by_what_is_driven_and_read_across_it() {
 }
 
 #[test]
-fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_nothing() {
+fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_no_fault_of_a_channel() {
     let mut bench = Bench::new();
     bench.sound(200);
     let last = std::cell::RefCell::new(vec![f64::NAN; 40]);
@@ -197,13 +200,99 @@ fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_nothing() {
         }
         *slot
     };
-    (0..50).for_each(|_| bench.step(freeze));
-    assert!(bench.monitor.health().is_sound(), "{:?}", bench.monitor.health());
+    // The first frame is stuck to from the second on.
+    (0..5).for_each(|_| bench.step(&freeze));
+    let fault = bench.monitor.health().frame.unwrap();
+    assert_eq!((fault.kind, fault.since_sequence), (FrameFaultKind::Frozen, 204));
+    (0..50).for_each(|_| bench.step(&freeze));
+    assert!(bench.monitor.health().channels.is_empty(), "{:?}", bench.monitor.health());
     let value = rest([1, 4]);
     bench.sound(2);
+    assert!(bench.monitor.health().frame.is_some(), "two frames are not believed yet");
+    bench.sound(1);
+    assert!(bench.monitor.health().is_sound(), "{:?}", bench.monitor.health());
     bench.until(|c, v, _| if c == [1, 4] { value } else { v }, |health| !health.is_sound());
     let fault = bench.monitor.health().channels[0];
     assert_eq!((fault.channel, fault.kind), (bench.index([1, 4]), ChannelFaultKind::Stuck));
+}
+
+/// Frames until the whole frame has a verdict, at most five, and the verdict.
+fn verdict(bench: &mut Bench, change: impl Fn([u32; 2], f64, f64) -> f64) -> FrameFaultKind {
+    for _ in 0..5 {
+        bench.step(&change);
+        assert!(bench.monitor.is_frame_suspect());
+        if let Some(fault) = bench.monitor.health().frame {
+            return fault.kind;
+        }
+    }
+    panic!("not known after five frames: {:?}", bench.monitor.health());
+}
+
+#[test]
+fn frames_wrong_as_a_whole_are_known_within_five_frames_and_blame_no_channel() {
+    let sign = |uniform: f64| if uniform < 0.0 { -1.0 } else { 1.0 };
+    let mut bench = Bench::new();
+    bench.sound(50);
+    for round in 0..20 {
+        let gain = 10_f64.powi(2 + round % 11);
+        let cases: [(FrameFaultKind, &dyn Fn([u32; 2], f64, f64) -> f64); 7] = [
+            (FrameFaultKind::Saturated, &|_, _, uniform| 10.0 * sign(uniform)),
+            (FrameFaultKind::Saturated, &|_, _, uniform| -2.5 + 1e-4 * uniform),
+            (FrameFaultKind::Flipped, &|_, v, _| -v),
+            (FrameFaultKind::Flipped, &|c, v, _| 0.4 * rest(c) * f64::from((c[0] + c[1]) % 2) - v),
+            (FrameFaultKind::OutOfRange, &|_, v, _| 2.0 * gain * v),
+            (FrameFaultKind::Blank, &|_, v, _| v / gain),
+            (FrameFaultKind::Blank, &|c, v, _| v - rest(c)),
+        ];
+        for (kind, change) in cases {
+            assert_eq!(verdict(&mut bench, change), kind);
+            bench.sound(3);
+            assert!(bench.monitor.health().is_sound(), "{kind:?}: {:?}", bench.monitor.health());
+        }
+    }
+}
+
+#[test]
+fn one_odd_frame_is_suspect_and_no_verdict() {
+    let mut bench = Bench::new();
+    bench.sound(50);
+    for _ in 0..20 {
+        bench.step(|_, v, _| -v);
+        assert!(bench.monitor.is_frame_suspect() && bench.monitor.health().is_sound());
+        bench.sound(1);
+        assert!(!bench.monitor.is_frame_suspect() && bench.monitor.health().is_sound());
+    }
+}
+
+#[test]
+fn instruments_that_repeat_frames_or_have_no_noise_are_not_frozen() {
+    // Every frame comes three times.
+    let channels = pairs();
+    let resting: Vec<f64> = channels.iter().map(|c| rest(*c)).collect();
+    let deviation = vec![SIGMA; resting.len()];
+    let reference = HealthReference {
+        rest: &resting,
+        deviation: &deviation,
+        readings: &resting,
+        readings_deviation: &deviation,
+        unexplained: None,
+    };
+    for (repeated, noise_of) in [(3, SIGMA), (1, 0.0)] {
+        let mut monitor = HealthMonitor::new(wiring(), HealthParams::default());
+        let mut noise = Noise(11);
+        for frame in 0..300_u64 {
+            if frame == 10 {
+                monitor.begin(&reference).unwrap();
+            }
+            let readings: Vec<f64> = resting.iter().map(|v| v + noise_of * noise.normal()).collect();
+            let difference: Vec<f64> = readings.iter().zip(&resting).map(|(v, b)| v - b).collect();
+            for _ in 0..repeated {
+                monitor.read(&readings).unwrap();
+                monitor.judge((frame, frame), &difference, None).unwrap();
+                assert!(monitor.health().frame.is_none(), "{repeated}: {frame}: {:?}", monitor.health());
+            }
+        }
+    }
 }
 
 #[test]

@@ -105,28 +105,116 @@ impl Cut {
             let (dx, dy) = (p[0] - self.from_m[0], p[1] - self.from_m[1]);
             [dx * x + dy * y, dy * x - dx * y]
         });
+        // Nearly all triangles lie on one side of the strip.
+        let (length, half) = (self.length_m(), self.width_m / 2.0);
+        let beside = |axis: usize, low: f64, high: f64| {
+            local.iter().all(|p| p[axis] <= low) || local.iter().all(|p| p[axis] >= high)
+        };
+        if beside(1, -half, half) || beside(0, 0.0, length) {
+            return 0.0;
+        }
         let whole = area(&local);
         let mut inside = local.to_vec();
-        for (axis, limit, keep_below) in [
-            (0, 0.0, false),
-            (0, self.length_m(), true),
-            (1, -self.width_m / 2.0, false),
-            (1, self.width_m / 2.0, true),
-        ] {
+        for (axis, limit, keep_below) in [(0, 0.0, false), (0, length, true), (1, -half, false), (1, half, true)] {
             inside = clip(&inside, axis, limit, keep_below);
         }
         (area(&inside) / whole).clamp(0.0, 1.0)
     }
 }
 
+/// Cuts by place, so that a triangle looks only at those near it: a sheet that heals has thousands of pieces of cuts,
+/// and its conductances change with every frame.
+#[derive(Debug)]
+pub(super) struct NearCuts<'a> {
+    cuts: &'a [Cut],
+    low: [f64; 2],
+    cell_m: f64,
+    counts: [usize; 2],
+    /// Numbers of the cuts that reach into each cell, ascending.
+    cells: Vec<Vec<u32>>,
+}
+
+/// Cells along the longer side of all cuts.
+const CELLS: f64 = 64.0;
+
+impl<'a> NearCuts<'a> {
+    pub fn new(cuts: &'a [Cut]) -> Self {
+        let boxes: Vec<[[f64; 2]; 2]> = cuts.iter().map(bounds).collect();
+        let corner = |k: usize, pick: fn(f64, f64) -> f64, from: f64| {
+            [0, 1].map(|axis| boxes.iter().map(|b| b[k][axis]).fold(from, pick))
+        };
+        let (low, high) = (corner(0, f64::min, f64::INFINITY), corner(1, f64::max, f64::NEG_INFINITY));
+        let side_m = (high[0] - low[0]).max(high[1] - low[1]);
+        if !(side_m.is_finite() && side_m > 0.0) {
+            return Self { cuts, low: [0.0; 2], cell_m: 1.0, counts: [0; 2], cells: Vec::new() };
+        }
+        let cell_m = side_m / CELLS;
+        let counts = [0, 1].map(|axis| ((high[axis] - low[axis]) / cell_m) as usize + 1);
+        let mut near = Self { cuts, low, cell_m, counts, cells: vec![Vec::new(); counts[0] * counts[1]] };
+        for (number, [low, high]) in (0..).zip(boxes) {
+            if let Some([columns, rows]) = near.range(low, high) {
+                for row in rows {
+                    columns.clone().for_each(|column| near.cells[row * counts[0] + column].push(number));
+                }
+            }
+        }
+        near
+    }
+
+    /// Cells that a box reaches into.
+    fn range(&self, low: [f64; 2], high: [f64; 2]) -> Option<[std::ops::RangeInclusive<usize>; 2]> {
+        let along = |axis: usize| {
+            let place = |value: f64| (value - self.low[axis]) / self.cell_m;
+            let (from, to) = (place(low[axis]), place(high[axis]));
+            let last = self.counts[axis].checked_sub(1)?;
+            (to >= 0.0 && from < self.counts[axis] as f64)
+                .then(|| from.max(0.0) as usize..=(to.max(0.0) as usize).min(last))
+        };
+        Some([along(0)?, along(1)?])
+    }
+
+    /// [`damaged_conductance`] with the cuts near a triangle; those farther off change nothing. `numbers` is memory.
+    pub fn damaged_conductance(
+        &self,
+        intact_s: f64,
+        corners: [[f64; 2]; 3],
+        numbers: &mut Vec<u32>,
+    ) -> SheetConductance {
+        numbers.clear();
+        let corner = |pick: fn(f64, f64) -> f64| {
+            [0, 1].map(|axis| pick(pick(corners[0][axis], corners[1][axis]), corners[2][axis]))
+        };
+        if let Some([columns, rows]) = self.range(corner(f64::min), corner(f64::max)) {
+            for row in rows {
+                columns.clone().for_each(|column| numbers.extend(&self.cells[row * self.counts[0] + column]));
+            }
+            numbers.sort_unstable();
+            numbers.dedup();
+        }
+        let near = numbers.iter().map(|&number| &self.cuts[number as usize]);
+        SheetConductance::isotropic(near.fold(intact_s, |left, cut| left_by(left, cut, corners)))
+    }
+}
+
+/// Lower left and upper right corner of the box around a cut's strip.
+fn bounds(cut: &Cut) -> [[f64; 2]; 2] {
+    let half = cut.width_m / 2.0;
+    [
+        [0, 1].map(|axis| cut.from_m[axis].min(cut.to_m[axis]) - half),
+        [0, 1].map(|axis| cut.from_m[axis].max(cut.to_m[axis]) + half),
+    ]
+}
+
+/// What one cut leaves of the conductance of a triangle.
+fn left_by(left: f64, cut: &Cut, corners: [[f64; 2]; 3]) -> f64 {
+    let share = cut.share_of(corners);
+    left / ((1.0 - share) + share / cut.residual)
+}
+
 /// Sheet conductance of a triangle of a sheet of conductance `intact_s` (siemens) with these cuts. Several cuts in one
 /// element act one after the other.
 pub fn damaged_conductance(intact_s: f64, cuts: &[Cut], corners: [[f64; 2]; 3]) -> SheetConductance {
-    let left = |left: f64, cut: &Cut| {
-        let share = cut.share_of(corners);
-        left / ((1.0 - share) + share / cut.residual)
-    };
-    SheetConductance::isotropic(cuts.iter().fold(intact_s, left))
+    SheetConductance::isotropic(cuts.iter().fold(intact_s, |left, cut| left_by(left, cut, corners)))
 }
 
 /// The part of a convex polygon on one side of `axis = limit` (Sutherland and Hodgman).
@@ -180,6 +268,27 @@ mod tests {
         assert!((s.xx - expected).abs() < 1e-12 && (s.yy - expected).abs() < 1e-12 && s.xy == 0.0, "{s:?}");
         let healed = damaged_conductance(5e-3, &[Cut { residual: 1.0, ..cut }], CORNERS);
         assert!((healed.xx - 5e-3).abs() < 1e-15 && (healed.yy - 5e-3).abs() < 1e-15);
+    }
+
+    #[test]
+    fn looking_at_near_cuts_gives_the_same_as_looking_at_all() {
+        let mut state = 7_u64;
+        let mut next = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        };
+        for count in [0, 1, 7, 300] {
+            let cuts: Vec<Cut> = (0..count)
+                .map(|_| Cut { residual: 0.5 + 0.4 * next(), ..Cut::open([next(), next()], [next(), next()]) })
+                .collect();
+            let (near, mut numbers) = (NearCuts::new(&cuts), Vec::new());
+            for _ in 0..500 {
+                let middle = [1.5 * next(), 1.5 * next()];
+                let corners = [0, 1, 2].map(|_| [middle[0] + 0.1 * next(), middle[1] + 0.1 * next()]);
+                let expected = damaged_conductance(2.0, &cuts, corners);
+                assert_eq!(near.damaged_conductance(2.0, corners, &mut numbers).xx.to_bits(), expected.xx.to_bits());
+            }
+        }
     }
 
     #[test]

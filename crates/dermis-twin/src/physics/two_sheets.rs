@@ -16,7 +16,7 @@ use dermis_tomo::sparse::{Ordering, SparseError, SpdFactor, SpdStructure};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, MatRef, Side};
 
-use super::cut::{Cut, damaged_conductance};
+use super::cut::{Cut, NearCuts};
 use super::element::{PAIRS, SheetConductance, stiffness, weighted_mass};
 use super::paths::SlitPath;
 use super::sheet_body::{ContactEntry, contact_entries, coordinates, refuse, triangles_of};
@@ -187,10 +187,11 @@ impl TwoSheets {
 
     /// Sets the sensing sheet: a conductance (siemens) that varies from place to place, with cuts.
     pub fn set_sensing_by(&mut self, intact_s: impl Fn([f64; 2]) -> f64, cuts: &[Cut]) {
+        let (near, mut numbers) = (NearCuts::new(cuts), Vec::new());
         for (element, tensor) in self.sensing.iter_mut().enumerate() {
             let corners = self.triangles[element].map(|node| self.positions[node as usize]);
             let centroid = [0, 1].map(|axis| corners.iter().map(|corner| corner[axis]).sum::<f64>() / 3.0);
-            *tensor = damaged_conductance(intact_s(centroid), cuts, corners);
+            *tensor = near.damaged_conductance(intact_s(centroid), corners, &mut numbers);
         }
         self.open_is_stale = true;
     }

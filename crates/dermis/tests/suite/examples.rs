@@ -42,6 +42,7 @@ fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<
         frames: file_spec(frames),
         skin,
         format: None,
+        as_skin: false,
         calibration: None,
         forces: None,
         hyperparameter: None,

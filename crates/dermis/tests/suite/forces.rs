@@ -61,12 +61,19 @@ fn files_say_what_is_wrong_with_them() {
         .collect();
     let calibration = fit_forces(&samples, CurveKind::Linear, scope("ionic-disc", &plan)).unwrap();
     assert!(calibration.gain.is_none());
-    save_forces(&calibration, &path).unwrap();
-    assert_eq!(load_forces(&path, "ionic-disc").unwrap(), calibration);
-    let other = load_forces(&path, "piezo-disc").unwrap_err().to_string();
+    save_forces(&calibration, &skin, &path).unwrap();
+    assert_eq!(load_forces(&path, &skin).unwrap(), calibration);
+    let other = load_forces(&path, &Skin::open("piezo-disc").unwrap()).unwrap_err().to_string();
     assert!(other.contains("forces.json") && other.contains("ionic-disc") && other.contains("piezo-disc"), "{other}");
+    // Of the same name, and twice as large.
+    let text = dermis::skin::builtin_text("ionic-disc").unwrap().replace("diameter_mm = 174.0", "diameter_mm = 348.0");
+    let larger = Skin::parse(&text, "larger").unwrap();
+    let error = load_forces(&path, &larger).unwrap_err().to_string();
+    assert!(error.contains("fingerprint") && error.contains("--as-skin"), "{error}");
+    let insisted = dermis::live::forces::parse_forces_as(&std::fs::read(&path).unwrap(), &path, &larger).unwrap();
+    assert_eq!(insisted, calibration);
     std::fs::write(&path, "{\"scope\": 3}").unwrap();
-    let broken = load_forces(&path, "ionic-disc").unwrap_err().to_string();
+    let broken = load_forces(&path, &skin).unwrap_err().to_string();
     assert!(broken.contains("line 1"), "{broken}");
 
     assert!(press_twin(&skin, &PressPlan { most_n: -1.0, ..plan.clone() }, |_, _| {}).is_err());

@@ -88,7 +88,7 @@ fn first_frames_without_readings_delay_the_baseline_and_end_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let mut system = System::new("healing-square", folder.path());
     for _ in 0..50 {
-        system.take(&Step::Spoil(Spoilt::All(f64::NAN)));
+        system.take(&Step::Spoil(Spoilt::All(f64::NAN), 1));
     }
     assert!(system.pipeline.hyperparameter().is_none());
     system.take(&Step::Frames(40));
@@ -125,8 +125,8 @@ fn first_frames_of_zeros_delay_the_baseline_and_end_nothing() {
     for skin in ["healing-square", "ionic-disc", "em-8"] {
         let folder = tempfile::tempdir().unwrap();
         let mut system = System::new(skin, folder.path());
-        system.take(&Step::Spoil(Spoilt::All(0.0)));
-        (0..150).for_each(|_| system.take(&Step::Spoil(Spoilt::All(0.0))));
+        system.take(&Step::Spoil(Spoilt::All(0.0), 1));
+        (0..150).for_each(|_| system.take(&Step::Spoil(Spoilt::All(0.0), 1)));
         assert!(system.pipeline.hyperparameter().is_none(), "{skin}: a baseline of zeros");
         system.take(&Step::Frames(120));
         assert!(system.pipeline.hyperparameter().is_some(), "{skin}: no baseline although readings come");

@@ -12,7 +12,7 @@ use dermis::skin::{Skin, builtin_text};
 use dermis::twin::{AnyTwin, TwinKit};
 use dermis_device::{Frame, HostStamp, Layout};
 use dermis_touch::Touch;
-use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, HEALTH_WINDOW};
+use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFaultKind, HEALTH_WINDOW};
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
 
@@ -24,6 +24,10 @@ struct Line {
     frame_s: f64,
     /// Added to the device's clock from a frame on.
     clock: Option<(u64, i64)>,
+    /// What the instrument makes of its readings before they are sent.
+    spoil: Option<fn(&[f64], &mut Vec<f64>)>,
+    /// The last readings that were sent.
+    sent: Vec<f64>,
 }
 
 impl Line {
@@ -34,13 +38,25 @@ impl Line {
         let layout = Layout::Channels { count: prepared.channels() };
         let frame_s = 1.0 / skin.backend.frames_per_s.unwrap();
         let twin = TwinKit::of(&skin).unwrap().twin;
-        Self { twin, pipeline: Pipeline::new(prepared, &layout, None).unwrap(), ticks: 0, frame_s, clock: None }
+        Self {
+            twin,
+            pipeline: Pipeline::new(prepared, &layout, None).unwrap(),
+            ticks: 0,
+            frame_s,
+            clock: None,
+            spoil: None,
+            sent: Vec::new(),
+        }
     }
 
     fn step(&mut self) -> Vec<Touch> {
         let time_s = self.ticks as f64 * self.frame_s;
         let mut values = Vec::new();
         self.twin.step(time_s, &mut values).unwrap();
+        if let Some(spoil) = self.spoil {
+            spoil(&self.sent, &mut values);
+        }
+        self.sent.clone_from(&values);
         let time_ns = (time_s * 1e9) as u64;
         let mut frame = Frame::default();
         frame.refill(self.ticks, HostStamp { monotonic_ns: time_ns, wall_ns: 0 }, &values, &[]);
@@ -95,6 +111,61 @@ fn lose_an_electrode(name: &str, electrode: u32) {
     }
     assert!(known.is_some_and(|frames| frames <= HEALTH_WINDOW as u64), "{name}: known after {known:?}");
     assert!(back.is_some_and(|frames| (50..=75).contains(&frames)), "{name}: back after {back:?}");
+}
+
+/// Spoils all frames under a held touch and without one: within five frames touches are unknown and the image is
+/// blank, within three sound ones they are back, and neither baseline nor damage has learnt anything.
+fn spoil_frames(name: &str, kind: FrameFaultKind, spoil: fn(&[f64], &mut Vec<f64>)) {
+    let mut line = Line::new(name, "");
+    let half = line.pipeline.prepared().half_width_m();
+    (0..40).for_each(|_| drop(line.step()));
+    for pressed in [true, false] {
+        if pressed {
+            line.press(0.3 * half, -0.2 * half);
+        } else {
+            line.twin.scene_mut().release(1);
+        }
+        let before = (0..30).map(|_| line.step()).last().unwrap();
+        assert_eq!(before.len(), usize::from(pressed), "{name}: {before:?}");
+        assert!(line.pipeline.health().is_sound(), "{name}: {:?}", line.pipeline.health());
+        line.spoil = Some(spoil);
+        for k in 1..=60 {
+            let touches = line.step();
+            let fault = line.pipeline.health().frame;
+            assert!(k < 5 || fault.is_some_and(|fault| fault.kind == kind), "{name}, {kind:?}: {k}: {fault:?}");
+            assert!(line.pipeline.health().channels.is_empty(), "{name}, {kind:?}: {:?}", line.pipeline.health());
+            let most = if fault.is_some() { 0 } else { before.len() };
+            assert!(touches.len() <= most, "{name}, {kind:?}: {k}: {touches:?}");
+        }
+        line.spoil = None;
+        let after = (0..20).map(|_| line.step()).last().unwrap();
+        assert!(line.pipeline.health().is_sound(), "{name}, {kind:?}: {:?}", line.pipeline.health());
+        assert_eq!(after.len(), before.len(), "{name}, {kind:?}: {after:?}");
+        for (after, before) in after.iter().zip(&before) {
+            let [x, y] = [0, 1].map(|axis| after.position_m[axis] - before.position_m[axis]);
+            assert!(x.hypot(y) < 0.05 * half, "{name}, {kind:?}: {after:?} {before:?}");
+        }
+        assert!(line.pipeline.damage().damages.is_empty(), "{name}, {kind:?}");
+    }
+}
+
+#[test]
+fn frames_wrong_as_a_whole_end_touches_as_unknown_on_every_kind_of_skin() {
+    for name in ["healing-square", "ionic-disc", "piezo-square", "em-8"] {
+        spoil_frames(name, FrameFaultKind::Frozen, |sent, values| values.copy_from_slice(sent));
+        spoil_frames(name, FrameFaultKind::OutOfRange, |_, values| values.iter_mut().for_each(|v| *v *= 1e12));
+        if name != "piezo-square" {
+            spoil_frames(name, FrameFaultKind::Saturated, |_, values| {
+                let sign = |k: usize| if k % 3 == 0 { -10.0 } else { 10.0 };
+                values.iter_mut().enumerate().for_each(|(k, v)| *v = sign(k));
+            });
+        }
+        // A magnitude has no sign.
+        if name == "em-8" {
+            continue;
+        }
+        spoil_frames(name, FrameFaultKind::Flipped, |_, values| values.iter_mut().for_each(|v| *v = -*v));
+    }
 }
 
 #[test]

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use dermis::lab::case::Case;
 use dermis::live::calibration::{Calibration, read_pokes};
-use dermis::skin::{BUILTIN_NAMES, Skin, builtin_text};
+use dermis::live::forces::parse_forces;
+use dermis::skin::{BUILTIN_NAMES, PriorChoice, Skin, builtin_text};
+use dermis::tomo::inverse::{ImageBasis, Prior, Weighting};
 use proptest::prelude::*;
 
 const CASE: &str = r#"{"nodes": [[0,0],[1,0],[1,1],[0,1],[0.5,0.5]], "elems": [[0,1,4],[1,2,4],[2,3,4],[3,0,4]],
@@ -72,6 +74,67 @@ proptest! {
             let _ = read_pokes(path);
         });
     }
+}
+
+/// Texts nested far deeper than any stack holds: brackets, braces, and what each format nests by itself.
+fn nested(inner: &str, open: &str, close: &str) -> String {
+    const DEEP: usize = 100_000;
+    format!("{}{inner}{}", open.repeat(DEEP), close.repeat(DEEP))
+}
+
+/// A skin file with another prior.
+fn with_prior(text: &str, prior: &str) -> Result<Skin, dermis::skin::Error> {
+    let kept: Vec<&str> = text.lines().filter(|line| !line.starts_with("prior = ")).collect();
+    Skin::parse(&kept.join("\n").replacen("[imaging]", &format!("[imaging]\nprior = {prior}"), 1), "nested.toml")
+}
+
+#[test]
+fn whatever_nests_is_refused_before_the_stack_ends() {
+    let json = [
+        nested("0", "[", "]"),
+        nested("0", "{\"a\":", "}"),
+        nested("0", "{\"locator\":", "}"),
+        nested("0", "[{\"scope\":", "}]"),
+        "[".repeat(1_000_000),
+    ];
+    for text in &json {
+        let bytes = text.as_bytes();
+        let skin = Skin::open("healing-square").unwrap();
+        assert!(Calibration::parse(bytes, Path::new("nested.json")).is_err());
+        assert!(parse_forces(bytes, Path::new("nested.json"), &skin).is_err());
+        assert!(Case::parse(bytes, Path::new("nested.json")).is_err());
+        assert!(dermis_page::protocol::parse(text).is_err());
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model.json");
+        std::fs::write(&file, text).unwrap();
+        assert!(dermis::learn::Model::load(&file).is_err());
+    }
+    let base = builtin_text("healing-square").unwrap();
+    let part = ("{ mixture = [{ weight = 1.0, prior = ", " }] }");
+    for deep in [5, 20, 200, 100_000] {
+        let prior = format!("{}\"laplace\"{}", part.0.repeat(deep), part.1.repeat(deep));
+        assert!(prior.parse::<PriorChoice>().is_err(), "{deep} deep");
+        assert!(with_prior(base, &prior).is_err(), "{deep} deep");
+    }
+    with_prior(base, &format!("{}\"laplace\"{}", part.0.repeat(3), part.1.repeat(3))).unwrap();
+    for text in
+        [nested("0", "a = [", "]"), nested("", "[a.", "]"), nested("b = 1", "a.", ""), nested("0", "{ a = ", " }")]
+    {
+        assert!(Skin::parse(&text, "nested.toml").is_err());
+        assert!(Skin::parse(&format!("{base}\n[[twin.faults]]\nfrom_s = {text}"), "nested.toml").is_err());
+    }
+}
+
+#[test]
+fn mixtures_of_priors_are_bounded_where_they_are_built_by_hand() {
+    let mut prior = Prior::Laplace;
+    for _ in 0..200 {
+        prior = Prior::Mixture(vec![(1.0, prior)]);
+    }
+    let jacobian = faer::Mat::<f64>::identity(3, 3);
+    let basis = ImageBasis { positions: vec![[0.0; 3]; 3], neighbours: vec![[0, 1], [1, 2]] };
+    let error = prior.matrix(jacobian.as_ref(), &Weighting::Identity, &basis).unwrap_err().to_string();
+    assert!(error.contains("nested deeper than 16"), "{error}");
 }
 
 #[test]

@@ -71,6 +71,7 @@ pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u6
         baseline: Some(FileSpec::all(at("b.csv"))),
         frames: FileSpec::all(at("f.csv")),
         format: None,
+        as_skin: false,
         calibration: None,
         forces: None,
         hyperparameter: None,

@@ -184,7 +184,7 @@ impl Running {
         match request.command {
             Command::Tare { force } => self.tare(force, reply, pipeline),
             Command::RecordStart => {
-                let path = PathBuf::from(format!("{}.mcap", timestamp()));
+                let path = free_name();
                 match self.start_recording(&path, pipeline) {
                     Ok(()) => reply.accept(format!("recording to {}", path.display())),
                     Err(error) => reply.refuse(format!("not recording: {error}")),
@@ -291,8 +291,10 @@ impl Running {
     }
 }
 
-/// A name for a recording: seconds since 1970, which sorts by time.
-fn timestamp() -> String {
+/// A name for a recording that no file has: seconds since 1970, which sorts by time, and a number where that is taken.
+fn free_name() -> PathBuf {
     let seconds = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    format!("dermis-{seconds}")
+    let numbered = (2..).map(|number: u32| format!("dermis-{seconds}-{number}.mcap"));
+    let mut names = std::iter::once(format!("dermis-{seconds}.mcap")).chain(numbered).map(PathBuf::from);
+    names.find(|name| !name.exists()).unwrap_or_default()
 }

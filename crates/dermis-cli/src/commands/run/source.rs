@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::Context;
 use dermis::live::calibration::Calibration;
-use dermis::live::forces::parse_forces;
+use dermis::live::forces::{parse_forces, parse_forces_as};
 use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
 use dermis::live::prepare::Prepared;
 use dermis::record::{Recording, RecordingHead, is_recording, read_frames};
@@ -37,6 +37,9 @@ pub struct InputArguments {
     /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
     #[arg(long)]
     as_set: bool,
+    /// Read a recording, and calibrations, as SKIN's though they are of another skin.
+    #[arg(long)]
+    as_skin: bool,
     /// Pace of a file: 1 as recorded, 0 as fast as possible, also of the twin.
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -51,12 +54,17 @@ pub struct InputArguments {
 impl InputArguments {
     /// Opens the source, its pipeline, and what a recording of it says at its beginning.
     pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
-        let skin = self.skin.or(DEFAULT_NAME)?;
+        let given = self.skin.given()?;
+        let skin = given.clone().unwrap_or_else(|| DEFAULT_NAME.to_owned());
         // What is wrong with a file is said before the work of preparing a skin.
         let baseline = self.baseline.as_ref().map(|spec| read_frames(spec, self.format)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
-        let options = SourceOptions { speed: self.speed, as_set: self.as_set, format: self.format };
-        let mut opened = open(&self.source, &skin, &options)?;
+        let (as_set, as_skin) = (self.as_set, self.as_skin);
+        let options = SourceOptions { speed: self.speed, as_set, as_skin, format: self.format };
+        if as_skin && given.is_none() {
+            return Err(UsageError("--as-skin: expected SKIN as the first word, as which to read".into()).into());
+        }
+        let mut opened = open(&self.source, given.as_deref(), &options)?;
         let (mut pipeline, head) = opened.pipeline(self.calibration.as_deref(), self.forces.as_deref())?;
         match &baseline {
             Some(table) => pipeline.set_baseline(table)?,
@@ -83,6 +91,8 @@ pub struct Opened {
     pub wait: bool,
     /// It is a table of frames, or a recording, and ends.
     pub is_file: bool,
+    /// Calibrations of another skin are used as well.
+    as_skin: bool,
     /// The skin, where it was prepared beside its twin, until the pipeline takes it.
     prepared: Option<Prepared>,
 }
@@ -101,6 +111,7 @@ impl Opened {
             (Some(path), Some(text)) => Some(Calibration::parse(text, path)?),
             _ => None,
         };
+        let parsed = if self.as_skin { parsed.map(Calibration::insist) } else { parsed };
         let prepared = match self.prepared.take() {
             Some(prepared) => prepared,
             None => Prepared::new(self.skin.clone())?,
@@ -109,7 +120,8 @@ impl Opened {
         let mut head = RecordingHead::of(&prepared, layout.clone(), self.source.name());
         let mut pipeline = Pipeline::new(prepared, &layout, parsed)?;
         if let (Some(path), Some(text)) = (forces, &forces_text) {
-            pipeline.set_forces(parse_forces(text, path, &self.skin.name)?)?;
+            let parse = if self.as_skin { parse_forces_as } else { parse_forces };
+            pipeline.set_forces(parse(text, path, &self.skin)?)?;
         }
         // What was parsed as JSON is text.
         let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
@@ -122,18 +134,25 @@ impl Opened {
 ///
 /// # Errors
 /// As [`open_of`].
-pub fn open(selector: &str, skin_name: &str, options: &SourceOptions) -> anyhow::Result<Opened> {
-    open_of(selector, &|name| skin(name.unwrap_or(skin_name)), options)
+pub fn open(selector: &str, given: Option<&str>, options: &SourceOptions) -> anyhow::Result<Opened> {
+    let named = given.map(skin).transpose()?;
+    let find = |name: Option<&str>| match (name, &named) {
+        (None, Some(skin)) => Ok(skin.clone()),
+        (name, _) => skin(name.unwrap_or(DEFAULT_NAME)),
+    };
+    open_of(selector, &find, named.as_ref(), options)
 }
 
 /// As [`open`], of the skin that `find` makes of the name in the selector, or of none where it has no name. A recording
-/// is of the skin that is in it, and a twin of the one in its name.
+/// is read as the skin that the user has `named`, which must be the recorded one but for what frames do not depend on,
+/// or else as the skin that is in it; a twin is of the skin in its name.
 ///
 /// # Errors
-/// A selector that names nothing, a skin or source that cannot be opened.
+/// A selector that names nothing, a skin or source that cannot be opened, a recording of another skin than was named.
 pub fn open_of(
     selector: &str,
     find: &dyn Fn(Option<&str>) -> anyhow::Result<Skin>,
+    named: Option<&Skin>,
     options: &SourceOptions,
 ) -> anyhow::Result<Opened> {
     let speed = options.speed;
@@ -144,7 +163,7 @@ pub fn open_of(
     let selector = selector.parse::<SourceSelector>().map_err(dermis::Error::from)?;
     let skin = match &selector {
         SourceSelector::Twin { name } => find(name.as_deref())?,
-        SourceSelector::File(spec) if is_recording(&spec.path) => {
+        SourceSelector::File(spec) if named.is_none() && is_recording(&spec.path) => {
             let recording = Recording::open(&spec.path)?;
             Skin::parse_any_version(&recording.head().skin_toml, &spec.path.display().to_string())?
         }
@@ -160,7 +179,7 @@ pub fn open_of(
         false => (source(), Ok(None)),
     };
     let OpenedSource { source, twin, waits: wait, is_file } = opened?;
-    Ok(Opened { source, twin, wait, is_file, prepared: prepared?, skin })
+    Ok(Opened { source, twin, wait, is_file, as_skin: options.as_skin, prepared: prepared?, skin })
 }
 
 /// Asks the desktop to show the page; without a desktop nothing happens.

@@ -21,6 +21,8 @@ const VERSION_BY_MODEL: u32 = 3;
 pub(super) struct StoredCalibration {
     version: u32,
     skin: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    skin_sha256: Option<String>,
     channels: usize,
     load: Option<LoadQuantity>,
     #[serde(deserialize_with = "frames_with_gaps")]
@@ -68,6 +70,7 @@ impl TryFrom<StoredCalibration> for Calibration {
         }
         Ok(Self {
             skin: stored.skin,
+            skin_sha256: stored.skin_sha256,
             channels: stored.channels,
             load: stored.load,
             frames: stored.frames,
@@ -92,6 +95,7 @@ impl From<Calibration> for StoredCalibration {
         Self {
             version,
             skin: calibration.skin,
+            skin_sha256: calibration.skin_sha256,
             channels: calibration.channels,
             load: calibration.load,
             frames: calibration.frames,

@@ -1,7 +1,9 @@
 //! What has changed in the health of a skin from one frame to the next, in words and numbers: for logs, the page and
 //! recordings. Electrodes come first; channels that go with an electrode are not named beside it.
 
-use dermis_touch::health::{ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, Health};
+use dermis_touch::health::{
+    ChannelFault, ChannelFaultKind, ElectrodeFault, ElectrodeFaultKind, FrameFault, FrameFaultKind, Health,
+};
 
 use dermis_skin::{Modality, Skin};
 
@@ -11,11 +13,12 @@ const MOST_NAMED: usize = 8;
 /// A fault that was recognised, or one that is over.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HealthChange {
-    /// `electrode-fault`, `electrode-recovered`, `channel-fault` or `channel-recovered`; coils count as electrodes.
+    /// `frame-fault`, `frame-recovered`, `electrode-fault`, `electrode-recovered`, `channel-fault` or
+    /// `channel-recovered`; coils count as electrodes.
     pub event: &'static str,
     /// For people: `electrode 7 is lost since frame 142`.
     pub detail: String,
-    /// The electrode, or the channels, counted from 1.
+    /// The electrode, or the channels, counted from 1; none for whole frames.
     pub numbers: Vec<f64>,
     /// True for a fault, false for a recovery.
     pub is_fault: bool,
@@ -25,6 +28,7 @@ pub struct HealthChange {
 #[derive(Clone, Debug)]
 pub struct HealthWatch {
     electrode: &'static str,
+    frame: Option<FrameFault>,
     electrodes: Vec<ElectrodeFault>,
     channels: Vec<ChannelFault>,
 }
@@ -33,15 +37,19 @@ impl HealthWatch {
     /// A watch that has seen nothing broken, in the words for this skin.
     pub fn new(skin: &Skin) -> Self {
         let electrode = if skin.modality == Modality::Mit { "coil" } else { "electrode" };
-        Self { electrode, electrodes: Vec::new(), channels: Vec::new() }
+        Self { electrode, frame: None, electrodes: Vec::new(), channels: Vec::new() }
     }
 
     /// What has changed with this frame.
     pub fn changes(&mut self, health: Health<'_>) -> Vec<HealthChange> {
-        if health.electrodes == self.electrodes && health.channels == self.channels {
+        if health.frame == self.frame && health.electrodes == self.electrodes && health.channels == self.channels {
             return Vec::new();
         }
         let mut changes = Vec::new();
+        if health.frame != self.frame {
+            changes.push(frame_change(health.frame));
+            self.frame = health.frame;
+        }
         self.electrode_changes(health, &mut changes);
         self.channel_changes(health, &mut changes);
         self.electrodes.clear();
@@ -97,6 +105,22 @@ impl HealthWatch {
     }
 }
 
+fn frame_change(fault: Option<FrameFault>) -> HealthChange {
+    let Some(FrameFault { kind, since_sequence, .. }) = fault else {
+        let detail = "the frames are sound again, and touches known".to_owned();
+        return HealthChange { event: "frame-recovered", detail, numbers: Vec::new(), is_fault: false };
+    };
+    let what = match kind {
+        FrameFaultKind::Frozen => "all channels read the same, frame after frame",
+        FrameFaultKind::Saturated => "most channels stand at the end of the range",
+        FrameFaultKind::Flipped => "all channels have changed sign",
+        FrameFaultKind::Blank => "all readings have gone",
+        FrameFaultKind::OutOfRange => "the readings are far larger than any press makes them",
+    };
+    let detail = format!("touches are unknown since frame {since_sequence}: {what}");
+    HealthChange { event: "frame-fault", detail, numbers: Vec::new(), is_fault: true }
+}
+
 fn channel_change(event: &'static str, detail: String, numbers: &[u32], is_fault: bool) -> HealthChange {
     HealthChange { event, detail, numbers: numbers.iter().copied().map(f64::from).collect(), is_fault }
 }
@@ -139,7 +163,7 @@ mod tests {
             channel(9, ChannelFaultKind::Noisy),
         ];
         let electrodes = [electrode(6, ElectrodeFaultKind::Lost)];
-        let broken = Health { channels: &channels, electrodes: &electrodes };
+        let broken = Health { channels: &channels, electrodes: &electrodes, ..Health::default() };
         let changes = watch.changes(broken);
         let expected = [
             ("electrode-fault", "electrode 7 is lost since frame 7"),
@@ -152,7 +176,7 @@ mod tests {
         // One of the stuck channels turns out to go with a short; the others are good again.
         let channels = [channel(3, ChannelFaultKind::Electrode)];
         let electrodes = [electrode(6, ElectrodeFaultKind::Shorted { with: 7 })];
-        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes });
+        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes, ..Health::default() });
         let expected = [
             ("electrode-fault", "electrode 7 is shorted with electrode 8 since frame 7"),
             ("channel-recovered", "channels 5, 10 are sound again"),
@@ -162,11 +186,23 @@ mod tests {
     }
 
     #[test]
+    fn a_fault_of_whole_frames_is_told_once_and_its_end_too() {
+        let mut watch = HealthWatch::new(&Skin::open("healing-square").unwrap());
+        let frame = Some(FrameFault { kind: FrameFaultKind::Frozen, since_ns: 0, since_sequence: 9 });
+        let frozen = Health { frame, ..Health::default() };
+        let told = "touches are unknown since frame 9: all channels read the same, frame after frame";
+        assert_eq!(texts(&watch.changes(frozen)), [("frame-fault", told)]);
+        assert!(watch.changes(frozen).is_empty());
+        let over = "the frames are sound again, and touches known";
+        assert_eq!(texts(&watch.changes(Health::default())), [("frame-recovered", over)]);
+    }
+
+    #[test]
     fn many_channels_are_counted_and_coils_are_called_so() {
         let mut watch = HealthWatch::new(&Skin::open("em-8").unwrap());
         let channels: Vec<ChannelFault> = (0..20).map(|c| channel(c, ChannelFaultKind::Missing)).collect();
         let electrodes = [electrode(2, ElectrodeFaultKind::Lost)];
-        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes });
+        let changes = watch.changes(Health { channels: &channels, electrodes: &electrodes, ..Health::default() });
         assert_eq!(changes[0].detail, "coil 3 is lost since frame 7");
         let many = "channels 1, 2, 3, 4, 5, 6, 7, 8 and 12 more are missing since frame 40";
         assert_eq!((changes[1].detail.as_str(), changes[1].numbers.len()), (many, 20));

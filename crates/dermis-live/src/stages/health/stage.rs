@@ -56,7 +56,7 @@ pub(crate) enum Sight {
     Clear,
     /// Something is wrong that is not known yet: what is made of the frame is not to be believed.
     Doubtful,
-    /// Too few channels are left for an image.
+    /// Nothing can be seen: the frames are wrong as a whole, or too few channels are left for an image.
     Blind,
 }
 
@@ -98,7 +98,12 @@ impl HealthStage {
         &self.left_out
     }
 
-    /// To be called with the readings of every frame.
+    /// True where the frame just read may be learnt from: it is not wrong as a whole.
+    pub fn is_frame_sound(&self) -> bool {
+        !self.monitor.is_frame_suspect()
+    }
+
+    /// To be called with the readings of every frame, before anything is made of them.
     pub fn read(&mut self, raw: &[f64]) -> Result<(), Error> {
         Ok(self.monitor.read(raw)?)
     }
@@ -129,8 +134,16 @@ impl HealthStage {
         let deviation: Vec<f64> = reference.noise.iter().map(|sigma| UNCERTAINTY * sigma).collect();
         let rest: Vec<f64> = reference.baseline.iter().zip(&reference.scale).map(|(b, s)| b * s).collect();
         self.residual_of = LeaveOneOutResidual::new(operator);
+        let of_reading = |(sigma, scale): (&f64, &f64)| sigma / scale.abs();
+        let readings_deviation: Vec<f64> = reference.noise.iter().zip(&reference.scale).map(of_reading).collect();
         let unexplained = self.residual_of.as_ref().map(|residual_of| residual_of.deviations(&deviation));
-        let reference = HealthReference { rest: &rest, deviation: &deviation, unexplained: unexplained.as_deref() };
+        let reference = HealthReference {
+            rest: &rest,
+            deviation: &deviation,
+            readings: &reference.baseline,
+            readings_deviation: &readings_deviation,
+            unexplained: unexplained.as_deref(),
+        };
         Ok(self.monitor.begin(&reference)?)
     }
 
@@ -179,12 +192,13 @@ impl HealthStage {
             }
         }
         let excluded = self.monitor.excluded();
-        let doubtful = self.monitor.is_doubtful();
+        let is_suspect = self.monitor.is_frame_suspect();
+        let doubtful = is_suspect || self.monitor.is_doubtful();
         self.doubtful_frames = if doubtful { self.doubtful_frames.saturating_add(1) } else { 0 };
         let left = difference.iter().zip(excluded).filter(|(value, excluded)| value.is_finite() && !**excluded).count();
-        let sight = if !is_enough_of(left, difference.len()) {
+        let sight = if self.monitor.health().frame.is_some() || !is_enough_of(left, difference.len()) {
             Sight::Blind
-        } else if doubtful && self.doubtful_frames <= HEALTH_WINDOW {
+        } else if is_suspect || (doubtful && self.doubtful_frames <= HEALTH_WINDOW) {
             // A doubt that is not settled within the window ends: the skin must not stand still.
             Sight::Doubtful
         } else {

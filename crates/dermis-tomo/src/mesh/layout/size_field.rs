@@ -40,7 +40,9 @@ impl SizeField {
         let mut size = self.base;
         for source in &self.sources {
             let beside = |axis: usize| (source.low[axis] - p[axis]).max(p[axis] - source.high[axis]).max(0.0);
-            if source.size + GRADING * beside(0).hypot(beside(1)) >= size {
+            // Nearer than this the source could ask for less. Squares, as this is asked for every place and electrode.
+            let (reach, [x, y]) = ((size - source.size) / GRADING, [beside(0), beside(1)]);
+            if reach <= 0.0 || x * x + y * y >= reach * reach {
                 continue;
             }
             for [a, b] in &source.segments {

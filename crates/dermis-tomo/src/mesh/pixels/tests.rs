@@ -181,3 +181,18 @@ fn a_bent_sheet_casts_its_shadow() {
     assert!((measures / 0.005 - 1.0).abs() < 1e-3, "{measures}");
     assert!(flat.bent_onto_cylinder(0.01).is_err(), "0.1 m does not fit round a radius of 0.01 m");
 }
+
+#[test]
+fn the_nearest_inside_pixel_is_that_of_a_search_through_all() {
+    for pixels in [1, 2, 5, 24] {
+        let (_, map) = disc_map(pixels);
+        for k in 0..400 {
+            let angle = 0.7 * f64::from(k);
+            // On the disc, around it, and off the grid on every side.
+            let p = [0.0005 * f64::from(k) * angle.cos(), 0.0005 * f64::from(k) * angle.sin()];
+            let gap = |k: &usize| plane::distance(map.grid.centre_m(map.inside[*k] as usize), p);
+            let expected = (0..map.inside.len()).min_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap();
+            assert_eq!(map.nearest_inside(p) as usize, expected, "{pixels} pixels, {p:?}");
+        }
+    }
+}

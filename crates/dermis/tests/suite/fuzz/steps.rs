@@ -14,8 +14,8 @@ pub enum Step {
     Frames(u32),
     /// Someone commands the twin, so many times the same.
     Command(TwinCommand, u32),
-    /// The next frame is spoilt on its way.
-    Spoil(Spoilt),
+    /// The next frames are spoilt on their way, so many of them.
+    Spoil(Spoilt, u32),
     Tare {
         force: bool,
     },
@@ -37,6 +37,10 @@ pub enum Spoilt {
     All(f64),
     /// One in so many readings is this.
     Some(usize, f64),
+    /// Every reading is so many times what it is: another unit, another sign, a tenth of a volt less.
+    Scaled(f64),
+    /// The instrument stands still: the frame before once more, under a new number.
+    Frozen,
     /// Readings are missing, or too many.
     Length(usize),
     /// It never comes.
@@ -109,6 +113,9 @@ pub fn step() -> impl Strategy<Value = Step> {
     let spoilt = prop_oneof![
         number.clone().prop_map(Spoilt::All),
         (1..9_usize, number).prop_map(|(every, value)| Spoilt::Some(every, value)),
+        prop_oneof![Just(-1.0), Just(1e-3), Just(1e3), Just(1e12), -2.0..2.0].prop_map(Spoilt::Scaled),
+        prop_oneof![Just(10.0), Just(-10.0), Just(2.5)].prop_map(Spoilt::All),
+        Just(Spoilt::Frozen),
         (0..400_usize).prop_map(Spoilt::Length),
         Just(Spoilt::Lost),
         Just(Spoilt::Twice),
@@ -119,7 +126,7 @@ pub fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         6 => (1..12_u32).prop_map(Step::Frames),
         6 => (command(), prop_oneof![4 => Just(1_u32), 1 => Just(400_u32)]).prop_map(|(c, n)| Step::Command(c, n)),
-        4 => spoilt.prop_map(Step::Spoil),
+        4 => (spoilt, prop_oneof![3 => Just(1_u32), 1 => 2..15_u32]).prop_map(|(spoilt, n)| Step::Spoil(spoilt, n)),
         1 => any::<bool>().prop_map(|force| Step::Tare { force }),
         1 => prop_oneof![1e-6..1e3, Just(f64::NAN), Just(0.0), Just(1e300), Just(1e-300)].prop_map(Step::Hyperparameter),
         1 => Just(Step::RecordStart),

@@ -71,6 +71,8 @@ pub struct System<'a> {
     counted_from: u64,
     begun: BTreeSet<u64>,
     ended: BTreeSet<u64>,
+    /// What the last frame read.
+    last_values: Vec<f64>,
     given: u64,
     pub processed: u64,
     refused: u64,
@@ -112,6 +114,7 @@ impl<'a> System<'a> {
             counted_from: 0,
             begun: BTreeSet::new(),
             ended: BTreeSet::new(),
+            last_values: Vec::new(),
             given: 0,
             processed: 0,
             refused: 0,
@@ -128,7 +131,7 @@ impl<'a> System<'a> {
     pub fn take(&mut self, step: &Step) {
         match step {
             Step::Frames(count) => (0..*count).for_each(|_| self.frame(None)),
-            Step::Spoil(spoilt) => self.frame(Some(*spoilt)),
+            Step::Spoil(spoilt, times) => (0..*times).for_each(|_| self.frame(Some(*spoilt))),
             Step::Command(command, times) => self.command(*command, *times),
             Step::Tare { force } => {
                 if self.pipeline.tare(*force, "fuzz").is_ok() {
@@ -237,6 +240,12 @@ impl<'a> System<'a> {
             None => {}
             Some(Spoilt::All(value)) => frame.values.fill(value),
             Some(Spoilt::Some(every, value)) => frame.values.iter_mut().step_by(every).for_each(|v| *v = value),
+            Some(Spoilt::Scaled(factor)) => frame.values.iter_mut().for_each(|v| *v *= factor),
+            Some(Spoilt::Frozen) => {
+                if self.last_values.len() == frame.values.len() {
+                    frame.values.copy_from_slice(&self.last_values);
+                }
+            }
             Some(Spoilt::Length(length)) => frame.values.resize(length, 0.0),
             Some(Spoilt::Lost) => {
                 self.lost += 1;
@@ -247,6 +256,7 @@ impl<'a> System<'a> {
             Some(Spoilt::WallClock(seconds)) => self.wall_ns += seconds * 1_000_000_000,
             Some(Spoilt::Reset) => self.counted_from = frame.sequence,
         }
+        self.last_values.clone_from(&frame.values);
         frame.sequence = frame.sequence.saturating_sub(self.counted_from);
         let device_ns = frame.device_time_ns.expect("a twin has a clock") + self.silence_ns;
         frame.device_time_ns = Some(device_ns.saturating_add_signed(self.clock_ns));

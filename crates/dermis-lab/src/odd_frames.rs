@@ -1,0 +1,98 @@
+//! Frames that cannot be of the same skin and instrument as their baseline: of another sign, or larger or smaller by
+//! orders of magnitude; and baselines that are so far from the model. Nothing is made of such frames, and it is said.
+
+use dermis_touch::health::FrameFaultKind;
+
+/// Root mean square over that of the baseline, above which and below whose inverse a frame is not of it. Presses make
+/// voltages several times as large or small.
+const OFF: f64 = 300.0;
+/// Projection on the baseline below which a frame has the other sign.
+const FLIPPED: f64 = -0.5;
+/// The model's voltages over the baseline's, above which and below whose inverse their units are worth a word.
+const OTHER_UNIT: f64 = 1e4;
+/// Frames named in a message; further ones are counted.
+const MOST_NAMED: usize = 8;
+
+/// What is wrong with a frame beside its baseline, if anything is (NaN: missing).
+pub(crate) fn odd(frame: &[f64], baseline: &[f64]) -> Option<FrameFaultKind> {
+    let both = || frame.iter().zip(baseline).filter(|(value, rest)| value.is_finite() && rest.is_finite());
+    let sum = |of: &dyn Fn(f64, f64) -> f64| both().map(|(value, rest)| of(*value, *rest)).sum::<f64>();
+    let (size, along, rest) = (sum(&|v, _| v * v), sum(&|v, b| v * b), sum(&|_, b| b * b));
+    if rest <= 0.0 || both().count() < 2 {
+        return None;
+    }
+    let share = (size / rest).sqrt();
+    if share > OFF {
+        return Some(FrameFaultKind::OutOfRange);
+    }
+    if share < 1.0 / OFF {
+        return Some(FrameFaultKind::Blank);
+    }
+    (along < FLIPPED * rest).then_some(FrameFaultKind::Flipped)
+}
+
+/// What is to be said of frames that are wrong: one line of each kind.
+pub(crate) fn describe(odd: &[Option<FrameFaultKind>]) -> Vec<String> {
+    let kinds = [FrameFaultKind::OutOfRange, FrameFaultKind::Blank, FrameFaultKind::Flipped];
+    let line = |kind: FrameFaultKind| {
+        let frames: Vec<usize> = (0..odd.len()).filter(|&index| odd[index] == Some(kind)).collect();
+        let what = match kind {
+            FrameFaultKind::OutOfRange => "more than 300 times as large as the baseline",
+            FrameFaultKind::Blank => "less than a 300th of the baseline",
+            _ => "of the other sign than the baseline",
+        };
+        let named: Vec<String> = frames.iter().take(MOST_NAMED).map(usize::to_string).collect();
+        let more = match frames.len().saturating_sub(MOST_NAMED) {
+            0 => String::new(),
+            more => format!(" and {more} more"),
+        };
+        let text =
+            format!("frames {}{more}: {what}; no image is made of them, and touches are unknown", named.join(", "));
+        (!frames.is_empty()).then_some(text)
+    };
+    kinds.into_iter().filter_map(line).collect()
+}
+
+/// What is to be said of a baseline whose sign or unit is not the model's.
+pub(crate) fn describe_baseline(baseline: &[f64], model: &[f64]) -> Option<String> {
+    let both = || baseline.iter().zip(model).filter(|(value, _)| value.is_finite());
+    let sum = |of: &dyn Fn(f64, f64) -> f64| both().map(|(value, volts)| of(*value, *volts)).sum::<f64>();
+    let (size, along, volts) = (sum(&|b, _| b * b), sum(&|b, m| b * m), sum(&|_, m| m * m));
+    let (factor, correlation) = ((size / volts).sqrt(), along / (size * volts).sqrt());
+    if correlation < FLIPPED {
+        return Some(format!(
+            "the baseline has the other sign than the model (correlation {correlation:.2}): expected drives and readings \
+             the other way round"
+        ));
+    }
+    let is_other = factor.is_finite() && !(1.0 / OTHER_UNIT..=OTHER_UNIT).contains(&factor);
+    is_other.then(|| format!("the baseline is {factor:.1e} times the model's volts: expected readings in volts"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_of_other_sizes_and_signs_are_told_at_every_magnitude_and_presses_are_not() {
+        let rest: Vec<f64> = (0..40).map(|k| 1e-3 * (1.0 + f64::from(k % 7))).collect();
+        let with = |of: &dyn Fn(f64) -> f64| rest.iter().map(|v| of(*v)).collect::<Vec<f64>>();
+        for power in 3..15 {
+            let gain = 10_f64.powi(power);
+            assert_eq!(odd(&with(&|v| gain * v), &rest), Some(FrameFaultKind::OutOfRange));
+            assert_eq!(odd(&with(&|v| v / gain), &rest), Some(FrameFaultKind::Blank));
+        }
+        assert_eq!(odd(&with(&|v| -0.9 * v), &rest), Some(FrameFaultKind::Flipped));
+        assert_eq!(odd(&with(&|_| 0.0), &rest), Some(FrameFaultKind::Blank));
+        for press in [0.05, 0.5, 2.0, 20.0] {
+            assert_eq!(odd(&with(&|v| press * v), &rest), None);
+        }
+        let lines = describe(&[None, Some(FrameFaultKind::Flipped), Some(FrameFaultKind::Flipped)]);
+        let said =
+            "frames 1, 2: of the other sign than the baseline; no image is made of them, and touches are unknown";
+        assert_eq!(lines, [said]);
+        assert!(describe_baseline(&with(&|v| -v), &rest).unwrap().contains("other sign"));
+        assert!(describe_baseline(&with(&|v| 1e6 * v), &rest).unwrap().contains("1.0e6 times"));
+        assert_eq!(describe_baseline(&rest, &rest), None);
+    }
+}
