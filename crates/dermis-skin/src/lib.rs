@@ -19,6 +19,7 @@ mod backend;
 pub mod budget;
 mod builder;
 mod builtin;
+mod channel_list;
 mod check;
 mod choice;
 mod damage;
@@ -44,6 +45,7 @@ pub use backend::{
     ReferenceChoice, Wiring,
 };
 pub use builtin::{BUILTIN_NAMES, DEFAULT_NAME, builtin_text};
+pub use channel_list::{AgainstWord, ChannelList, ListedChannel};
 pub use damage::DamageSettings;
 pub use dermis_mit::{Element, ElementShape};
 pub use electronics::{Electronics, ElectronicsNumbers, MultiplexerNumbers, Preset};

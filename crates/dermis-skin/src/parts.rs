@@ -3,7 +3,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde::de::value::MapAccessDeserializer;
@@ -47,16 +47,21 @@ impl<'de, T: DeserializeOwned> Visitor<'de> for PartVisitor<T> {
 }
 
 impl<T: DeserializeOwned> Part<T> {
+    /// The folder that files named in this part are looked for in: its own, or the skin file's.
+    pub(crate) fn folder(&self, folder: Option<&Path>) -> Option<PathBuf> {
+        match self {
+            Part::Here(_) => folder.map(Path::to_path_buf),
+            Part::File(path) => folder.and_then(|folder| folder.join(path).parent().map(Path::to_path_buf)),
+        }
+    }
+
     pub(crate) fn read(self, field: &'static str, file: &str, folder: Option<&Path>) -> Result<T, Error> {
         let path = match self {
             Part::Here(value) => return Ok(value),
             Part::File(path) => path,
         };
         let checker = Checker { file };
-        if Path::new(&path).is_absolute() || path.split(['/', '\\']).any(|part| part == "..") {
-            let expected = "a path within the skin file's folder";
-            return Err(checker.refused(field, format!("{path:?}"), expected));
-        }
+        check_path(field, &path, &checker)?;
         let parse = |text: &str, name: String| {
             toml::from_str(text)
                 .map_err(|error| Error::SkinFile { file: name, message: error.to_string().trim_end().to_string() })
@@ -76,6 +81,39 @@ impl<T: DeserializeOwned> Part<T> {
                 Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
             }
         }
+    }
+}
+
+/// A path that stays within the skin file's folder: skin files come from others.
+fn check_path(field: &str, path: &str, checker: &Checker<'_>) -> Result<(), Error> {
+    if path.is_empty() || Path::new(path).is_absolute() || path.split(['/', '\\']).any(|part| part == "..") {
+        let expected = "a path within the skin file's folder";
+        return Err(checker.refused(field, format!("{path:?}"), expected));
+    }
+    Ok(())
+}
+
+/// The text of a file that a skin file names, and its name for errors.
+pub(crate) fn read_beside(
+    field: &str,
+    path: &str,
+    file: &str,
+    folder: Option<&Path>,
+    expected: &str,
+) -> Result<(String, String), Error> {
+    let checker = Checker { file };
+    check_path(field, path, &checker)?;
+    let Some(folder) = folder else {
+        let expected = format!("{expected}; text alone lies in no folder");
+        return Err(checker.refused(field, format!("{path:?}"), expected));
+    };
+    let place = folder.join(path);
+    match read_skin_text(&place) {
+        Ok(text) => Ok((text, place.display().to_string())),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
+        }
+        Err(source) => Err(Error::Io { file: place, source }),
     }
 }
 
