@@ -101,6 +101,19 @@ pub(crate) fn read_beside(
     folder: Option<&Path>,
     expected: &str,
 ) -> Result<(String, String), Error> {
+    let (bytes, name) = read_bytes_beside(field, path, file, folder, expected)?;
+    let text = String::from_utf8(bytes);
+    text.map(|text| (text, name.clone())).map_err(|_| Error::SkinFile { file: name, message: "not text (UTF-8)".into() })
+}
+
+/// The bytes of a file that a skin file names, and its name for errors.
+pub(crate) fn read_bytes_beside(
+    field: &str,
+    path: &str,
+    file: &str,
+    folder: Option<&Path>,
+    expected: &str,
+) -> Result<(Vec<u8>, String), Error> {
     let checker = Checker { file };
     check_path(field, path, &checker)?;
     let Some(folder) = folder else {
@@ -108,8 +121,8 @@ pub(crate) fn read_beside(
         return Err(checker.refused(field, format!("{path:?}"), expected));
     };
     let place = folder.join(path);
-    match read_skin_text(&place) {
-        Ok(text) => Ok((text, place.display().to_string())),
+    match read_bounded(&place, MOST_BESIDE_BYTES, "a file of a skin") {
+        Ok(bytes) => Ok((bytes, place.display().to_string())),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
         }
@@ -117,22 +130,29 @@ pub(crate) fn read_beside(
     }
 }
 
+/// Longest file that a skin file names, bytes: a mesh of half a million elements.
+const MOST_BESIDE_BYTES: u64 = 1 << 26;
+
 /// Longest skin file, bytes.
 const MOST_BYTES: u64 = 1 << 20;
 
 /// Reads a skin file or a part of one: a regular file of bounded size, as UTF-8.
 pub(crate) fn read_skin_text(path: &Path) -> std::io::Result<String> {
     use std::io::{Error, ErrorKind::InvalidData};
+    let text = String::from_utf8(read_bounded(path, MOST_BYTES, "a skin file (TOML)")?);
+    text.map_err(|_| Error::new(InvalidData, "not text; expected a skin file (TOML, UTF-8)"))
+}
+
+fn read_bounded(path: &Path, most: u64, what: &str) -> std::io::Result<Vec<u8>> {
+    use std::io::{Error, ErrorKind::InvalidData};
     let found = std::fs::metadata(path)?;
     if !found.is_file() {
-        return Err(Error::new(InvalidData, "not a regular file; expected a skin file (TOML)"));
+        return Err(Error::new(InvalidData, format!("not a regular file; expected {what}")));
     }
-    if found.len() > MOST_BYTES {
-        let message = format!("{} bytes; expected a skin file (TOML) of at most {MOST_BYTES}", found.len());
-        return Err(Error::new(InvalidData, message));
+    if found.len() > most {
+        return Err(Error::new(InvalidData, format!("{} bytes; expected {what} of at most {most}", found.len())));
     }
-    let text = String::from_utf8(std::fs::read(path)?);
-    text.map_err(|_| Error::new(InvalidData, "not text; expected a skin file (TOML, UTF-8)"))
+    std::fs::read(path)
 }
 
 #[cfg(test)]

@@ -241,11 +241,14 @@ impl Written {
         let beside = self.backend.folder(folder);
         let mut backend = self.backend.read("backend", file, folder)?;
         backend.read_channels(file, beside.as_deref())?;
+        let beside = self.frontend.folder(folder);
+        let mut frontend = self.frontend.read("frontend", file, folder)?;
+        frontend.read_mesh(file, beside.as_deref())?;
         Ok(Skin {
             name: self.name,
             title: self.title,
             modality: self.modality,
-            frontend: self.frontend.read("frontend", file, folder)?,
+            frontend,
             backend,
             imaging: self.imaging,
             touch: self.touch,

@@ -140,7 +140,7 @@ impl BodyModel {
         Ok(Self { count, impedance, stated: stated_shapes(skin) })
     }
 
-    /// All candidates worth ranking. `most_work`: readings that may be compared.
+    /// All candidates worth ranking, with so much of the work that a search may take.
     pub(super) fn search(&self, data: &Data, share_of_work: f64) -> Vec<Scored> {
         let readings = data.is_measured.len();
         let mut shapes = self.stated.clone();
@@ -171,7 +171,7 @@ impl BodyModel {
                 found.extend(self.renumbered(shape, data));
             }
             found.sort_by(|a, b| score(b.0, &b.1).total_cmp(&score(a.0, &a.1)));
-            found.truncate(40 * KEPT);
+            found.truncate(40 * KEPT.max(self.count));
         }
         found
     }
@@ -219,7 +219,7 @@ impl BodyModel {
         let mut fits: Vec<_> = arrangements.par_iter().map_init(Vec::new, fit).flatten_iter().collect();
         fits.sort_by(|a, b| b.0.0.total_cmp(&a.0.0));
         // Many orders of a symmetric body are the same: enough of them that the plainest is among them.
-        fits.truncate(16 * KEPT);
+        fits.truncate(16 * KEPT.max(self.count));
         let hypothesis = |((correlation, reversed_sign, rectified), order)| {
             (correlation, Hypothesis { order, reversed_sign, rectified, ..Hypothesis::plain(shape) })
         };
@@ -228,12 +228,19 @@ impl BodyModel {
 
     /// The best orders of a shape with electrodes counted from each of them, both ways round.
     fn renumbered(&self, shape: &Shape, data: &Data) -> Vec<Scored> {
+        let (drives, reads) = shape.sides(self.count);
+        let mut orders = vec![Arrangement::default()];
+        if drives > 1 && reads > 1 {
+            orders = Nesting::ALL
+                .into_iter()
+                .flat_map(|nesting| {
+                    [false, true].map(|rotating| Arrangement { nesting, rotating, ..Arrangement::default() })
+                })
+                .collect();
+        }
         let numbered = |k: usize| {
             let plain = Hypothesis { turn: k / 2, mirrored: k % 2 == 1, ..Hypothesis::plain(shape) };
-            let orders = Nesting::ALL.into_iter().flat_map(|nesting| {
-                [false, true].map(|rotating| Arrangement { nesting, rotating, ..Arrangement::default() })
-            });
-            let fits = orders.filter_map(|order| {
+            let fits = orders.iter().filter_map(|&order| {
                 let hypothesis = Hypothesis { order, ..plain.clone() };
                 let (correlation, reversed_sign, rectified) = data.fit(&self.predict(&hypothesis)?);
                 Some((correlation, Hypothesis { reversed_sign, rectified, ..hypothesis }))
@@ -242,7 +249,7 @@ impl BodyModel {
         };
         let mut fits: Vec<Scored> = (0..2 * self.count).into_par_iter().flat_map_iter(numbered).collect();
         fits.sort_by(|a, b| score(b.0, &b.1).total_cmp(&score(a.0, &a.1)));
-        fits.truncate(16 * KEPT);
+        fits.truncate(16 * KEPT.max(self.count));
         fits
     }
 

@@ -220,7 +220,7 @@ fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
         Electrodes::PadGrid { diameter_mm, .. } => PER_SIDE
             .map(|per_side| Electrodes::PadGrid { per_side: Pair::One(per_side), diameter_mm: *diameter_mm })
             .collect(),
-        Electrodes::RimList(_) | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
+        Electrodes::RimList(_) | Electrodes::RimPlaces { .. } | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
             return Err(Error::Frames {
                 what: format!("frontend.electrodes of {}, whose number is to be varied", skin.name),
                 expected: "rim, rim-pads or pad-grid, which say where any number of them goes".into(),

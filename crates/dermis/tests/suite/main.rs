@@ -7,6 +7,7 @@ mod circuit;
 mod damage;
 mod design;
 mod doctor;
+mod eit_kit;
 mod em;
 mod examples;
 mod five_skins;
@@ -24,6 +25,7 @@ mod learning;
 #[path = "../../../dermis-device/tests/own_clock/mod.rs"]
 mod own_clock;
 mod piezo;
+mod protocol_lists;
 mod recording;
 mod reliability;
 mod reproduce;
