@@ -50,9 +50,9 @@ pub struct OrderCandidate {
     /// Every channel of the file by its electrodes, where no drive and measuring pattern say the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<ListedChannel>>,
-    /// As in a skin file; beside `channels` that of the plain protocol that the file departs from.
+    /// As in a skin file; `Listed` where `channels` says it.
     pub drive: DrivePattern,
-    /// As in a skin file, and as `drive`.
+    /// As in a skin file; `Listed` where `channels` says it.
     pub measure: MeasurePattern,
     /// As in a skin file.
     pub order: ReadingOrder,
@@ -124,6 +124,11 @@ impl OrderCandidate {
 }
 
 impl FoundOrder {
+    /// The best candidate, if it fits.
+    pub fn fitting(&self) -> Option<&OrderCandidate> {
+        self.candidates.first().filter(|best| best.correlation >= LEAST)
+    }
+
     /// What was found, in one sentence.
     pub fn verdict(&self) -> String {
         let Some(best) = self.candidates.first() else {
@@ -308,7 +313,6 @@ fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
             None => {}
         }
     }
-    let candidate =
-        |group: &Group| group.fit.candidate(models[group.fit.model].count, group.same, &group.predicted);
+    let candidate = |group: &Group| group.fit.candidate(models[group.fit.model].count, group.same, &group.predicted);
     groups.iter().map(candidate).collect()
 }

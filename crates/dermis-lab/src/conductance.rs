@@ -39,14 +39,14 @@ const STEPS: usize = 10;
 const SMALLEST_STEP: f64 = 1e-3;
 /// Largest change of log conductance in a step.
 const LARGEST_STEP: f64 = 0.7;
-/// Below this correlation of the readings with those of a uniform sheet, their order is not that of the skin file.
+/// Minimum correlation with a uniform sheet; below it the order of channels is wrong.
 const LEAST_CORRELATION: f64 = 0.8;
 /// Frames from which the noise of their mean is taken.
 const ENOUGH_FRAMES: usize = 4;
 /// Most channels: their covariance takes 8 bytes a pair.
 const MOST_CHANNELS: usize = 6000;
 
-/// A place whose conductance differs from that of the sheet about it.
+/// A region that differs from the sheet around it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Region {
     /// Its middle, metres.
@@ -74,8 +74,8 @@ pub struct Conductance {
     pub sheet_sigma_s: f64,
     /// Conductance of the uniform sheet that fits best, siemens.
     pub uniform_s: f64,
-    /// Root mean square of what stays unexplained, in standard deviations of the readings: about 1 where noise and model
-    /// are as assumed. Uncertainties are wider by it where it is above 1.
+    /// Root mean square of the residuals, in standard deviations of the readings; about 1 or less where noise and model
+    /// are as assumed. Above 1 it widens all uncertainties.
     pub misfit: f64,
     /// Places that differ by more than three standard deviations and by 5 %.
     pub regions: Vec<Region>,
@@ -175,10 +175,11 @@ impl Measured {
         pairs().map(|(value, model)| value * model).sum::<f64>() / pairs().map(|(_, model)| model * model).sum::<f64>()
     }
 
-    /// Variance of each reading: noise, pooled over the channels, and the model's error. Of too few frames the noise is
-    /// what reciprocal channels differ by, or half a per cent of the median reading.
+    /// Variance of each reading: noise, pooled over the channels, and the model's error. With fewer than four frames the
+    /// noise comes from the differences of reciprocal channels, or is half a per cent of the median reading.
     fn variances(&self, model: &[f64], reciprocal: &[Option<(u32, f64)>]) -> Vec<f64> {
-        let known: Vec<f64> = self.errors.iter().map(|error| error * error).filter(|square| square.is_finite()).collect();
+        let known: Vec<f64> =
+            self.errors.iter().map(|error| error * error).filter(|square| square.is_finite()).collect();
         let noise = if known.is_empty() {
             let differences = reciprocal.iter().enumerate().filter_map(|(channel, partner)| {
                 let (other, ratio) = (*partner)?;
@@ -203,10 +204,11 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 /// Mean and covariance of log conductance over the uniform sheet's, by element.
 struct Posterior {
     log: Vec<f64>,
-    deviation: Vec<f64>,
-    /// Standard deviation of the mean over the sheet.
-    mean_deviation: f64,
     misfit: f64,
+    prior: Mat<f64>,
+    /// `J P` and `(J P J' + C)^-1 J P`, in deviations of the readings.
+    jp: Mat<f64>,
+    weighted: Mat<f64>,
 }
 
 impl Posterior {
@@ -251,18 +253,7 @@ impl Posterior {
             let change = (0..elements).map(|k| (next[(k, 0)] - log[k]).abs()).fold(0.0, f64::max);
             if step == STEPS || change < SMALLEST_STEP {
                 let weighted = factor.solve(&jp);
-                let wider = misfit.max(1.0);
-                let variance = |k: usize| {
-                    let explained: f64 = (0..present.len()).map(|row| jp[(row, k)] * weighted[(row, k)]).sum();
-                    (prior[(k, k)] - explained).max(0.0)
-                };
-                let deviation = (0..elements).map(|k| wider * variance(k).sqrt()).collect();
-                let total: f64 = mesh.measures().iter().sum();
-                let share = Mat::from_fn(elements, 1, |k, _| mesh.measures()[k] / total);
-                let (of_prior, of_data) = (&prior * &share, &jp * &share);
-                let explained = of_data.transpose() * factor.solve(&of_data);
-                let mean_variance = (share.transpose() * of_prior)[(0, 0)] - explained[(0, 0)];
-                return Ok(Self { log, deviation, mean_deviation: wider * mean_variance.max(0.0).sqrt(), misfit });
+                return Ok(Self { log, misfit, prior, jp, weighted });
             }
             let shorten = if change > LARGEST_STEP { LARGEST_STEP / change } else { 1.0 };
             log.iter_mut().enumerate().for_each(|(k, y)| *y += shorten * (next[(k, 0)] - *y));
@@ -270,17 +261,34 @@ impl Posterior {
         }
     }
 
-    fn report(
-        self,
-        skin: &Skin,
-        model: &ForwardModel,
-        uniform_s: f64,
-        frames: usize,
-    ) -> Result<Conductance, Error> {
+    /// Standard deviation of each element.
+    fn deviations(&self) -> Vec<f64> {
+        let variance = |k: usize| {
+            let explained: f64 = (0..self.jp.nrows()).map(|row| self.jp[(row, k)] * self.weighted[(row, k)]).sum();
+            self.prior[(k, k)] - explained
+        };
+        (0..self.log.len()).map(|k| self.misfit.max(1.0) * variance(k).max(0.0).sqrt()).collect()
+    }
+
+    /// Standard deviations of weighted means, one a column of elements' weights.
+    fn deviations_of(&self, weights: &Mat<f64>) -> Vec<f64> {
+        let of_prior = &self.prior * weights;
+        let (of_data, of_weighted) = (&self.jp * weights, &self.weighted * weights);
+        let dot = |a: &Mat<f64>, b: &Mat<f64>, column: usize| -> f64 {
+            (0..a.nrows()).map(|row| a[(row, column)] * b[(row, column)]).sum()
+        };
+        let variance = |column: usize| dot(weights, &of_prior, column) - dot(&of_data, &of_weighted, column);
+        (0..weights.ncols()).map(|column| self.misfit.max(1.0) * variance(column).max(0.0).sqrt()).collect()
+    }
+
+    fn report(self, skin: &Skin, model: &ForwardModel, uniform_s: f64, frames: usize) -> Result<Conductance, Error> {
         let mesh = &model.body().mesh;
         let conductances: Vec<f64> = self.log.iter().map(|y| uniform_s * y.exp()).collect();
-        let sigmas: Vec<f64> = conductances.iter().zip(&self.deviation).map(|(s, deviation)| s * deviation).collect();
+        let deviations = self.deviations();
+        let sigmas: Vec<f64> = conductances.iter().zip(&deviations).map(|(s, deviation)| s * deviation).collect();
         let sheet_s = weighted_median(&conductances, mesh.measures());
+        let total: f64 = mesh.measures().iter().sum();
+        let share = Mat::from_fn(conductances.len(), 1, |k, _| mesh.measures()[k] / total);
         let map_error = |source| Error::Mesh { skin: skin.name.clone(), source };
         let map = PixelMap::new(skin.grid()?, mesh).map_err(map_error)?;
         let (image_s, sigma_s) =
@@ -289,10 +297,10 @@ impl Posterior {
             frames,
             channels: model.protocol().channel_count(),
             sheet_s,
-            sheet_sigma_s: sheet_s * self.mean_deviation,
+            sheet_sigma_s: sheet_s * self.deviations_of(&share)[0],
             uniform_s,
             misfit: self.misfit,
-            regions: regions(mesh, &conductances, &self.deviation, sheet_s),
+            regions: regions(mesh, &conductances, sheet_s, &|weights: &Mat<f64>| self.deviations_of(weights)),
             grid: *map.grid(),
             image_s,
             sigma_s,
@@ -300,10 +308,14 @@ impl Posterior {
     }
 }
 
+/// Distance over which conductances are alike, metres.
+fn length_m(mesh: &Mesh) -> f64 {
+    LENGTH * (mesh.measures().iter().sum::<f64>() / std::f64::consts::PI).sqrt()
+}
+
 /// Covariance of log conductance between the elements.
 fn prior(mesh: &Mesh) -> Mat<f64> {
-    let area: f64 = mesh.measures().iter().sum();
-    let length = LENGTH * (area / std::f64::consts::PI).sqrt();
+    let length = length_m(mesh);
     let places: Vec<[f64; 3]> = (0..mesh.element_count()).map(|element| mesh.centroid(element)).collect();
     Mat::from_fn(places.len(), places.len(), |a, b| {
         let (a, b) = (places[a], places[b]);

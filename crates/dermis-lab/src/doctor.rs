@@ -312,7 +312,7 @@ impl Seen {
         Some(best.lines().trim_end().replace('\n', "; "))
     }
 
-    /// What a search through all orders finds.
+    /// The result of a search through all orders.
     fn searched(&self) -> Option<FoundOrder> {
         let Layout::Channels { count } = self.layout else { return None };
         let (rest, _) = self.pipeline.baseline();

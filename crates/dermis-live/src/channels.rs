@@ -77,7 +77,7 @@ impl ChannelLayout {
 }
 
 /// Channel (drive pair k, measuring pair j) of a drive-major matrix whose rows and columns begin at those electrodes.
-/// `None` for protocols of which a row or a column could be several pairs.
+/// `None` if a row or a column could be several of the protocol's pairs.
 fn full_matrix(protocol: &Protocol, electrodes: usize) -> Option<Vec<Vec<(u32, f64)>>> {
     let is_one_each = |patterns: &[Pattern], sign: f64| {
         let mut begun: Vec<Option<u32>> = patterns.iter().map(|pattern| extreme(pattern, sign)).collect();

@@ -5,15 +5,20 @@ in the board's own unit: touches and places do not depend on it, siemens would.
 """
 
 import sys
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import dermis
 
 
-def skin_of(board, diameter_mm=200.0, width_mm=10.0):
+def skin_of(board: Any, diameter_mm: float = 200.0, width_mm: float = 10.0) -> dermis.Skin:
     """A round tank with the board's electrodes, whose channels are those that the board reads."""
-    rows = [[f_minus + 1, f_plus + 1, s_plus + 1, s_minus + 1] for f_plus, s_plus, s_minus, f_minus in board.switch_sequence]
+    sequence = [[int(electrode) + 1 for electrode in row] for row in board.switch_sequence]
+    channels = [[f_minus, f_plus, s_plus, s_minus] for f_plus, s_plus, s_minus, f_minus in sequence]
     return dermis.Skin(
         f"""name = "cn0565"
 modality = "eit"
@@ -26,24 +31,22 @@ contact_impedance_ohm_m2 = 4e-4
 instrument = "EVAL-CN0565-ARDZ"
 current_ma = 0.1
 reads = "complex"
-channels = {[[int(e) for e in row] for row in rows]}
+channels = {channels}
 [touch]
 both_signs = true
 """
     )
 
 
-def frames(board):
+def frames(board: Any) -> Iterator[NDArray[np.complex128]]:
     """One complex frame after another."""
     while True:
         parts = np.asarray(board.all_voltages, float)
         yield parts[:, 0] + 1j * parts[:, 1]
 
 
-def main(uri):
-    import adi
-
-    board = adi.cn0565(uri)
+def main(uri: str) -> None:
+    board = import_module("adi").cn0565(uri)
     board.electrode_count, board.force_distance, board.sense_distance = 8, 1, 1
     for result in dermis.open(frames(board), skin_of(board)):
         for touch in result.touches:

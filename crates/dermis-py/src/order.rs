@@ -46,8 +46,8 @@ pub fn search_order<'py>(
     });
     let correlation = best.map_or(0.0, |best| best.correlation);
     dict.set_item("correlation", correlation)?;
-    dict.set_item("description", best.map_or("", |best| &best.description))?;
-    dict.set_item("lines", best.map_or_else(String::new, channel_search::OrderCandidate::lines))?;
+    dict.set_item("description", best.map_or("", |best| best.description.as_str()))?;
+    dict.set_item("lines", found.fitting().map_or_else(String::new, channel_search::OrderCandidate::lines))?;
     dict.set_item("verdict", found.verdict())?;
     // Of several that fit alike, the one that the skin file states is believed.
     dict.set_item("is_clear", found.is_clear || (is_stated && correlation >= LEAST))?;

@@ -54,22 +54,26 @@ impl PythonSource {
             return Ok(Some(false));
         }
         // (time_s, readings), or readings alone.
-        let (time_s, readings) = match value.cast::<PyTuple>() {
-            Ok(pair) if pair.len() == 2 && pair.get_item(1).is_ok_and(|second| second.hasattr("__len__").unwrap_or(false)) => {
+        let is_pair = |pair: &&Bound<'_, PyTuple>| {
+            pair.len() == 2 && pair.get_item(1).is_ok_and(|second| second.hasattr("__len__").unwrap_or(false))
+        };
+        let pair = value.cast::<PyTuple>().ok().filter(is_pair).cloned();
+        let (time_s, readings) = match pair {
+            Some(pair) => {
                 let time_s: f64 = pair.get_item(0).and_then(|time| time.extract()).map_err(said)?;
                 (Some(time_s), pair.get_item(1).map_err(said)?)
             }
-            _ => (None, value),
+            None => (None, value),
         };
         let device_time_ns = match time_s {
-            Some(time_s) if time_s >= 0.0 && time_s < 1e10 => Some((1e9 * time_s) as u64),
+            Some(time_s) if (0.0..1e10).contains(&time_s) => Some((1e9 * time_s) as u64),
             Some(time_s) => {
                 let number = self.counters.frames;
                 return Err(format!("frame {number}: expected (time in seconds, readings), got a time of {time_s}"));
             }
             None => None,
         };
-        let (real, imaginary) = numbers(&readings).map_err(|error| said(error))?;
+        let (real, imaginary) = numbers(&readings).map_err(said)?;
         let channels = self.layout.channels();
         if real.len() != channels {
             let number = self.counters.frames;

@@ -174,14 +174,18 @@ const NAMES: [&[&str]; 4] = [
 
 /// The rows of a CSV file: whole numbers between commas, semicolons, tabs or blanks, below an optional header.
 fn parse_csv(text: &str, file: &str) -> Result<Vec<ListedChannel>, Error> {
-    let refuse = |line: usize, message: String| Error::SkinFile { file: file.into(), message: format!("line {line}: {message}") };
+    let refuse = |line: usize, message: String| Error::SkinFile {
+        file: file.into(),
+        message: format!("line {line}: {message}"),
+    };
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let lines = (1..).zip(text.lines()).map(|(number, line)| (number, line.split('#').next().unwrap_or("").trim()));
     let mut lines = lines.filter(|(_, line)| !line.is_empty()).peekable();
     let Some(&(first, head)) = lines.peek() else {
         return Err(refuse(1, "nothing; expected a row for each channel: sink, source, plus, minus".into()));
     };
-    let is_header = cells(head).iter().any(|cell| cell.starts_with(|c: char| c.is_alphabetic()) && against(cell).is_none());
+    let is_header =
+        cells(head).iter().any(|cell| cell.starts_with(|c: char| c.is_alphabetic()) && against(cell).is_none());
     let width = cells(head).len();
     let columns: Vec<usize> = if is_header {
         lines.next();
@@ -190,7 +194,8 @@ fn parse_csv(text: &str, file: &str) -> Result<Vec<ListedChannel>, Error> {
         (0..width).collect()
     };
     if columns.len() != 4 && columns.len() != 2 {
-        let message = format!("{width} columns; expected 4 (sink, source, plus, minus), or 2 where pairs read themselves");
+        let message =
+            format!("{width} columns; expected 4 (sink, source, plus, minus), or 2 where pairs read themselves");
         return Err(refuse(first, message));
     }
     let mut channels = Vec::new();
@@ -213,7 +218,7 @@ fn cells(line: &str) -> Vec<String> {
         let line = line.strip_suffix(separator).unwrap_or(line);
         line.split(separator).map(|cell| cell.trim().trim_matches('"').trim().to_string()).collect()
     };
-    match [',', ';', '\t'].into_iter().find(|separator| line.contains(*separator)) {
+    match [',', ';'].into_iter().find(|separator| line.contains(*separator)) {
         Some(separator) => by(separator),
         None => line.split_whitespace().map(|cell| cell.trim_matches('"').to_string()).collect(),
     }
@@ -254,8 +259,9 @@ fn against(cell: &str) -> Option<AgainstWord> {
 
 fn channel_of(row: &[&str]) -> Result<ListedChannel, String> {
     let number = |cell: &str| {
-        cell.parse::<u32>()
-            .map_err(|_| format!("`{cell}` is no electrode; expected its number, from 1, or mean or sink as the fourth"))
+        cell.parse::<u32>().map_err(|_| {
+            format!("`{cell}` is no electrode; expected its number, from 1, or mean or sink as the fourth")
+        })
     };
     match *row {
         [a, b] => Ok(ListedChannel::Itself([number(a)?, number(b)?])),

@@ -103,7 +103,8 @@ pub(crate) fn read_beside(
 ) -> Result<(String, String), Error> {
     let (bytes, name) = read_bytes_beside(field, path, file, folder, expected)?;
     let text = String::from_utf8(bytes);
-    text.map(|text| (text, name.clone())).map_err(|_| Error::SkinFile { file: name, message: "not text (UTF-8)".into() })
+    text.map(|text| (text, name.clone()))
+        .map_err(|_| Error::SkinFile { file: name, message: "not text (UTF-8)".into() })
 }
 
 /// The bytes of a file that a skin file names, and its name for errors.

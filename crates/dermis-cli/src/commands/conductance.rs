@@ -68,7 +68,13 @@ impl Arguments {
 fn print(found: &Conductance, thickness_m: Option<f64>, out: &mut dyn Write) -> std::io::Result<()> {
     let Conductance { frames, channels, sheet_s, sheet_sigma_s, .. } = found;
     writeln!(out, "{channels} channels, mean of {frames} frames")?;
-    writeln!(out, "sheet: {:.4e} S, standard deviation {:.1e} S ({:.4} ohm a square)", sheet_s, sheet_sigma_s, 1.0 / sheet_s)?;
+    writeln!(
+        out,
+        "sheet: {:.4e} S, standard deviation {:.1e} S ({:.4} ohm a square)",
+        sheet_s,
+        sheet_sigma_s,
+        1.0 / sheet_s
+    )?;
     if let Some(thickness_m) = thickness_m {
         writeln!(out, "conductivity: {:.4} S/m at {:.3} mm", sheet_s / thickness_m, 1e3 * thickness_m)?;
     }

@@ -12,16 +12,16 @@ use crate::Error;
 const MOST_WORK: usize = 4_000_000_000;
 /// Hypotheses that each look at a shape hands on.
 const KEPT: usize = 24;
-/// Shapes of which electrodes are also counted from elsewhere.
+/// Shapes that are also tried with electrodes counted from another one.
 const RENUMBERED: usize = 24;
 
-/// What is measured.
+/// The measured frame, prepared for comparison.
 pub(super) struct Data {
     /// Less its mean, over its norm; 0 where nothing was measured. Of magnitudes the same.
     signed: Vec<f64>,
     magnitudes: Vec<f64>,
     is_measured: Vec<bool>,
-    /// What was measured, sorted, and its magnitudes sorted.
+    /// Sorted readings, and their sorted magnitudes.
     sorted: [Vec<f64>; 2],
     /// No reading is negative: they may be magnitudes.
     rectified: bool,
@@ -48,7 +48,7 @@ impl Data {
         }
     }
 
-    /// Correlation, and whether it is that of the reversed sign and of magnitudes.
+    /// Correlation; whether the sign is reversed; whether magnitudes were compared.
     fn fit(&self, predicted: &[f64]) -> (f64, bool, bool) {
         let signed = correlation(predicted, &self.signed, &self.is_measured, |value| value);
         let (mut value, mut sign, mut rectified) = (signed.abs(), signed < 0.0, false);
@@ -64,7 +64,7 @@ impl Data {
     /// The largest correlation that any order of these readings has: that of both sorted (the rearrangement inequality).
     fn bound(&self, predicted: &[f64]) -> f64 {
         if self.sorted[0].len() != predicted.len() {
-            // What is missing could be any of them.
+            // Missing readings could have any value.
             return 1.0;
         }
         let all = vec![true; predicted.len()];
@@ -140,7 +140,7 @@ impl BodyModel {
         Ok(Self { count, impedance, stated: stated_shapes(skin) })
     }
 
-    /// All candidates worth ranking, with so much of the work that a search may take.
+    /// Candidates worth ranking. `share_of_work`: this body's share of [`MOST_WORK`].
     pub(super) fn search(&self, data: &Data, share_of_work: f64) -> Vec<Scored> {
         let readings = data.is_measured.len();
         let mut shapes = self.stated.clone();
@@ -151,7 +151,7 @@ impl BodyModel {
             (data.bound(&predicted), shape)
         };
         let mut bounded: Vec<(f64, Shape)> = shapes.into_par_iter().map(bound).collect();
-        // A stable sort: of equal bounds the plainer pattern first.
+        // The sort is stable: equal bounds keep the plainer pattern first.
         bounded.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut work_left = (share_of_work * MOST_WORK as f64) as usize;
         let mut found: Vec<Scored> = Vec::new();

@@ -2,13 +2,13 @@
 
 use dermis_skin::{AgainstWord, DrivePattern, ListedChannel, MeasurePattern, ReferenceChoice};
 
-/// Cost of each departure from the plain form of a protocol, in correlation: of two that fit alike the plainer is named.
+/// Cost of each departure from a protocol's plain form, in correlation. It breaks ties in favour of the plainer one.
 pub(super) const DEPARTURE: f64 = 0.003;
 
 /// Pairs of electrodes.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Pairs {
-    /// Each electrode with the one so many farther on.
+    /// Pairs (k, k + n), modulo the number of electrodes.
     Ring(usize),
     /// Every two electrodes: (1, 2), (1, 3), ..., (N-1, N).
     All,
@@ -132,12 +132,7 @@ impl Shape {
     }
 
     /// The cell of a drive and a reading with electrodes renamed; `None` where the reading is left out.
-    pub(super) fn cell(
-        &self,
-        lists: &(Vec<[usize; 2]>, Vec<Reading>),
-        drive: usize,
-        read: usize,
-    ) -> Option<Cell> {
+    pub(super) fn cell(&self, lists: &(Vec<[usize; 2]>, Vec<Reading>), drive: usize, read: usize) -> Option<Cell> {
         let drop = match self {
             Self::Grid { drop, .. } => *drop,
             Self::Channels(cells) => return Some(cells[read]),
@@ -204,7 +199,8 @@ impl Arrangement {
         kept: impl Fn(usize, usize) -> bool,
         mut put: impl FnMut(usize, usize),
     ) -> bool {
-        let step = |first: usize, back: bool, k: usize, of: usize| if back { (first + of - k) % of } else { (first + k) % of };
+        let step =
+            |first: usize, back: bool, k: usize, of: usize| if back { (first + of - k) % of } else { (first + k) % of };
         let at = |i: usize, j: usize| {
             let shift = if self.rotating { i % reads } else { 0 };
             let drive = step(self.first_drive, self.drives_backwards, i, drives);
@@ -226,9 +222,8 @@ impl Arrangement {
                 }
             }
             Nesting::Transposed => {
-                let rows: Vec<Vec<(usize, usize)>> = (0..drives)
-                    .map(|i| (0..reads).map(|j| at(i, j)).filter(|&(d, r)| kept(d, r)).collect())
-                    .collect();
+                let rows: Vec<Vec<(usize, usize)>> =
+                    (0..drives).map(|i| (0..reads).map(|j| at(i, j)).filter(|&(d, r)| kept(d, r)).collect()).collect();
                 let length = rows.first().map_or(0, Vec::len);
                 if rows.iter().any(|row| row.len() != length) {
                     return false;

@@ -28,7 +28,7 @@ class Order:
     verdict : str
         What was found, in a sentence: "nothing fits" where nothing does.
     lines : str
-        Lines for ``[backend]`` of a skin file that reads such frames as they are.
+        Lines for ``[backend]`` of a skin file that reads such frames as they are; empty where nothing fits.
     candidates : list of (float, str)
         Correlations and descriptions, the best first.
     source : numpy.ndarray or None

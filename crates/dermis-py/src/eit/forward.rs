@@ -257,10 +257,13 @@ impl PyForwardModel {
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let stimulation = self.stimulation(stimulation)?;
         let potentials = self.solved(py, sigma, |solution| Ok(solution.node_potentials(stimulation)))?;
-        Ok(array1(py, match &self.numbering {
-            Some(numbering) => numbering.values_to_caller(&potentials),
-            None => potentials,
-        }))
+        Ok(array1(
+            py,
+            match &self.numbering {
+                Some(numbering) => numbering.values_to_caller(&potentials),
+                None => potentials,
+            },
+        ))
     }
 
     /// Potentials of the electrodes during a stimulation.

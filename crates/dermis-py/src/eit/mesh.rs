@@ -65,7 +65,8 @@ impl Numbering {
         };
         let contact = match &electrode.contact {
             Contact::Faces(faces) => {
-                Contact::Faces(faces.iter().map(|face| face.iter().map(number).collect()).collect::<Result<_, _>>()?)
+                let face = |face: &Vec<u32>| face.iter().map(number).collect::<Result<Vec<u32>, Fault>>();
+                Contact::Faces(faces.iter().map(face).collect::<Result<Vec<Vec<u32>>, Fault>>()?)
             }
             Contact::Area(elements) => Contact::Area(elements.clone()),
             Contact::Point(node) => Contact::Point(number(node)?),
@@ -77,7 +78,9 @@ impl Numbering {
     pub fn to_caller(&self, electrode: &Electrode) -> Electrode {
         let number = |&node: &u32| self.given[node as usize];
         let contact = match &electrode.contact {
-            Contact::Faces(faces) => Contact::Faces(faces.iter().map(|face| face.iter().map(number).collect()).collect()),
+            Contact::Faces(faces) => {
+                Contact::Faces(faces.iter().map(|face| face.iter().map(number).collect()).collect())
+            }
             Contact::Area(elements) => Contact::Area(elements.clone()),
             Contact::Point(node) => Contact::Point(number(node)),
         };
@@ -143,7 +146,9 @@ impl PyMesh {
         let (mesh, numbering) = run(py, || {
             let point = |row: &[f64]| [row[0], row[1], row.get(2).copied().unwrap_or(0.0)];
             let nodes: Vec<[f64; 3]> = values.chunks_exact(columns).map(point).collect();
-            let Some(numbering) = Numbering::of(&nodes, &list) else { return Ok((Mesh::new(kind, nodes, list)?, None)) };
+            let Some(numbering) = Numbering::of(&nodes, &list) else {
+                return Ok((Mesh::new(kind, nodes, list)?, None));
+            };
             let used = numbering.given.iter().map(|&node| nodes[node as usize]).collect();
             let elements = list.iter().map(|&node| numbering.own[node as usize]).collect();
             Ok((Mesh::new(kind, used, elements)?, Some(Arc::new(numbering))))

@@ -194,7 +194,9 @@ impl Electrodes {
                 let shape = |place: &[f64; 2]| {
                     let (centre_m, _) = outline.nearest_rim(place.map(|x| x * MM));
                     match outline {
-                        Outline::Disc { radius_m } => ElectrodeShape::RimArc { centre_rad: centre_m / radius_m, width_m },
+                        Outline::Disc { radius_m } => {
+                            ElectrodeShape::RimArc { centre_rad: centre_m / radius_m, width_m }
+                        }
                         _ => ElectrodeShape::RimSegment { centre_m, width_m },
                     }
                 };
@@ -252,7 +254,8 @@ impl Electrodes {
                 let far = (1..).zip(self.moved_mm(outline)).find(|(_, moved)| *moved > FARTHEST * size_mm);
                 if let Some((number, moved)) = far {
                     let value = format!("{:?}, electrode {number}", places_mm[number - 1]);
-                    let expected = format!("a place at the rim, got one {moved:.1} mm from it (lengths are millimetres)");
+                    let expected =
+                        format!("a place at the rim, got one {moved:.1} mm from it (lengths are millimetres)");
                     return Err(checker.refused(&key("rim-places.places_mm"), value, expected));
                 }
                 Ok(())

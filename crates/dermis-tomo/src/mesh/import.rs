@@ -221,7 +221,11 @@ impl MshFile {
             let nodes = line.get(tags.saturating_add(3)..).unwrap_or(&[]);
             if nodes.len() != usize::from(dimension) + 1 {
                 let expected = dimension + 1;
-                return Err(lines.error(format!("element {}: expected {expected} nodes, got {}", line[0], nodes.len())));
+                return Err(lines.error(format!(
+                    "element {}: expected {expected} nodes, got {}",
+                    line[0],
+                    nodes.len()
+                )));
             }
             let group = if tags > 0 { line[3] as i64 } else { 0 };
             self.put_element(dimension, group, line[0], nodes).map_err(|reason| lines.error(reason))?;

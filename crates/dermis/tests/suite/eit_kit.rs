@@ -20,7 +20,8 @@ impl Drop for Running {
 
 /// 16 electrodes, pairs and mixtures in no order.
 fn skin() -> (Skin, Vec<[u32; 4]>) {
-    let four = |k: u32| [k * 7 % 16 + 1, (k * 7 + 3 + k % 5) % 16 + 1, (k * 5 + 1) % 16 + 1, (k * 5 + 2 + k % 3) % 16 + 1];
+    let four =
+        |k: u32| [k * 7 % 16 + 1, (k * 7 + 3 + k % 5) % 16 + 1, (k * 5 + 1) % 16 + 1, (k * 5 + 2 + k % 3) % 16 + 1];
     let list: Vec<[u32; 4]> = (0..120).map(four).filter(|c| c[0] != c[1] && c[2] != c[3]).collect();
     let layer = Layer::Sheet(SheetLayer::gel(5.0, 0.3));
     let mut skin = Skin::new("kit", Shape::Disc { diameter_mm: 120.0 }, layer)
@@ -57,8 +58,7 @@ fn the_sketch_of_eit_kits_measures_a_skin_s_own_list() {
     let mut port = String::new();
     BufReader::new(running.0.stdout.take().unwrap()).read_line(&mut port).unwrap();
     let (skin, list) = skin();
-    let session = Session::open(&format!("tcp:127.0.0.1:{}", port.trim()), skin).unwrap();
-    let mut session = session;
+    let mut session = Session::open(&format!("tcp:127.0.0.1:{}", port.trim()), skin).unwrap();
     let frames = session.by_ref().take(34).collect::<Result<Vec<_>, Error>>().unwrap();
     assert!(frames.windows(2).all(|pair| pair[1].sequence == pair[0].sequence + 1));
     let (rest, _) = session.pipeline().baseline();

@@ -21,6 +21,7 @@ mod hostile;
 mod hydrogel;
 mod ionic;
 mod learning;
+mod mesh_files;
 #[allow(dead_code, reason = "the tests of streams use the rest of it")]
 #[path = "../../../dermis-device/tests/own_clock/mod.rs"]
 mod own_clock;

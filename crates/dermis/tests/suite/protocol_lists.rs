@@ -99,16 +99,19 @@ fn the_model_of_a_list_is_that_of_explicit_matrices() {
     for round in 0..12 {
         let skin = random_skin(&mut dice);
         let body = skin.body().unwrap().mesh;
-        let sigma: Vec<f64> =
-            (0..body.mesh.element_count()).map(|k| skin.sheet_conductance_s() * (1.0 + 0.4 * (0.37 * k as f64).sin())).collect();
+        let sigma: Vec<f64> = (0..body.mesh.element_count())
+            .map(|k| skin.sheet_conductance_s() * (1.0 + 0.4 * (0.37 * k as f64).sin()))
+            .collect();
         let found = ForwardModel::new(body.clone(), skin.protocol().unwrap()).unwrap().voltages(&sigma).unwrap();
         let electrodes = body.electrodes.len();
         // Potentials of all electrodes against the first for a current through each and the first; then matrices alone.
         let unit: Vec<Pattern> = (1..electrodes as u32).map(|k| Pattern::pair(k, 0, 1.0)).collect();
-        let channels = (0..unit.len()).flat_map(|drive| (1..electrodes as u32).map(move |e| (Pattern::pair(e, 0, 1.0), drive)));
+        let channels =
+            (0..unit.len()).flat_map(|drive| (1..electrodes as u32).map(move |e| (Pattern::pair(e, 0, 1.0), drive)));
         let all = Protocol::from_patterns(electrodes, unit, channels.collect()).unwrap();
         let potentials = ForwardModel::new(body, all).unwrap().voltages(&sigma).unwrap();
-        let z = |e: usize, k: usize| if e == 0 || k == 0 { 0.0 } else { potentials[(k - 1) * (electrodes - 1) + e - 1] };
+        let z =
+            |e: usize, k: usize| if e == 0 || k == 0 { 0.0 } else { potentials[(k - 1) * (electrodes - 1) + e - 1] };
         let list = skin.backend.channels.as_ref().unwrap().channels();
         assert_eq!(found.len(), list.len());
         let expected: Vec<f64> = list
@@ -192,11 +195,14 @@ fn a_twin_of_listed_channels_is_read_through_the_pipeline() {
 fn an_instrument_on_the_wire_is_told_the_list() {
     let skin = mixed_disc();
     let list = measured_list(&skin.protocol().unwrap()).unwrap();
-    let ListedChannel::Pairs([sink, source, plus, minus]) = skin.backend.channels.as_ref().unwrap().channels()[0] else {
+    let ListedChannel::Pairs([sink, source, plus, minus]) = skin.backend.channels.as_ref().unwrap().channels()[0]
+    else {
         panic!("a pair")
     };
     assert_eq!(list[0], [source, sink, plus, minus].map(|number| number as u8 - 1));
     assert_eq!(setup_of(&skin).unwrap().len(), 2);
+    let mean = skin.with_channels(vec![ListedChannel::SingleEnded(1, 2, 3, AgainstWord::Mean)]);
+    assert!(setup_of(&mean).unwrap_err().to_string().contains("--as-set"));
 }
 
 #[test]
@@ -290,7 +296,9 @@ fn lists_that_make_no_sense_are_refused_by_channel() {
     let text = Skin::open("healing-square").unwrap().to_toml();
     let with = |channels: &str| {
         let text = text.replacen("[backend]\n", &format!("[backend]\nchannels = {channels}\n"), 1);
-        Skin::parse(&text, "listed.toml").map(|skin| skin.protocol().unwrap().channel_count()).map_err(|e| e.to_string())
+        Skin::parse(&text, "listed.toml")
+            .map(|skin| skin.protocol().unwrap().channel_count())
+            .map_err(|e| e.to_string())
     };
     assert_eq!(with("[[1, 2, 3, 4], [5, 6], [1, 2, 7, \"mean\"], [1, 2, 7, \"sink\"]]"), Ok(4));
     let refused = |channels: &str, says: &str| {

@@ -203,9 +203,10 @@ impl<'a> Bytes<'a> {
     fn size(&mut self, what: &str) -> Result<usize, MeshError> {
         let size = self.unsigned(what)?;
         let left = self.bytes.len() - self.at;
-        usize::try_from(size).ok().filter(|size| *size <= left).ok_or_else(|| {
-            self.error(format!("{what}: {size} of them, where {left} bytes are left"))
-        })
+        usize::try_from(size)
+            .ok()
+            .filter(|size| *size <= left)
+            .ok_or_else(|| self.error(format!("{what}: {size} of them, where {left} bytes are left")))
     }
 
     /// Number of blocks, then three numbers that are not needed.
