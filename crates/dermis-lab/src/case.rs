@@ -21,12 +21,16 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use dermis_device::instruments::{csv, npy, read_bytes};
+use dermis_skin::Skin;
 use dermis_tomo::eit::Protocol;
-use dermis_tomo::mesh::{CellKind, Contact, Electrode, ElectrodedMesh, Mesh};
+use dermis_tomo::mesh::{CellKind, Contact, Electrode, ElectrodeGroups, ElectrodedMesh, Mesh, read_msh};
 use serde_json::Value;
 
 use crate::Error;
 use field::Field;
+
+/// Wider than any tank, and narrower than a skin of 10 mm whose millimetres are taken for metres.
+const WIDEST_M: f64 = 5.0;
 
 /// A problem read from a `case.json`.
 #[derive(Clone, Debug)]
@@ -100,6 +104,47 @@ impl Case {
             Value::Object(entries) => entries.into_iter().filter_map(conductivity_entry).collect(),
             _ => BTreeMap::new(),
         };
+        Ok(Self { file: file.to_path_buf(), body, protocol, conductivities })
+    }
+
+    /// A mesh of Gmsh with a skin's protocol: the electrodes are the groups named by the prefix and a number, with the
+    /// skin's contact impedance on the rim; `hom` is the skin's sheet conductance. `unit_m`: metres in a unit of the
+    /// file; metres where left out, but a mesh wider than 5 m is then refused.
+    ///
+    /// # Errors
+    /// A file that is no such mesh, one without these groups, another number of electrodes than the protocol's.
+    pub fn of_mesh(file: &Path, skin: &Skin, prefix: &str, unit_m: Option<f64>) -> Result<Self, Error> {
+        let refuse =
+            |field: &str, reason: String| Error::Content { file: file.to_path_buf(), field: field.into(), reason };
+        let impedance = skin.frontend.contact_impedance_ohm_m2 / skin.frontend.layer.rim_height_m().unwrap_or(1.0);
+        let groups = ElectrodeGroups::Prefix(prefix.to_string());
+        let read = read_msh(&read_bytes(file)?, &groups, &[impedance]);
+        let read = read.map_err(|error| content_error(file, "mesh", &error))?;
+        let width = |axis: usize| {
+            let along = || read.mesh.nodes().iter().map(|node| node[axis]);
+            along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
+        };
+        let width = (0..3).map(width).fold(0.0, f64::max);
+        if unit_m.is_none() && width > WIDEST_M {
+            let reason =
+                format!("{width:.3} m wide; expected --unit mm if its coordinates are millimetres, or --unit m");
+            return Err(refuse("mesh", reason));
+        }
+        let (got, protocol) = (read.electrodes.len(), skin.protocol()?);
+        let count = protocol.electrode_count();
+        if got != count {
+            let reason =
+                format!("{got} groups named {prefix}1, {prefix}2, ...; expected {count}, as the skin has electrodes");
+            return Err(refuse("electrodes", reason));
+        }
+        let scale = unit_m.unwrap_or(1.0);
+        let nodes = read.mesh.nodes().iter().map(|node| node.map(|x| scale * x)).collect();
+        let elements = read.mesh.elements().flatten().copied().collect();
+        let mesh = Mesh::new(read.mesh.kind(), nodes, elements).map_err(|error| content_error(file, "mesh", &error))?;
+        let rest = vec![skin.sheet_conductance_s(); mesh.element_count()];
+        let body =
+            ElectrodedMesh::new(mesh, read.electrodes).map_err(|error| content_error(file, "electrodes", &error))?;
+        let conductivities = BTreeMap::from([("hom".to_string(), Value::from(rest))]);
         Ok(Self { file: file.to_path_buf(), body, protocol, conductivities })
     }
 

@@ -6,35 +6,31 @@
 //! and a reading (c, d) give `I (Z_cb - Z_ca - Z_db + Z_da)`. A body that looks the same when it is turned cannot tell
 //! from where its electrodes are counted: such candidates are one, and how many they are is said.
 
+mod body_model;
 mod hypothesis;
 
 use dermis_device::FrameTable;
 use dermis_skin::{
-    DrivePattern, DrivenChannels, Layer, MeasurePattern, Modality, ReadingOrder, Reads, SheetLayer, Skin,
+    DrivePattern, DrivenChannels, Layer, ListedChannel, MeasurePattern, ReadingOrder, Reads, SheetLayer, Skin,
 };
-use dermis_tomo::eit::ForwardModel;
-use rayon::prelude::*;
 use serde::Serialize;
 
-use self::hypothesis::{DEPARTURE, Hypothesis, Pairs, Read, Reading, Shape, lists, numberings, orders, score};
+use self::body_model::{BodyModel, Data};
+use self::hypothesis::{Hypothesis, Shape, score};
 use crate::Error;
 
 /// Electrodes of a skin that is not known.
 const ELECTRODES: std::ops::RangeInclusive<usize> = 4..=128;
 /// Readings of a frame that are searched at most.
 const MOST_READINGS: usize = 1 << 16;
-/// Readings that the first look may compute in all; where more would be needed, turns are tried of the best alone.
-const MOST_WORK: usize = 400_000_000;
-/// Candidates that go from one look to the next.
-const KEPT: usize = 24;
 /// Candidates in the answer.
 const LISTED: usize = 10;
 /// Predictions that correlate so well are the same but for the mesh.
 const SAME: f64 = 0.9998;
 /// Fits that are looked through for the answer.
-const MOST_RANKED: usize = 2000;
+const MOST_RANKED: usize = 2500;
 /// Below this correlation nothing fits.
-const LEAST: f64 = 0.9;
+pub const LEAST: f64 = 0.9;
 /// So much better than any other must the best fit to be sure.
 const CLEAR: f64 = 0.02;
 
@@ -51,9 +47,12 @@ pub struct OrderCandidate {
     pub score: f64,
     /// Other candidates that predict the same numbers for this body.
     pub same: usize,
-    /// As in a skin file.
+    /// Every channel of the file by its electrodes, where no drive and measuring pattern say the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channels: Option<Vec<ListedChannel>>,
+    /// As in a skin file; `Listed` where `channels` says it.
     pub drive: DrivePattern,
-    /// As in a skin file.
+    /// As in a skin file; `Listed` where `channels` says it.
     pub measure: MeasurePattern,
     /// As in a skin file.
     pub order: ReadingOrder,
@@ -61,6 +60,9 @@ pub struct OrderCandidate {
     pub driven: DrivenChannels,
     /// As in a skin file.
     pub reads: Reads,
+    /// Signs of the readings, where the file has magnitudes.
+    #[serde(skip)]
+    signs: Option<Vec<f64>>,
 }
 
 /// What a search has found.
@@ -77,30 +79,68 @@ pub struct FoundOrder {
 }
 
 impl OrderCandidate {
+    /// A skin whose backend reads the file like this.
+    pub fn on(&self, skin: &Skin) -> Skin {
+        let mut skin = match &self.channels {
+            Some(channels) => skin.clone().with_channels(channels.clone()),
+            None => skin.clone().with_patterns(self.drive.clone(), self.measure.clone()),
+        };
+        (skin.backend.order, skin.backend.driven, skin.backend.reads) = (self.order, self.driven, self.reads);
+        skin
+    }
+
+    /// For each number of the file the channel of the skin that reads the same, and the factor that makes it the skin's;
+    /// `None` where the file holds other channels than the skin.
+    ///
+    /// # Errors
+    /// A skin whose protocol does not work out.
+    pub fn to_skin(&self, skin: &Skin) -> Result<Option<(Vec<u32>, Vec<f64>)>, Error> {
+        let (own, file) = (skin.protocol()?, self.on(skin).protocol()?);
+        let mut found = own.same_channels(&file);
+        if let (Some((_, signs)), Some(of_file)) = (&mut found, &self.signs)
+            && skin.backend.reads == Reads::Signed
+        {
+            signs.iter_mut().zip(of_file).for_each(|(sign, of_file)| *sign *= of_file);
+        }
+        Ok(found)
+    }
+
     /// The lines of `[backend]` in a skin file that say this.
     pub fn lines(&self) -> String {
         let value = |value: serde_json::Result<serde_json::Value>| toml_of(&value.unwrap_or_default());
+        let reads = match self.reads {
+            Reads::Signed => String::new(),
+            reads => format!("reads = {}\n", value(serde_json::to_value(reads))),
+        };
+        if let Some(channels) = &self.channels {
+            return format!("channels = {}\n{reads}", value(serde_json::to_value(channels)));
+        }
         let (drive, measure) = (serde_json::to_value(&self.drive), serde_json::to_value(&self.measure));
         let (order, driven) = (serde_json::to_value(self.order), serde_json::to_value(self.driven));
         let mut lines = format!("drive = {}\nmeasure = {}\n", value(drive), value(measure));
-        lines += &format!("order = {}\ndriven = {}\n", value(order), value(driven));
-        if self.reads != Reads::Signed {
-            lines += &format!("reads = {}\n", value(serde_json::to_value(self.reads)));
-        }
+        lines += &format!("order = {}\ndriven = {}\n{reads}", value(order), value(driven));
         lines
     }
 }
 
 impl FoundOrder {
+    /// The best candidate, if it fits.
+    pub fn fitting(&self) -> Option<&OrderCandidate> {
+        self.candidates.first().filter(|best| best.correlation >= LEAST)
+    }
+
     /// What was found, in one sentence.
     pub fn verdict(&self) -> String {
         let Some(best) = self.candidates.first() else {
-            return format!("no protocol of 4 to 128 electrodes that is known here gives {} readings", self.readings);
+            return format!("nothing fits: no protocol of 4 to 128 electrodes gives {} readings", self.readings);
         };
         let OrderCandidate { description, correlation, .. } = best;
         match self.candidates.get(1) {
             _ if *correlation < LEAST => {
-                format!("nothing fits: the best, {description}, correlates {correlation:.3} with the model")
+                format!(
+                    "nothing fits: the best of all orders, {description}, correlates {correlation:.3} with the model; \
+                     the channels may be shuffled, or the frames may be of another skin"
+                )
             }
             Some(next) if !self.is_clear => format!(
                 "it may be {description} ({correlation:.4}), or {} ({:.4}): a press at a known place decides",
@@ -147,13 +187,11 @@ pub fn find_order(baseline: &FrameTable, skin: Option<&Skin>) -> Result<FoundOrd
         return refuse("baseline", "readings that differ", "none, or all of one value".into());
     }
     let models = models(skin, readings)?;
-    let data = Data { measured: &measured, rectified: is_complex || low >= 0.0, only_rectified: is_complex };
+    let data = Data::new(&measured, is_complex);
+    let share_of_work = 1.0 / models.len().max(1) as f64;
     let fits = models.iter().enumerate().flat_map(|(number, model)| {
-        model.search(&data).into_iter().map(move |(correlation, hypothesis)| Fit {
-            model: number,
-            correlation,
-            hypothesis,
-        })
+        let found = model.search(&data, share_of_work).into_iter();
+        found.map(move |(correlation, hypothesis)| Fit { model: number, correlation, hypothesis })
     });
     let mut found = rank(fits.collect(), &models);
     if is_complex {
@@ -182,22 +220,6 @@ fn mean_of(table: &FrameTable) -> (Vec<f64>, bool) {
     (sums.into_iter().zip(counts).map(mean).collect(), table.imaginary().is_some())
 }
 
-/// What is measured.
-struct Data<'a> {
-    measured: &'a [f64],
-    /// No reading is negative: they may be magnitudes.
-    rectified: bool,
-    only_rectified: bool,
-}
-
-/// A body by its transfer impedances, ohm.
-struct BodyModel {
-    count: usize,
-    impedance: Vec<f64>,
-    /// The skin's own patterns, where they are none of the rings.
-    stated: Option<(DrivePattern, MeasurePattern)>,
-}
-
 fn models(skin: Option<&Skin>, readings: usize) -> Result<Vec<BodyModel>, Error> {
     if let Some(skin) = skin {
         return Ok(vec![BodyModel::of(skin)?]);
@@ -214,117 +236,6 @@ fn models(skin: Option<&Skin>, readings: usize) -> Result<Vec<BodyModel>, Error>
         BodyModel::of(&skin)
     };
     ELECTRODES.filter(possible).map(disc).collect()
-}
-
-impl BodyModel {
-    fn of(skin: &Skin) -> Result<Self, Error> {
-        if skin.modality == Modality::Mit {
-            return Err(Error::Frames {
-                what: format!("order of the channels of {}", skin.name),
-                expected: "a skin with electrodes".into(),
-                got: "coils, whose pairs are all read in one order".into(),
-            });
-        }
-        if skin.backend.circuit.is_some() {
-            return Err(Error::Frames {
-                what: format!("order of the channels of {}, backend.circuit", skin.name),
-                expected: "none: ideal voltmeters are what the search knows".into(),
-                got: "a circuit".into(),
-            });
-        }
-        let count = skin.electrode_shapes().len();
-        if !ELECTRODES.contains(&count) {
-            return Err(Error::Frames {
-                what: format!("electrodes of {}, whose order is looked for", skin.name),
-                expected: format!("{} to {}", ELECTRODES.start(), ELECTRODES.end()),
-                got: count.to_string(),
-            });
-        }
-        let body = skin.body()?;
-        let sigma = vec![skin.sheet_conductance_s(); body.mesh.mesh.element_count()];
-        let model = ForwardModel::new(body.mesh, skin.protocol()?)?;
-        let solution = model.solve(&sigma)?;
-        let z = solution.transfer_impedance();
-        let impedance = (0..count * count).map(|k| z[(k / count, k % count)]).collect();
-        Ok(Self { count, impedance, stated: Some((skin.backend.drive.clone(), skin.backend.measure.clone())) })
-    }
-
-    /// All candidates worth ranking.
-    fn search(&self, data: &Data<'_>) -> Vec<Scored> {
-        let readings = data.measured.len();
-        let mut shapes = Shape::all(self.count);
-        shapes.extend(self.stated_shapes());
-        shapes.retain(|shape| shape.readings(self.count) == readings);
-        let turns_at_once = shapes.len() * 4 * self.count * readings <= MOST_WORK;
-        let turns = if turns_at_once { self.count } else { 1 };
-        let plain = |shape: &Shape| Hypothesis { shape: shape.clone(), ..Hypothesis::default() };
-        let first = shapes.iter().flat_map(|shape| numberings(&plain(shape), turns)).flat_map(orders).collect();
-        let mut fits = self.best(first, data);
-        if !turns_at_once {
-            let turned = fits.iter().flat_map(|(_, hypothesis)| numberings(hypothesis, self.count)).collect();
-            fits = self.best(turned, data);
-        }
-        let further = fits.iter().take(KEPT).flat_map(|(_, hypothesis)| lists(hypothesis, self.count)).collect();
-        fits.extend(self.best(further, data));
-        fits
-    }
-
-    /// Patterns of the skin file that are lists of their own.
-    fn stated_shapes(&self) -> Vec<Shape> {
-        let Some((DrivePattern::Pairs(drives), MeasurePattern::Pairs(reads))) = &self.stated else { return Vec::new() };
-        let zero_based = |pairs: &[[u32; 2]]| -> Vec<[usize; 2]> {
-            pairs.iter().map(|pair| pair.map(|e| (e as usize).saturating_sub(1))).collect()
-        };
-        let (drives, reads) = (Pairs::Listed(zero_based(drives)), Read::Pairs(Pairs::Listed(zero_based(reads))));
-        [true, false].map(|drop| Shape { drives: drives.clone(), reads: reads.clone(), drop }).to_vec()
-    }
-
-    /// The best of many, best first.
-    fn best(&self, hypotheses: Vec<Hypothesis>, data: &Data<'_>) -> Vec<Scored> {
-        let mut fits: Vec<Scored> = hypotheses.into_par_iter().map(|hypothesis| self.fit(hypothesis, data)).collect();
-        fits.sort_by(|a, b| score(b.0, &b.1).total_cmp(&score(a.0, &a.1)));
-        fits.truncate(2 * self.count.max(KEPT));
-        fits
-    }
-
-    fn fit(&self, hypothesis: Hypothesis, data: &Data<'_>) -> Scored {
-        let predicted = self.predict(&hypothesis);
-        let signed = correlation(&predicted, data.measured, |value| value);
-        let (mut value, mut sign, mut rectified) = (signed.abs(), signed < 0.0, false);
-        if data.rectified {
-            let magnitude = correlation(&predicted, data.measured, f64::abs);
-            if data.only_rectified || magnitude > value + DEPARTURE {
-                (value, sign, rectified) = (magnitude, false, true);
-            }
-        }
-        (value, Hypothesis { reversed_sign: sign, rectified, ..hypothesis })
-    }
-
-    /// Readings for a current of 1 A.
-    fn predict(&self, hypothesis: &Hypothesis) -> Vec<f64> {
-        let z = |row: usize, column: usize| self.impedance[row * self.count + column];
-        let (drives, reads) = hypothesis.lists(self.count);
-        let mut values = Vec::new();
-        for (index, [sink, source]) in drives.iter().copied().enumerate() {
-            let potential = |e: usize| z(e, source) - z(e, sink);
-            let mean = (0..self.count).map(potential).sum::<f64>() / self.count as f64;
-            for position in 0..reads.len() {
-                let position = if hypothesis.rotating { (position + index) % reads.len() } else { position };
-                let value = match &reads[position] {
-                    Reading::Pair([plus, minus]) => {
-                        if hypothesis.shape.drop && [*plus, *minus].iter().any(|e| *e == sink || *e == source) {
-                            continue;
-                        }
-                        potential(*plus) - potential(*minus)
-                    }
-                    Reading::ToSink(electrode) => potential(*electrode) - potential(sink),
-                    Reading::ToMean(electrode) => potential(*electrode) - mean,
-                };
-                values.push(value);
-            }
-        }
-        values
-    }
 }
 
 /// Pearson correlation over what is finite; 0 where nothing varies.
@@ -353,34 +264,35 @@ struct Fit {
 }
 
 impl Fit {
-    fn candidate(&self, count: usize, same: usize) -> OrderCandidate {
+    fn candidate(&self, count: usize, same: usize, predicted: &[f64]) -> OrderCandidate {
         let hypothesis = &self.hypothesis;
-        let (drive, measure) = if hypothesis.is_named() { hypothesis.named(count) } else { hypothesis.listed(count) };
+        let order = if hypothesis.order.rotating { ReadingOrder::Rotating } else { ReadingOrder::Absolute };
+        let driven = match hypothesis.shape {
+            Shape::Grid { drop: false, .. } => DrivenChannels::Keep,
+            _ => DrivenChannels::Drop,
+        };
+        let named = hypothesis.named(count);
+        let channels = if named.is_none() { Some(hypothesis.listed(count)) } else { None };
+        let (drive, measure) = named.unwrap_or((DrivePattern::Listed, MeasurePattern::Listed));
         OrderCandidate {
             description: hypothesis.in_words(count),
             electrodes: count,
             correlation: self.correlation,
             score: score(self.correlation, hypothesis),
             same,
+            order: if channels.is_some() { ReadingOrder::default() } else { order },
+            driven: if channels.is_some() { DrivenChannels::default() } else { driven },
+            channels,
             drive,
             measure,
-            order: if hypothesis.rotating { ReadingOrder::Rotating } else { ReadingOrder::Absolute },
-            driven: if hypothesis.shape.drop { DrivenChannels::Drop } else { DrivenChannels::Keep },
             reads: if hypothesis.rectified { Reads::Magnitude } else { Reads::Signed },
+            signs: hypothesis.rectified.then(|| predicted.iter().map(|value| value.signum()).collect()),
         }
     }
 }
 
 /// Best first, those that predict the same as one.
 fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
-    // What no skin file can say: electrodes against a reference in another order than the file's own.
-    fits.retain(|fit| {
-        let Hypothesis { shape, turn, mirrored, first_read, backwards, .. } = &fit.hypothesis;
-        let is_plain = *turn == 0 && !mirrored && *first_read == 0 && !backwards;
-        // A drive the other way round has another sink.
-        let is_sayable = shape.reads != Read::ToSink || !fit.hypothesis.reversed_sign;
-        matches!(shape.reads, Read::Pairs(_)) || (is_plain && is_sayable)
-    });
     fits.sort_by(|a, b| score(b.correlation, &b.hypothesis).total_cmp(&score(a.correlation, &a.hypothesis)));
     struct Group {
         fit: Fit,
@@ -389,7 +301,7 @@ fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
     }
     let mut groups: Vec<Group> = Vec::new();
     for fit in fits.into_iter().take(MOST_RANKED) {
-        let predicted = models[fit.model].predict(&fit.hypothesis);
+        let Some(predicted) = models[fit.model].predict(&fit.hypothesis) else { continue };
         let known = groups.iter().position(|group| {
             // Those of other signs fit by their magnitudes or not at all.
             let alike = correlation(&predicted, &group.predicted, |value| value);
@@ -401,5 +313,6 @@ fn rank(mut fits: Vec<Fit>, models: &[BodyModel]) -> Vec<OrderCandidate> {
             None => {}
         }
     }
-    groups.iter().map(|group| group.fit.candidate(models[group.fit.model].count, group.same)).collect()
+    let candidate = |group: &Group| group.fit.candidate(models[group.fit.model].count, group.same, &group.predicted);
+    groups.iter().map(candidate).collect()
 }

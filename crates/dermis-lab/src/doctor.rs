@@ -10,7 +10,7 @@ use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use serde::Serialize;
 
 use crate::Error;
-use crate::channel_search::find_order;
+use crate::channel_search::{FoundOrder, find_order};
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
 use dermis_skin::{Modality, Skin};
@@ -307,15 +307,20 @@ impl Seen {
     /// The lines of a skin file that say which order the readings are in, where that is clear. Frames that hold more
     /// than the skin's channels were put in order already.
     fn order_lines(&self) -> Option<String> {
+        let found = self.searched()?;
+        let best = found.candidates.first().filter(|_| found.is_clear)?;
+        Some(best.lines().trim_end().replace('\n', "; "))
+    }
+
+    /// The result of a search through all orders.
+    fn searched(&self) -> Option<FoundOrder> {
         let Layout::Channels { count } = self.layout else { return None };
         let (rest, _) = self.pipeline.baseline();
         if count != rest.len() {
             return None;
         }
         let table = FrameTable::new(self.layout.clone(), rest.to_vec(), "baseline").ok()?;
-        let found = find_order(&table, Some(&self.pipeline.prepared().skin)).ok()?;
-        let best = found.candidates.first().filter(|_| found.is_clear)?;
-        Some(best.lines().trim_end().replace('\n', "; "))
+        find_order(&table, Some(&self.pipeline.prepared().skin)).ok()
     }
 
     fn order(&self) -> Check {
@@ -338,8 +343,19 @@ impl Seen {
             return Check::bad("channel order", found, format!("exchange the wires of electrodes {a} and {b}"));
         }
         if order.correlation < LEAST_CORRELATION {
-            let advice = "check that skin file and instrument agree in electrodes, drive and measuring pattern";
-            return Check::bad("channel order", stated, advice);
+            let found = self.searched();
+            if let Some(found) = &found
+                && found.is_clear
+                && let Some(best) = found.candidates.first()
+            {
+                let lines = best.lines().trim_end().replace('\n', "; ");
+                let advice = format!("write this into [backend] of the skin file: {lines}");
+                return Check::bad("channel order", format!("{stated}; {}", found.verdict()), advice);
+            }
+            let found = found.map_or(stated.clone(), |found| format!("{stated}; {}", found.verdict()));
+            let advice = "check that skin file and instrument agree in electrodes and in every pair that drives and reads; \
+                          a list of channels (backend.channels) says any order";
+            return Check::bad("channel order", found, advice);
         }
         Check::good("channel order", stated)
     }

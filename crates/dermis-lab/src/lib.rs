@@ -23,11 +23,13 @@
 //! | [`doctor`], [`channel_search`], [`measured_list`] | what is wrong with an instrument; the order of its readings; what it is told |
 //! | [`reconstruct`](mod@reconstruct), [`forces`], [`learning`] | files to images and touches; force calibrations; training sets, labels |
 //! | [`case`], [`solve`] | single forward problems |
+//! | [`conductance`](mod@conductance) | a sheet in siemens, from one state |
 //! | [`experiments`], [`report`], [`twin_bench`] | published experiments again |
 //! | [`evidence`] | measured data of others: errors of dermis beside a plain method's |
 
 pub mod case;
 pub mod channel_search;
+pub mod conductance;
 pub mod design;
 pub mod doctor;
 mod error;

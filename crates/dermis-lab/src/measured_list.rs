@@ -12,9 +12,17 @@ use crate::Error;
 /// frequency.
 ///
 /// # Errors
-/// A skin whose protocol does not work out.
+/// A skin whose protocol does not work out, or a list of channels that four electrodes each do not describe: an instrument
+/// left as it is set would send other channels without a word.
 pub fn setup_of(skin: &Skin) -> Result<Vec<Order>, Error> {
     let protocol = measured_list(&skin.protocol()?).map(Order::Protocol);
+    if protocol.is_none() && skin.backend.channels.is_some() {
+        return Err(Error::Frames {
+            what: format!("backend.channels of {}, which an instrument on the wire is told", skin.name),
+            expected: "four electrodes for each channel, or --as-set for an instrument that is set already".into(),
+            got: "readings against the mean of all electrodes".into(),
+        });
+    }
     let amplitude = Order::AmplitudeA((skin.backend.current_ma * 1e-3) as f32);
     let frequency = skin.backend.frequency_khz.map(|khz| Order::FrequencyHz((khz * 1e3) as f32));
     Ok(protocol.into_iter().chain([amplitude]).chain(frequency).collect())

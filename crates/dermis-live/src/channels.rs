@@ -2,7 +2,7 @@
 //! of a skin's protocol, in their order, as real numbers.
 
 use dermis_device::{FrameTable, Layout};
-use dermis_tomo::eit::Protocol;
+use dermis_tomo::eit::{Pattern, Protocol};
 
 use crate::Error;
 use dermis_skin::Reads;
@@ -77,7 +77,22 @@ impl ChannelLayout {
 }
 
 /// Channel (drive pair k, measuring pair j) of a drive-major matrix whose rows and columns begin at those electrodes.
+/// `None` if a row or a column could be several of the protocol's pairs.
 fn full_matrix(protocol: &Protocol, electrodes: usize) -> Option<Vec<Vec<(u32, f64)>>> {
+    let is_one_each = |patterns: &[Pattern], sign: f64| {
+        let mut begun: Vec<Option<u32>> = patterns.iter().map(|pattern| extreme(pattern, sign)).collect();
+        begun.sort_unstable();
+        begun.windows(2).all(|pair| pair[0] != pair[1])
+    };
+    // Readings against a driven electrode are one a drive and electrode, whatever the drive.
+    let is_against_sink = protocol.measurements().iter().all(|measurement| {
+        let drive = &protocol.stimulations()[measurement.stimulation as usize];
+        let read = &protocol.patterns()[measurement.pattern as usize];
+        read.entries().is_empty() || extreme(read, -1.0) == extreme(drive, -1.0)
+    });
+    if !is_one_each(protocol.stimulations(), -1.0) || !(is_one_each(protocol.patterns(), 1.0) || is_against_sink) {
+        return None;
+    }
     (0..protocol.channel_count())
         .map(|channel| {
             let drive = extreme(protocol.stimulation_of(channel), -1.0)?;
@@ -88,7 +103,7 @@ fn full_matrix(protocol: &Protocol, electrodes: usize) -> Option<Vec<Vec<(u32, f
 }
 
 /// The electrode with the largest weight of the given sign.
-fn extreme(pattern: &dermis_tomo::eit::Pattern, sign: f64) -> Option<u32> {
+fn extreme(pattern: &Pattern, sign: f64) -> Option<u32> {
     pattern.entries().iter().max_by(|a, b| (sign * a.1).total_cmp(&(sign * b.1))).map(|entry| entry.0)
 }
 

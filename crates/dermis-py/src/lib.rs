@@ -11,7 +11,9 @@ mod grid;
 mod learn;
 mod mit;
 mod model;
+mod order;
 mod pipeline;
+mod python_source;
 mod recording;
 mod result;
 mod session;
@@ -67,6 +69,8 @@ fn _dermis(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<mit::PyBody>()?;
     module.add_function(wrap_pyfunction!(session::open, module)?)?;
     module.add_function(wrap_pyfunction!(recording::read_frames, module)?)?;
+    module.add_function(wrap_pyfunction!(order::search_order, module)?)?;
+    module.add_function(wrap_pyfunction!(order::estimate_conductance, module)?)?;
     module.add_function(wrap_pyfunction!(calibration::calibrate, module)?)?;
     module.add_function(wrap_pyfunction!(design::design, module)?)?;
     module.add_function(wrap_pyfunction!(design::tolerance_rows, module)?)?;

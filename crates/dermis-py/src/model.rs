@@ -374,23 +374,6 @@ impl PyModel {
         Ok(array3(py, images, [count, rows, columns])?.into_any())
     }
 
-    /// How a baseline, shape (k,), fits the model; :func:`dermis.find_order` is the same for people.
-    fn order<'py>(&self, py: Python<'py>, baseline: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyDict>> {
-        let channels = self.prepared.channels();
-        let baseline = Doubles::vector("baseline", baseline, channels, "one reading a channel")?;
-        let values = baseline.values()?;
-        let report = run(py, || Ok(self.prepared.diagnose(values)))?;
-        let found = PyDict::new(py);
-        found.set_item("correlation", report.correlation)?;
-        if let Some(better) = report.better {
-            found.set_item("description", better.description)?;
-            found.set_item("better_correlation", better.correlation)?;
-            found.set_item("source", array1(py, better.map.source.iter().map(|&c| i64::from(c)).collect()))?;
-            found.set_item("sign", better.map.sign)?;
-        }
-        Ok(found)
-    }
-
     fn __repr__(&self) -> String {
         let mesh = &self.prepared.body.mesh.mesh;
         format!(

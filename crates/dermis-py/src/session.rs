@@ -17,6 +17,7 @@ use pyo3::types::{PyDict, PyTuple};
 
 use crate::errors::{Fault, Kind};
 use crate::pipeline::extent_mm;
+use crate::python_source::PythonSource;
 use crate::result::PyFrameResult;
 use crate::skin::{PySkin, skin_of};
 use crate::twin::radius_and_load;
@@ -73,8 +74,11 @@ pub struct PySession {
 ///
 /// Parameters
 /// ----------
-/// source : str or os.PathLike
-///     ``twin:NAME``, ``tcp:HOST:PORT``, ``serial:PORT``, or a file: a recording (.mcap), or whatever ``dermis reconstruct`` reads.
+/// source : str, os.PathLike, iterable or callable
+///     ``twin:NAME``, ``tcp:HOST:PORT``, ``serial:PORT``, or a file: a recording (.mcap), or whatever ``dermis reconstruct``
+///     reads. Or an iterable of frames, or a function that is called for each: a frame is an array of shape (k,), real or
+///     complex, or a pair (time in seconds, array). A function returns None where there is no frame yet, and raises
+///     StopIteration at the end. Both are called from a thread of the session.
 /// skin : Skin or str, optional
 ///     Whose frames they are, where the source does not say; healing-square where left out.
 /// frames : int, optional
@@ -101,7 +105,7 @@ pub struct PySession {
 #[pyo3(signature = (source, skin=None, *, frames=None, speed=0.0, calibration=None, forces=None, as_set=false, as_skin=false))]
 pub fn open(
     py: Python<'_>,
-    source: PathBuf,
+    source: &Bound<'_, PyAny>,
     skin: Option<&Bound<'_, PyAny>>,
     frames: Option<u64>,
     speed: f64,
@@ -117,9 +121,33 @@ pub fn open(
     if as_skin && given.is_none() {
         return Err(Fault::input("as_skin", "a skin as which to read", "none").into());
     }
-    let selector = source.to_string_lossy().into_owned();
+    let path = source.extract::<PathBuf>().ok();
+    let own = match &path {
+        Some(_) => None,
+        None => {
+            let skin = given.clone().ok_or_else(|| {
+                Fault::input("skin", "a skin beside a source of your own, to know its channels", "none")
+            })?;
+            let channels = skin.protocol().map_err(Fault::from)?.channel_count();
+            let made = PythonSource::new(source, channels).map_err(|_| {
+                let expected = "a text, a path, an iterable of frames, or a function that returns one";
+                Fault::input("source", expected, crate::arrays::type_name(source))
+            })?;
+            Some((skin, made))
+        }
+    };
+    let selector = match (&path, &own) {
+        (Some(path), _) => path.to_string_lossy().into_owned(),
+        (None, Some((_, own))) => dermis::device::Source::name(own).to_owned(),
+        (None, None) => String::new(),
+    };
     let named = selector.clone();
     let (opened, pipeline, head) = run_interruptibly(py, "open", move || {
+        if let Some((skin, own)) = own {
+            let mut opened = Opened::of(skin, Box::new(own));
+            let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
+            return Ok((opened, pipeline, head));
+        }
         let find = |name: Option<&str>| -> anyhow::Result<Skin> {
             match (name, &given) {
                 (Some(name), _) => Ok(Skin::open(name)?),
@@ -134,7 +162,7 @@ pub fn open(
     })?;
     let Opened { skin, source, twin, wait, .. } = opened;
     let extent_mm = extent_mm(pipeline.prepared());
-    let queue = if twin.is_some() && wait { TWIN_QUEUE } else { QUEUE };
+    let queue = if (twin.is_some() || path.is_none()) && wait { TWIN_QUEUE } else { QUEUE };
     let acquisition = Acquisition::spawn(source, queue, wait);
     let running = Running { acquisition, pipeline, twin, frames: 0, origin_ns: None, head, page: None };
     Ok(PySession {
@@ -409,6 +437,11 @@ impl Drop for PySession {
             // The threads that would be waited for are in the parent, and so may be who holds the lock.
             let running = std::mem::replace(&mut self.running, Mutex::new(None));
             std::mem::forget(running);
+            return;
         }
+        // The thread that is waited for may be waiting for the interpreter, which whoever drops a session holds.
+        let running = std::mem::replace(&mut self.running, Mutex::new(None));
+        let mut running = Some(running);
+        Python::try_attach(|py| py.detach(|| drop(running.take())));
     }
 }

@@ -151,9 +151,35 @@ def test_meshes_of_other_packages():
         np.testing.assert_array_equal(taken.nodes, nodes)
         np.testing.assert_array_equal(taken.elements, elements)
     spare = eit.mesh_from({"nodes": np.vstack([nodes, [[5.0, 5.0]]]), "elements": elements})
-    assert len(spare.nodes) == len(nodes)
+    assert len(spare.nodes) == len(nodes) + 1
+    np.testing.assert_array_equal(spare.elements, elements)
     with pytest.raises(dermis.InputError, match="meshio"):
         eit.mesh_from(3)
+
+
+def test_nodes_keep_their_numbers_where_some_are_in_no_element():
+    nodes, elements, sigma = square()
+    corners = [0, 1, 2, 3]
+    right = eit.ForwardModel(eit.Mesh(nodes, elements), eit.points(corners), eit.Protocol.adjacent(4))
+    shifted = eit.mesh_from({"nodes": np.vstack([[[9.0, 9.0]], nodes]), "elements": np.asarray(elements) + 1})
+    model = eit.ForwardModel(shifted, eit.points([1, 2, 3, 4]), eit.Protocol.adjacent(4))
+    sigma = np.ones(len(elements))
+    np.testing.assert_array_equal(model.voltages(sigma), right.voltages(sigma))
+    assert [int(electrode.parts[0]) for electrode in model.electrodes] == [1, 2, 3, 4]
+    potentials = model.node_potentials(sigma, 0)
+    assert np.isnan(potentials[0]) and np.isfinite(potentials[1:]).all()
+    assert model.mesh.boundary_faces.min() == 1
+    with pytest.raises(dermis.InputError, match="node 0, which is in none"):
+        eit.ForwardModel(shifted, eit.points([0, 2, 3, 4]), eit.Protocol.adjacent(4))
+
+
+def test_meshes_in_millimetres_are_asked_about():
+    nodes, elements, _ = square()
+    wide = {"nodes": 100.0 * np.asarray(nodes) / np.ptp(nodes), "elements": elements}
+    with pytest.raises(dermis.InputError, match='unit="mm" takes it so'):
+        eit.mesh_from(wide)
+    assert np.ptp(eit.mesh_from(wide, unit="mm").nodes) == pytest.approx(0.1)
+    assert np.ptp(eit.mesh_from(wide, unit="m").nodes) == pytest.approx(100.0)
 
 
 def test_meshio():

@@ -81,12 +81,59 @@ def test_sessions_as_arrays():
 def test_orders(skin, model):
     voltages = model.voltages()
     found = dermis.find_order(skin, voltages)
-    assert found.description == "" and found.correlation > 0.999
+    assert found.is_stated and found.is_clear and found.correlation > 0.999
     found = dermis.find_order(model, np.stack([-voltages] * 3))
-    assert found.sign == -1 and found.better_correlation > 0.999
+    assert found.is_clear and not found.is_stated and (found.sign == -1).all() and found.correlation > 0.999
     np.testing.assert_array_equal(found.to_skin(-voltages), voltages)
     with pytest.raises(dermis.InputError, match="frames"):
         found.to_skin(np.ones(3))
+
+
+def test_measurement_major_layouts_are_found_and_shuffles_are_not(skin, model):
+    voltages = model.voltages()
+    columns = voltages.reshape(16, 13).T.ravel()
+    found = dermis.find_order(skin, columns)
+    assert found.is_clear and "by columns" in found.description and "channels = [" in found.lines
+    np.testing.assert_allclose(found.to_skin(columns), voltages, rtol=1e-9)
+    shuffled = np.random.default_rng(1).permutation(voltages)
+    found = dermis.find_order(skin, shuffled)
+    assert not found.is_clear and found.verdict.startswith("nothing fits")
+    with pytest.raises(dermis.InputError, match="nothing fits"):
+        found.to_skin(shuffled)
+
+
+def test_conductances_in_siemens(skin):
+    sheet_s = 1.3 * skin.model().sigma[0]
+    finer = skin.model(elements=6000)
+    found = dermis.conductance(skin, finer.voltages(np.full(len(finer.sigma), sheet_s)))
+    assert abs(found.sheet_s / sheet_s - 1.0) < 0.02
+    assert found.image_s.shape == found.sigma_s.shape and np.nanmin(found.sigma_s) > 0.0
+
+
+def test_sources_of_ones_own(skin, model):
+    rest = model.voltages()
+    taken = list(dermis.open([rest] * 40, skin))
+    assert len(taken) == 40 and taken[-1].ready
+    with dermis.open(((0.02 * k, rest) for k in range(5)), skin) as session:
+        assert [round(result.time_s, 6) for result in session] == [0.0, 0.02, 0.04, 0.06, 0.08]
+    count = iter(range(6))
+
+    def driver():
+        k = next(count)
+        return None if k % 2 else rest
+
+    assert len(list(dermis.open(driver, skin))) == 3
+    with pytest.raises(dermis.SourceError, match="expected 208 readings"):
+        list(dermis.open([np.ones(7)], skin))
+    with pytest.raises(dermis.InputError, match="skin"):
+        dermis.open([rest])
+
+    def broken():
+        raise RuntimeError("the cable")
+        yield
+
+    with pytest.raises(dermis.SourceError, match="the cable"):
+        list(dermis.open(broken(), skin))
 
 
 def test_the_command_rides_along():

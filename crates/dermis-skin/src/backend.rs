@@ -1,10 +1,13 @@
 //! What reads a skin: instrument and protocol.
 
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use dermis_tomo::eit::{Drive, Driven, Measure, Order, Protocol, ProtocolError, ProtocolSpec, Reference};
 
+use crate::channel_list::ChannelList;
 use crate::check::Checker;
 use crate::electronics::Electronics;
 use crate::error::Error;
@@ -24,9 +27,14 @@ pub struct Backend {
     /// Drive frequency.
     #[serde(default)]
     pub frequency_khz: Option<f64>,
+    /// Every channel by its electrodes, in order; in place of `drive` and `measure`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channels: Option<ChannelList>,
     /// Which pairs drive.
+    #[serde(default = "DrivePattern::listed", skip_serializing_if = "DrivePattern::is_listed")]
     pub drive: DrivePattern,
     /// What is read for each.
+    #[serde(default = "MeasurePattern::listed", skip_serializing_if = "MeasurePattern::is_listed")]
     pub measure: MeasurePattern,
     /// Order of the readings of a drive.
     #[serde(default)]
@@ -127,6 +135,19 @@ pub enum DrivePattern {
     Pairs(Vec<[u32; 2]>),
     /// Coils, one after the other.
     EachCoil,
+    /// As [`Backend::channels`] lists them; no word of the file.
+    #[serde(skip)]
+    Listed,
+}
+
+impl DrivePattern {
+    fn listed() -> Self {
+        Self::Listed
+    }
+
+    fn is_listed(&self) -> bool {
+        *self == Self::Listed
+    }
 }
 
 /// Measuring patterns; electrodes are numbered from 1.
@@ -147,6 +168,19 @@ pub enum MeasurePattern {
     Pairs(Vec<[u32; 2]>),
     /// Coils of higher number than the one that drives.
     HigherCoils,
+    /// As [`Backend::channels`] lists them; no word of the file.
+    #[serde(skip)]
+    Listed,
+}
+
+impl MeasurePattern {
+    fn listed() -> Self {
+        Self::Listed
+    }
+
+    fn is_listed(&self) -> bool {
+        *self == Self::Listed
+    }
 }
 
 /// Reference of single-ended readings.
@@ -231,6 +265,9 @@ impl Backend {
     /// Patterns that need another number, or name electrodes that do not exist.
     pub fn protocol(&self, count: usize) -> Result<Protocol, ProtocolError> {
         let amplitude_a = self.current_ma * 1e-3;
+        if let Some(channels) = &self.channels {
+            return channels.protocol(count, amplitude_a);
+        }
         if self.is_of_coils() {
             return Protocol::coil_pairs(count, amplitude_a);
         }
@@ -253,6 +290,7 @@ impl Backend {
                 DrivePattern::Trigonometric => Drive::Trigonometric,
                 DrivePattern::Pairs(pairs) => Drive::Pairs(zero_based(pairs)),
                 DrivePattern::EachCoil => return Err(coils),
+                DrivePattern::Listed => return Err(ProtocolError::Empty),
             },
             measure: match &self.measure {
                 MeasurePattern::Adjacent => Measure::Adjacent,
@@ -261,6 +299,7 @@ impl Backend {
                 MeasurePattern::PseudoPolar => Measure::PseudoPolar,
                 MeasurePattern::Pairs(pairs) => Measure::Pairs(zero_based(pairs)),
                 MeasurePattern::HigherCoils => return Err(coils),
+                MeasurePattern::Listed => return Err(ProtocolError::Empty),
                 MeasurePattern::SingleEnded(reference) => Measure::SingleEnded(match reference {
                     ReferenceChoice::Mean => Reference::Mean,
                     ReferenceChoice::Sink => Reference::Sink,
@@ -279,8 +318,34 @@ impl Backend {
         })
     }
 
-    /// `coils`: the skin has coils and elements in place of electrodes.
-    pub(crate) fn check(&self, coils: bool, checker: &Checker<'_>) -> Result<(), Error> {
+    /// Reads a list of channels from its file, looked for in `folder`. A list says all that patterns and orders say, so
+    /// those beside it are dropped.
+    pub(crate) fn read_channels(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
+        let Some(channels) = &mut self.channels else { return Ok(()) };
+        channels.read(file, folder)?;
+        (self.drive, self.measure) = (DrivePattern::Listed, MeasurePattern::Listed);
+        (self.order, self.driven) = (ReadingOrder::default(), DrivenChannels::default());
+        Ok(())
+    }
+
+    /// `coils`: the skin has coils and elements in place of electrodes, of which there are `count`.
+    pub(crate) fn check(&self, coils: bool, count: usize, checker: &Checker<'_>) -> Result<(), Error> {
+        match &self.channels {
+            Some(_) if coils => {
+                return Err(checker.refused("backend.channels", "given", "none with layer.kind = \"elements\""));
+            }
+            Some(channels) => channels.check(count, checker)?,
+            None => {
+                for (field, listed) in
+                    [("backend.drive", self.drive.is_listed()), ("backend.measure", self.measure.is_listed())]
+                {
+                    if listed {
+                        let expected = "drive and measure, or channels that list every reading";
+                        return Err(checker.refused(field, "left out", expected));
+                    }
+                }
+            }
+        }
         checker.within("backend.current_ma", self.current_ma, 1e-9, 1e6)?;
         if let Some(frequency) = self.frequency_khz {
             let low = if coils { 1e-3 } else { 0.0 };

@@ -150,7 +150,8 @@ impl Sizes {
             }
             _ => 4,
         };
-        Self { pixels, channels: drives * readings, drives, electrodes, vertices: vertices as f64 }
+        let channels = skin.backend.channels.as_ref().map_or(drives * readings, |list| list.channels().len() as f64);
+        Self { pixels, channels, drives, electrodes, vertices: vertices as f64 }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::backend::MOST_PAIRS;
 use crate::backend::{Backend, DrivePattern, DrivenChannels, MeasurePattern, ReadingOrder, Reads, Wiring};
+use crate::channel_list::{ChannelList, ListedChannel};
 use crate::check::Checker;
 use crate::damage::DamageSettings;
 use crate::electronics::Electronics;
@@ -55,6 +56,7 @@ impl Skin {
                 instrument: String::new(),
                 current_ma: 1.0,
                 frequency_khz: None,
+                channels: None,
                 drive: DrivePattern::Adjacent,
                 measure: MeasurePattern::Adjacent,
                 order: ReadingOrder::default(),
@@ -127,7 +129,16 @@ impl Skin {
 
     /// With these stimulation and measurement patterns.
     pub fn with_patterns(mut self, drive: DrivePattern, measure: MeasurePattern) -> Self {
+        self.backend.channels = None;
         (self.backend.drive, self.backend.measure) = (drive, measure);
+        self
+    }
+
+    /// With these channels, in this order, electrodes numbered from 1.
+    pub fn with_channels(mut self, channels: Vec<ListedChannel>) -> Self {
+        self.backend.channels = Some(ChannelList::Listed(channels));
+        (self.backend.drive, self.backend.measure) = (DrivePattern::Listed, MeasurePattern::Listed);
+        (self.backend.order, self.backend.driven) = (ReadingOrder::default(), DrivenChannels::default());
         self
     }
 }

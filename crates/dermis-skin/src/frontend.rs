@@ -4,6 +4,8 @@ mod electrodes;
 
 pub use electrodes::{Electrodes, Pad, PadRing, RimElectrode};
 
+use std::path::Path;
+
 use dermis_tomo::mesh::{Outline, Surface};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,6 +14,7 @@ use crate::check::{Checker, MM, MOST_MM};
 use crate::error::Error;
 use crate::layer::Layer;
 use crate::magnetic::{Coils, Elements};
+use crate::mesh_file::MeshFile;
 
 /// More vertices of an outline than any drawing needs.
 const MOST_VERTICES: usize = 2000;
@@ -74,6 +77,8 @@ pub enum Shape {
         #[serde(default)]
         holes_mm: Vec<Vec<[f64; 2]>>,
     },
+    /// The rim of a flat mesh in a file, with its electrodes. Skins that were read have a polygon in its place.
+    Mesh(MeshFile),
 }
 
 /// What a sheet is bent on, without stretching it.
@@ -100,11 +105,17 @@ impl Shape {
                 let metres = |points: &[[f64; 2]]| points.iter().map(|p| [p[0] * MM, p[1] * MM]).collect::<Vec<_>>();
                 Outline::Polygon { outer: metres(outer_mm), holes: holes_mm.iter().map(|h| metres(h)).collect() }
             }
+            // No skin that is checked has one.
+            Shape::Mesh(_) => Outline::Disc { radius_m: MM },
         }
     }
 
     fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
         match self {
+            Shape::Mesh(mesh) => {
+                let expected = "a polygon: a mesh is read with the skin file that names it";
+                Err(checker.refused("frontend.shape.mesh", format!("{:?}", mesh.file), expected))
+            }
             Shape::Disc { diameter_mm } => {
                 checker.within("frontend.shape.disc.diameter_mm", *diameter_mm, 1.0, MOST_MM)
             }
@@ -211,6 +222,17 @@ impl Frontend {
         }
     }
 
+    /// Reads outline and electrodes from a mesh, looked for in `folder`.
+    pub(crate) fn read_mesh(&mut self, file: &str, folder: Option<&Path>) -> Result<(), Error> {
+        let Shape::Mesh(mesh) = &self.shape else { return Ok(()) };
+        let (shape, electrodes) = mesh.read(self.electrodes.are_none() && self.coils.is_none(), file, folder)?;
+        self.shape = shape;
+        if let Some(electrodes) = electrodes {
+            self.electrodes = electrodes;
+        }
+        Ok(())
+    }
+
     pub(crate) fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
         self.shape.check(checker)?;
         self.layer.check(checker)?;
@@ -244,7 +266,7 @@ impl Frontend {
             ));
         }
         checker.within("frontend.contact_impedance_ohm_m2", self.contact_impedance_ohm_m2, 1e-12, 1e6)?;
-        self.electrodes.check(checker)
+        self.electrodes.check(&self.shape.outline(), checker)
     }
 
     fn check_elements(&self, tolerance_mm: f64, checker: &Checker<'_>) -> Result<(), Error> {

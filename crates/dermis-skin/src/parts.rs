@@ -3,7 +3,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde::de::value::MapAccessDeserializer;
@@ -47,16 +47,21 @@ impl<'de, T: DeserializeOwned> Visitor<'de> for PartVisitor<T> {
 }
 
 impl<T: DeserializeOwned> Part<T> {
+    /// The folder that files named in this part are looked for in: its own, or the skin file's.
+    pub(crate) fn folder(&self, folder: Option<&Path>) -> Option<PathBuf> {
+        match self {
+            Part::Here(_) => folder.map(Path::to_path_buf),
+            Part::File(path) => folder.and_then(|folder| folder.join(path).parent().map(Path::to_path_buf)),
+        }
+    }
+
     pub(crate) fn read(self, field: &'static str, file: &str, folder: Option<&Path>) -> Result<T, Error> {
         let path = match self {
             Part::Here(value) => return Ok(value),
             Part::File(path) => path,
         };
         let checker = Checker { file };
-        if Path::new(&path).is_absolute() || path.split(['/', '\\']).any(|part| part == "..") {
-            let expected = "a path within the skin file's folder";
-            return Err(checker.refused(field, format!("{path:?}"), expected));
-        }
+        check_path(field, &path, &checker)?;
         let parse = |text: &str, name: String| {
             toml::from_str(text)
                 .map_err(|error| Error::SkinFile { file: name, message: error.to_string().trim_end().to_string() })
@@ -79,22 +84,76 @@ impl<T: DeserializeOwned> Part<T> {
     }
 }
 
+/// A path that stays within the skin file's folder: skin files come from others.
+fn check_path(field: &str, path: &str, checker: &Checker<'_>) -> Result<(), Error> {
+    if path.is_empty() || Path::new(path).is_absolute() || path.split(['/', '\\']).any(|part| part == "..") {
+        let expected = "a path within the skin file's folder";
+        return Err(checker.refused(field, format!("{path:?}"), expected));
+    }
+    Ok(())
+}
+
+/// The text of a file that a skin file names, and its name for errors.
+pub(crate) fn read_beside(
+    field: &str,
+    path: &str,
+    file: &str,
+    folder: Option<&Path>,
+    expected: &str,
+) -> Result<(String, String), Error> {
+    let (bytes, name) = read_bytes_beside(field, path, file, folder, expected)?;
+    let text = String::from_utf8(bytes);
+    text.map(|text| (text, name.clone()))
+        .map_err(|_| Error::SkinFile { file: name, message: "not text (UTF-8)".into() })
+}
+
+/// The bytes of a file that a skin file names, and its name for errors.
+pub(crate) fn read_bytes_beside(
+    field: &str,
+    path: &str,
+    file: &str,
+    folder: Option<&Path>,
+    expected: &str,
+) -> Result<(Vec<u8>, String), Error> {
+    let checker = Checker { file };
+    check_path(field, path, &checker)?;
+    let Some(folder) = folder else {
+        let expected = format!("{expected}; text alone lies in no folder");
+        return Err(checker.refused(field, format!("{path:?}"), expected));
+    };
+    let place = folder.join(path);
+    match read_bounded(&place, MOST_BESIDE_BYTES, "a file of a skin") {
+        Ok(bytes) => Ok((bytes, place.display().to_string())),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            Err(checker.refused(field, format!("{path:?}, which does not exist"), expected))
+        }
+        Err(source) => Err(Error::Io { file: place, source }),
+    }
+}
+
+/// Longest file that a skin file names, bytes: a mesh of half a million elements.
+const MOST_BESIDE_BYTES: u64 = 1 << 26;
+
 /// Longest skin file, bytes.
 const MOST_BYTES: u64 = 1 << 20;
 
 /// Reads a skin file or a part of one: a regular file of bounded size, as UTF-8.
 pub(crate) fn read_skin_text(path: &Path) -> std::io::Result<String> {
     use std::io::{Error, ErrorKind::InvalidData};
+    let text = String::from_utf8(read_bounded(path, MOST_BYTES, "a skin file (TOML)")?);
+    text.map_err(|_| Error::new(InvalidData, "not text; expected a skin file (TOML, UTF-8)"))
+}
+
+fn read_bounded(path: &Path, most: u64, what: &str) -> std::io::Result<Vec<u8>> {
+    use std::io::{Error, ErrorKind::InvalidData};
     let found = std::fs::metadata(path)?;
     if !found.is_file() {
-        return Err(Error::new(InvalidData, "not a regular file; expected a skin file (TOML)"));
+        return Err(Error::new(InvalidData, format!("not a regular file; expected {what}")));
     }
-    if found.len() > MOST_BYTES {
-        let message = format!("{} bytes; expected a skin file (TOML) of at most {MOST_BYTES}", found.len());
-        return Err(Error::new(InvalidData, message));
+    if found.len() > most {
+        return Err(Error::new(InvalidData, format!("{} bytes; expected {what} of at most {most}", found.len())));
     }
-    let text = String::from_utf8(std::fs::read(path)?);
-    text.map_err(|_| Error::new(InvalidData, "not text; expected a skin file (TOML, UTF-8)"))
+    std::fs::read(path)
 }
 
 #[cfg(test)]

@@ -207,11 +207,14 @@ impl Skin {
             return Err(checker.refused("title", self.title.escape_debug(), expected));
         }
         self.frontend.check(checker)?;
-        self.backend.check(elements, checker)?;
         let (electrodes, coils) = match &self.frontend.coils {
             Some(coils) => (0, coils.count()),
             None => (self.frontend.electrodes.count(), 0),
         };
+        self.backend.check(elements, electrodes, checker)?;
+        if elements && self.touch.refine {
+            return Err(checker.refused("touch.refine", "true", "false with layer.kind = \"elements\""));
+        }
         // Faults may name channels.
         let channels = self.twin.names_channels().then(|| self.backend.protocol(electrodes.max(coils)));
         let channels = channels.and_then(Result::ok).map(|protocol| protocol.channel_count());
@@ -248,12 +251,18 @@ struct Written {
 impl Written {
     /// The skin with its parts read, those in files relative to `folder` (none: built-in parts only).
     fn read(self, file: &str, folder: Option<&Path>) -> Result<Skin, Error> {
+        let beside = self.backend.folder(folder);
+        let mut backend = self.backend.read("backend", file, folder)?;
+        backend.read_channels(file, beside.as_deref())?;
+        let beside = self.frontend.folder(folder);
+        let mut frontend = self.frontend.read("frontend", file, folder)?;
+        frontend.read_mesh(file, beside.as_deref())?;
         Ok(Skin {
             name: self.name,
             title: self.title,
             modality: self.modality,
-            frontend: self.frontend.read("frontend", file, folder)?,
-            backend: self.backend.read("backend", file, folder)?,
+            frontend,
+            backend,
             imaging: self.imaging,
             touch: self.touch,
             health: self.health,

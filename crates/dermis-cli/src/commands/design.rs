@@ -227,8 +227,13 @@ impl Arguments {
             let backend = &candidate.skin.backend;
             write!(out, "  {label:<9} {}  ", millimetres(candidate.position_m))?;
             write!(out, "{} electrodes, ", candidate.skin.electrode_shapes().len())?;
-            let (drive, measure) = (inline(&backend.drive)?, inline(&backend.measure)?);
-            writeln!(out, "drive = {drive}, measure = {measure}")?;
+            match &backend.channels {
+                Some(list) => writeln!(out, "{} listed channels", list.channels().len())?,
+                None => {
+                    let (drive, measure) = (inline(&backend.drive)?, inline(&backend.measure)?);
+                    writeln!(out, "drive = {drive}, measure = {measure}")?;
+                }
+            }
         }
         let text = best.skin.to_toml();
         write_atomic(winner, |file| file.write_all(text.as_bytes()))?;

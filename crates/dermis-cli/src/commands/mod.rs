@@ -5,6 +5,7 @@ mod bench;
 mod calibrate;
 mod circuit;
 mod completions;
+mod conductance;
 mod design;
 mod device;
 mod devices;
@@ -78,6 +79,8 @@ pub enum Command {
     Calibrate(calibrate::Arguments),
     /// Find out which order the numbers of an unknown file are in.
     Order(order::Arguments),
+    /// Find a sheet's conductance in siemens from frames of one state, without a baseline.
+    Conductance(conductance::Arguments),
     /// Begin a skin of your own: a commented skin file and its drawing.
     New(new::Arguments),
     /// List, show or draw skins.
@@ -130,6 +133,7 @@ impl Command {
             Command::Completions(arguments) => arguments.run(out),
             Command::Solve(arguments) => arguments.run(out),
             Command::Skins(arguments) => arguments.run(out),
+            Command::Conductance(arguments) => arguments.run(out),
             Command::Order(arguments) => arguments.run(out),
             Command::New(arguments) => arguments.run(out),
             Command::Snr(arguments) => arguments.run(out),

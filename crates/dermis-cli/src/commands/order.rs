@@ -17,9 +17,10 @@ Examples:
   dermis order healing-square --baseline 'rest.csv#0..1' --json
 
 Compares frames of the untouched skin with what the skin's model would read under every protocol that gives as many numbers:
-drives and measurements of every distance, with and without driven electrodes, either sign, lists that begin elsewhere, run
-backwards or rotate with the drive, and electrodes counted from another one or the other way round. The first is written as
-lines for [backend] in the skin file. Without a SKIN, discs with evenly spaced electrodes are tried.
+drives and measurements of every distance, with and without driven electrodes, pairs that read themselves, and the skin file's own
+list of channels; either sign, lists that begin elsewhere, run backwards or rotate with the drive, tables stored by columns, and
+electrodes counted from another one or the other way round. The first is written as lines for [backend] in the skin file, a list
+of channels where no words say it. Without a SKIN, discs with evenly spaced electrodes are tried.
 Exit code 1: nothing fits, or no candidate stands out.";
 
 /// Arguments of `dermis order`.
@@ -60,8 +61,13 @@ impl Arguments {
 fn print(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "{} readings, mean of {} frames", found.readings, found.frames)?;
     writeln!(out, "{}", found.verdict())?;
-    let Some(best) = found.candidates.first() else { return Ok(()) };
-    print_lines(best, out)?;
+    // Lines for what does not fit would be copied.
+    if let Some(best) = found.fitting() {
+        print_lines(best, out)?;
+    }
+    if found.candidates.is_empty() {
+        return Ok(());
+    }
     writeln!(out, "{:>11} {:>7}  order", "correlation", "score")?;
     for candidate in &found.candidates {
         writeln!(out, "{:>11.4} {:>7.4}  {}", candidate.correlation, candidate.score, candidate.description)?;
@@ -72,7 +78,7 @@ fn print(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
 /// What other commands say of a file in another order than the skin's: in a sentence, and as lines to write.
 pub(super) fn print_order(found: &FoundOrder, out: &mut dyn Write) -> std::io::Result<()> {
     writeln!(out, "order of the channels: {}", found.verdict())?;
-    found.candidates.first().map_or(Ok(()), |best| print_lines(best, out))
+    found.fitting().map_or(Ok(()), |best| print_lines(best, out))
 }
 
 fn print_lines(best: &OrderCandidate, out: &mut dyn Write) -> std::io::Result<()> {

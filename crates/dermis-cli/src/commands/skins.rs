@@ -141,6 +141,11 @@ fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         }
     };
     writeln!(out, "# {width_mm:.1} x {height_mm:.1} mm, {what}")?;
+    for (number, moved_mm) in (1..).zip(skin.frontend.electrodes.moved_mm(&skin.outline())) {
+        if moved_mm > 0.0 {
+            writeln!(out, "# electrode {number}: put on the rim, {moved_mm:.2} mm from its place")?;
+        }
+    }
     write!(out, "{}", skin.to_toml())?;
     Ok(Outcome::Done)
 }

@@ -9,12 +9,16 @@ use dermis::lab::solve::{DifferencePrior, DifferenceSpec, difference_image};
 use dermis_device::instruments::npy;
 use dermis_tomo::eit::ForwardModel;
 
+use super::skin_word;
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
 Examples:
   dermis solve case.json --sigma hom --voltages v.npy --jacobian j.npy
   dermis solve case.json --difference hom:incl --prior noser --hyperparameter 0.1 --image x.npy
+
+A mesh of Gmsh (MSH 2.2 or 4.1), whose groups electrode_1, electrode_2, ... are the electrodes, takes the rest from a skin:
+dermis solve tank.msh --skin tank.toml --unit mm --sigma hom --voltages v.npy
 
 A conductivity is hom, incl, wave, any other NAME for which the case has sigma_NAME, or a file (NumPy array or text
 column) of one value an element. Arrays are float64: voltages (m,), Jacobian (m, n), image (n,), for m measurements and
@@ -25,9 +29,18 @@ n elements.";
 #[command(after_help = EXAMPLE)]
 #[command(group(clap::ArgGroup::new("outputs").args(["voltages", "jacobian", "image"]).required(true).multiple(true)))]
 pub struct Arguments {
-    /// The case: mesh, electrodes, stimulation, measurement, conductivities.
-    #[arg(value_name = "CASE.json")]
+    /// The case: mesh, electrodes, stimulation, measurement, conductivities; or a mesh of Gmsh, with --skin.
+    #[arg(value_name = "CASE.json|MESH.msh")]
     case: PathBuf,
+    /// Skin whose protocol, contact impedance and conductance (hom) go with a mesh.
+    #[arg(long, value_name = "SKIN")]
+    skin: Option<String>,
+    /// Prefix of the names of a mesh's electrode groups.
+    #[arg(long, value_name = "PREFIX", default_value = "electrode", requires = "skin")]
+    electrodes: String,
+    /// Unit of a mesh's coordinates.
+    #[arg(long, value_enum, requires = "skin")]
+    unit: Option<Unit>,
     /// Conductivity at which voltages and Jacobian are computed.
     #[arg(long, value_name = "hom|incl|wave|FILE")]
     sigma: Option<ConductivityChoice>,
@@ -52,6 +65,23 @@ pub struct Arguments {
     /// Write the image (change of conductivity of each element) here.
     #[arg(long, value_name = "FILE.npy", requires_all = ["difference", "prior", "hyperparameter"])]
     image: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Unit {
+    M,
+    Cm,
+    Mm,
+}
+
+impl Unit {
+    fn metres(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 1e-2,
+            Self::Mm => 1e-3,
+        }
+    }
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -106,7 +136,19 @@ impl Arguments {
     /// Computes everything that was asked for, then writes it.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         self.check_paths()?;
-        let case = Case::open(&self.case)?;
+        let is_mesh = self.case.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("msh"));
+        let case = match &self.skin {
+            Some(skin) => {
+                Case::of_mesh(&self.case, &skin_word::skin(skin)?, &self.electrodes, self.unit.map(Unit::metres))?
+            }
+            None if is_mesh => {
+                let name = self.case.display();
+                return Err(
+                    UsageError(format!("{name}: a mesh; expected --skin SKIN beside it, for the protocol")).into()
+                );
+            }
+            None => Case::open(&self.case)?,
+        };
         let model = case.forward_model()?;
         tracing::info!(
             nodes = case.body.mesh.nodes().len(),

@@ -69,6 +69,13 @@ pub fn improve(skin: &Skin, search: &Search, progress: impl FnMut(usize, usize))
             got: "coils, whose pairs are all read".into(),
         });
     }
+    if skin.backend.channels.is_some() && search.freed.contains(&Freedom::Drive) {
+        return Err(Error::Frames {
+            what: format!("drives of {}, to be varied while the measuring pattern stays", skin.name),
+            expected: "a measuring pattern".into(),
+            got: "a list of channels; let the whole protocol vary (--improve protocol)".into(),
+        });
+    }
     let prepared = Prepared::new(skin.clone())?;
     let instrument = SharedInstrument::of(&prepared, search.noise)?;
     let judge = Judge { instrument, amplitude: search.amplitude, along: search.along };
@@ -213,7 +220,7 @@ fn counts(skin: &Skin) -> Result<Vec<Electrodes>, Error> {
         Electrodes::PadGrid { diameter_mm, .. } => PER_SIDE
             .map(|per_side| Electrodes::PadGrid { per_side: Pair::One(per_side), diameter_mm: *diameter_mm })
             .collect(),
-        Electrodes::RimList(_) | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
+        Electrodes::RimList(_) | Electrodes::RimPlaces { .. } | Electrodes::Pads(_) | Electrodes::PadRings { .. } => {
             return Err(Error::Frames {
                 what: format!("frontend.electrodes of {}, whose number is to be varied", skin.name),
                 expected: "rim, rim-pads or pad-grid, which say where any number of them goes".into(),

@@ -36,6 +36,7 @@ from ._dermis import (
     open,
     read_frames,
 )
+from ._conductance import Conductance, conductance
 from ._order import Order, find_order
 from ._tables import touch_dtype
 from .errors import (
@@ -54,6 +55,7 @@ if _TYPE_CHECKING:
 
 __all__ = [
     "Calibration",
+    "Conductance",
     "Error",
     "FileError",
     "Frame",
@@ -76,6 +78,7 @@ __all__ = [
     "Twin",
     "__version__",
     "calibrate",
+    "conductance",
     "design",
     "errors",
     "find_order",

@@ -1,6 +1,6 @@
 """The compiled half of the package: documented where :mod:`dermis`, :mod:`dermis.eit` and :mod:`dermis.mit` show it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from os import PathLike
 from types import TracebackType
 from typing import Any, Literal, TypeAlias, final
@@ -88,7 +88,6 @@ class Model:
         prior: str | dict[str, Any] | None = None,
         hyperparameter: float | str | dict[str, Any] | None = None,
     ) -> NDArray[np.float32]: ...
-    def order(self, baseline: ArrayLike) -> dict[str, Any]: ...
     def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
@@ -233,8 +232,10 @@ class Session:
     ) -> None: ...
     def release(self, pointer: int = 1) -> None: ...
 
+def search_order(skin: _Skin, baseline: ArrayLike) -> dict[str, Any]: ...
+def estimate_conductance(skin: _Skin, frames: ArrayLike) -> dict[str, Any]: ...
 def open(
-    source: _Path,
+    source: _Path | Iterable[Any] | Callable[[], Any],
     skin: _Skin | None = None,
     *,
     frames: int | None = None,

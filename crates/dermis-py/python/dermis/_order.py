@@ -7,39 +7,64 @@ from typing import Any
 
 import numpy as np
 
-from ._dermis import Model, Skin
+from ._dermis import Model, Skin, search_order
+from .errors import InputError
 
 
 @dataclass(frozen=True)
 class Order:
-    """How a measured baseline fits a skin's model.
+    """How a measured baseline fits a skin: what ``dermis order`` finds.
 
     Parameters
     ----------
     correlation : float
-        Correlation with the model in the order of the skin file.
+        Correlation of the baseline with the model in the order that fits best.
     description : str
-        The order that fits clearly better, in words; empty where the stated order is the best.
-    better_correlation : float
-        Correlation in that order.
-    source : numpy.ndarray
-        Shape (k,): entry `i` of a measured frame is channel `source[i]` of the skin.
-    sign : float
-        +1 or -1, common to all channels.
+        That order in words.
+    is_stated : bool
+        It is the order of the skin file.
+    is_clear : bool
+        It fits, and clearly better than any other.
+    verdict : str
+        What was found, in a sentence: "nothing fits" where nothing does.
+    lines : str
+        Lines for ``[backend]`` of a skin file that reads such frames as they are; empty where nothing fits.
+    candidates : list of (float, str)
+        Correlations and descriptions, the best first.
+    source : numpy.ndarray or None
+        Shape (k,): entry `i` of a measured frame is channel `source[i]` of the skin; None where the frames hold other
+        channels than the skin.
+    sign : numpy.ndarray or None
+        Shape (k,): what entry `i` is multiplied with, +1 or -1.
     """
 
     correlation: float
     description: str
-    better_correlation: float
-    source: np.ndarray
-    sign: float
+    is_stated: bool
+    is_clear: bool
+    verdict: str
+    lines: str
+    candidates: list[tuple[float, str]]
+    source: np.ndarray | None
+    sign: np.ndarray | None
 
     def to_skin(self, frames: Any) -> np.ndarray:
-        """Puts frames, shape (k,) or (n, k), into the skin's order and sign."""
+        """Puts frames, shape (k,) or (n, k), into the skin's order and sign.
+
+        Raises
+        ------
+        InputError
+            An order that is not clear, frames of other channels than the skin's, or another shape.
+        """
+        if not self.is_clear:
+            raise InputError(f"order: expected one that is clear, got none: {self.verdict}")
+        if self.source is None or self.sign is None:
+            raise InputError(
+                f"order: expected the skin's channels, got others ({self.description}); a skin file with these lines in "
+                f"[backend] reads them:\n{self.lines}"
+            )
         frames = np.asarray(frames, dtype=float)
         if frames.ndim not in (1, 2) or frames.shape[-1] != len(self.source):
-            from .errors import InputError
-
             raise InputError(f"frames: expected shape (n, {len(self.source)}), got shape {frames.shape}")
         ordered = np.empty_like(frames)
         ordered[..., self.source] = self.sign * frames
@@ -47,7 +72,10 @@ class Order:
 
 
 def find_order(skin: Skin | Model | str, baseline: Any) -> Order:
-    """Finds the order and sign of the channels of a measured baseline.
+    """Finds the order and sign of the channels of a measured baseline, as ``dermis order`` does.
+
+    Every protocol that gives as many numbers is tried, with every order of its lists, nested either way, either sign, and
+    electrodes counted from another one or the other way round.
 
     Parameters
     ----------
@@ -59,20 +87,7 @@ def find_order(skin: Skin | Model | str, baseline: Any) -> Order:
     Returns
     -------
     Order
-        The order that fits best: a rearrangement is preferred to the stated one only where it fits clearly better.
+        The order that fits best, and whether it is clear.
     """
-    model = skin if isinstance(skin, Model) else (skin if isinstance(skin, Skin) else Skin(skin)).model()
-    baseline = np.asarray(baseline, dtype=float)
-    if baseline.ndim == 2 and len(baseline):
-        counted = np.isfinite(baseline)
-        sums = np.where(counted, baseline, 0.0).sum(axis=0)
-        baseline = np.where(counted.any(axis=0), sums / np.maximum(counted.sum(axis=0), 1), np.nan)
-    found = model.order(baseline)
-    count = len(baseline)
-    return Order(
-        correlation=found["correlation"],
-        description=found.get("description", ""),
-        better_correlation=found.get("better_correlation", found["correlation"]),
-        source=found.get("source", np.arange(count)),
-        sign=found.get("sign", 1.0),
-    )
+    found = search_order(skin.skin if isinstance(skin, Model) else skin, baseline)
+    return Order(source=found.pop("source", None), sign=found.pop("sign", None), **found)

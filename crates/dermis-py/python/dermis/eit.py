@@ -31,6 +31,8 @@ __all__ = [
     "Prior",
     "Protocol",
     "greit_figures",
+    "electrodes_at",
+    "electrodes_from",
     "mesh_from",
     "points",
     "protocol_from_pyeit",
@@ -49,7 +51,7 @@ def points(nodes: Any) -> list[Electrode]:
     return [Electrode.point(int(node)) for node in np.asarray(nodes).ravel()]
 
 
-def mesh_from(mesh: Any) -> Mesh:
+def mesh_from(mesh: Any, *, unit: str | None = None) -> Mesh:
     """A mesh from another package's.
 
     Parameters
@@ -57,15 +59,179 @@ def mesh_from(mesh: Any) -> Mesh:
     mesh : object
         A ``meshio.Mesh`` (``points`` and ``cells``; tetrahedra are taken where there are some, triangles otherwise), a
         ``pyeit`` mesh (``node``, ``element``), an EIDORS or PyEIDORS ``fwd_model`` (``nodes``, ``elems`` from 1 or from
-        0), or a dictionary with such keys. Nodes that no element uses are left out.
+        0), or a dictionary with such keys.
+    unit : str, optional
+        ``"m"``, ``"cm"``, ``"mm"`` or ``"um"``: what the coordinates are in. Metres where left out, but a mesh wider than
+        5 m is then refused, since it is more likely one in millimetres.
 
     Returns
     -------
     Mesh
-        Its nodes are numbered as before where every node is used.
+        Its nodes and elements are numbered as before, also where nodes belong to no element.
+
+    Raises
+    ------
+    InputError
+        No mesh, or one wider than 5 m without a unit.
     """
     nodes, elements = _arrays_of(mesh)
-    return Mesh(*_used(nodes, elements))
+    return Mesh(_metres(nodes, elements, unit), elements)
+
+
+_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+# Wider than any tank, and narrower than a skin of 10 mm that was drawn in millimetres.
+_WIDEST_M = 5.0
+
+
+def _metres(nodes: np.ndarray, elements: np.ndarray, unit: str | None) -> np.ndarray:
+    if unit is not None:
+        if unit not in _UNITS:
+            raise InputError(f"unit: expected one of {', '.join(_UNITS)}, got {unit!r}")
+        return nodes * _UNITS[unit]
+    if nodes.ndim == 2 and elements.size and elements.min() >= 0 and elements.max() < len(nodes):
+        width = float(np.ptp(nodes[np.unique(elements)], axis=0).max())
+        if width > _WIDEST_M:
+            raise InputError(
+                f"mesh: {width:g} m wide: is it in millimetres? unit=\"mm\" takes it so, unit=\"m\" takes it as it stands"
+            )
+    return nodes
+
+
+def electrodes_from(mesh: Any, prefix: str = "electrode", *, contact_impedance: Any) -> list[Electrode]:
+    """Electrodes from the physical groups of a ``meshio.Mesh`` that was read from a Gmsh file.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh
+        With groups named by the prefix and a number: ``electrode_1``, ``electrode 2``, ``electrode3``. Groups of lines (of
+        triangles, on a solid) are electrodes of edges (faces), groups of triangles of a flat mesh are pads, a group of one
+        point is a point electrode.
+    prefix : str
+        What the names begin with.
+    contact_impedance : float or array_like
+        One for all, or one each: ohm.m of edges, ohm.m^2 of faces and pads.
+
+    Returns
+    -------
+    list of Electrode
+        In the order of their numbers, for the :class:`Mesh` that :func:`mesh_from` makes of the same file.
+
+    Raises
+    ------
+    InputError
+        No such groups, a number twice, or groups that cannot be electrodes.
+    """
+    names, cells, data = (_get(mesh, name) for name in ("field_data", "cells_dict", "cell_data_dict"))
+    if names is None or cells is None or data is None:
+        raise InputError(f"mesh: expected a meshio.Mesh of a Gmsh file, got {type(mesh).__name__}")
+    tags = data.get("gmsh:physical", {})
+    solid = len(cells.get("tetra", ())) > 0
+    found: dict[int, tuple[str, int, int]] = {}
+    for name, (tag, dimension) in names.items():
+        number = name[len(prefix) :].strip("_- .") if name.startswith(prefix) else ""
+        if not number.isdigit():
+            continue
+        if int(number) in found:
+            raise InputError(f"mesh: expected one group for electrode {int(number)}, got {found[int(number)][0]} and {name}")
+        found[int(number)] = (name, int(tag), int(dimension))
+    if not found:
+        given = ", ".join(map(str, names)) or "none"
+        raise InputError(f"mesh: expected groups named {prefix}1, {prefix}2, ..., got {given}")
+    missing = sorted(set(range(min(found), max(found) + 1)) - set(found))
+    if missing:
+        raise InputError(f"mesh: expected groups {prefix}{min(found)} to {prefix}{max(found)}, got none for {missing}")
+    impedances = _each(contact_impedance, len(found))
+    kinds = {0: "vertex", 1: "line", 2: "triangle"}
+    electrodes = []
+    for (_, (name, tag, dimension)), impedance in zip(sorted(found.items()), impedances, strict=True):
+        kind = kinds.get(dimension, "tetra")
+        members = np.asarray(tags.get(kind, ())) == tag
+        parts = np.asarray(cells[kind])[members] if members.any() else np.empty((0, 0), int)
+        if not len(parts):
+            raise InputError(f"mesh: expected {kind} cells in group {name}, got none")
+        if dimension == 0 and len(parts) == 1:
+            electrodes.append(Electrode.point(int(parts[0, 0])))
+        elif dimension == 2 and not solid:
+            electrodes.append(Electrode.elements(np.flatnonzero(members), impedance))
+        elif dimension == (2 if solid else 1):
+            electrodes.append((Electrode.faces if solid else Electrode.edges)(parts, impedance))
+        else:
+            raise InputError(f"mesh: expected {'triangles' if solid else 'lines'} in group {name}, got {len(parts)} {kind} cells")
+    return electrodes
+
+
+def electrodes_at(mesh: Mesh, places_m: Any, width_m: Any, contact_impedance: Any) -> list[Electrode]:
+    """Electrodes on the rim of a flat mesh, by place.
+
+    Each is the boundary edges whose middles lie within half a width, along the rim, of its point nearest to the place.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        A flat one.
+    places_m : array_like
+        Shape (n, 2), metres.
+    width_m : float or array_like
+        Width of all or of each, metres.
+    contact_impedance : float or array_like
+        Of all or of each, ohm.m.
+
+    Returns
+    -------
+    list of Electrode
+        In the order of the places.
+
+    Raises
+    ------
+    InputError
+        A place that is farther than its width from every edge, or a mesh that is too coarse for a width.
+    """
+    places = np.asarray(places_m, float)
+    if places.ndim != 2 or places.shape[1] != 2 or not len(places):
+        raise InputError(f"places_m: expected shape (n, 2), got shape {places.shape}")
+    nodes, edges = np.asarray(mesh.nodes)[:, :2], mesh.boundary_faces.astype(np.int64)
+    if edges.shape[1] != 2:
+        raise InputError("mesh: expected a flat mesh of triangles, got tetrahedra")
+    starts, along = nodes[edges[:, 0]], nodes[edges[:, 1]] - nodes[edges[:, 0]]
+    lengths = np.hypot(along[:, 0], along[:, 1])
+    around: dict[int, list[int]] = {}
+    for number, edge in enumerate(edges):
+        for node in edge:
+            around.setdefault(int(node), []).append(number)
+    electrodes = []
+    widths, impedances = _each(width_m, len(places)), _each(contact_impedance, len(places))
+    for number, (place, width, impedance) in enumerate(zip(places, widths, impedances, strict=True)):
+        share = np.clip(((place - starts) * along).sum(axis=1) / lengths**2, 0.0, 1.0)
+        off = np.linalg.norm(starts + share[:, None] * along - place, axis=1)
+        nearest = int(off.argmin())
+        if off[nearest] > width:
+            raise InputError(
+                f"places_m: electrode {number}: expected a place at the rim, got {tuple(place)}, {off[nearest]:.3g} m from it"
+            )
+        # Distances of the edges' middles along the rim, both ways from the nearest point.
+        chosen = {nearest: abs(share[nearest] - 0.5) * lengths[nearest]}
+        for end, gone in ((1, (1.0 - share[nearest]) * lengths[nearest]), (0, share[nearest] * lengths[nearest])):
+            edge, node = nearest, int(edges[nearest, end])
+            while gone <= 0.5 * width:
+                others = [other for other in around[node] if other != edge]
+                if len(others) != 1 or others[0] == nearest:
+                    break
+                edge = others[0]
+                chosen[edge] = min(chosen.get(edge, np.inf), gone + 0.5 * lengths[edge])
+                gone += lengths[edge]
+                node = int(edges[edge].sum()) - node
+        within = [edge for edge, distance in chosen.items() if distance <= 0.5 * width]
+        if not within:
+            raise InputError(f"electrode {number}: expected an edge within {width} m, got none; the mesh is too coarse")
+        electrodes.append(Electrode.edges(edges[within], float(impedance)))
+    return electrodes
+
+
+def _each(values: Any, count: int) -> np.ndarray:
+    values = np.asarray(values, float).ravel()
+    if len(values) not in (1, count):
+        raise InputError(f"expected one value for all electrodes or {count}, got {len(values)}")
+    return np.broadcast_to(values, (count,))
 
 
 def _get(mesh: Any, *names: str) -> Any:
@@ -102,17 +268,6 @@ def _flat(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarr
         if len(nodes) and np.ptp(nodes[:, 2]) == 0.0:
             nodes = nodes[:, :2]
     return nodes, elements
-
-
-def _used(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    if nodes.ndim != 2 or elements.ndim != 2 or not elements.size:
-        return nodes, elements
-    used = np.unique(elements)
-    if used[0] < 0 or used[-1] >= len(nodes) or len(used) == len(nodes):
-        return nodes, elements
-    number = np.zeros(len(nodes), np.int64)
-    number[used] = np.arange(len(used))
-    return nodes[used], number[elements]
 
 
 def protocol_from_pyeit(protocol: Any, amplitude_a: float = 1.0) -> Protocol:

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyTuple;
 use rayon::prelude::*;
 
-use super::mesh::{PyElectrode, PyMesh};
+use super::mesh::{Numbering, PyElectrode, PyMesh};
 use super::protocol::PyProtocol;
 use crate::arrays::{Doubles, array1, array2, shape_text};
 use crate::errors::Fault;
@@ -76,6 +76,7 @@ pub fn voltages_of_rows<'py>(
 pub struct PyForwardModel {
     /// The model.
     pub model: Arc<ForwardModel>,
+    numbering: Option<Arc<Numbering>>,
 }
 
 impl PyForwardModel {
@@ -127,26 +128,35 @@ impl PyForwardModel {
         electrodes: Vec<Bound<'_, PyElectrode>>,
         protocol: &Bound<'_, PyProtocol>,
     ) -> PyResult<Self> {
-        let electrodes = electrodes.iter().map(|electrode| electrode.get().electrode.clone()).collect();
-        let (mesh, protocol) = (Arc::clone(&mesh.get().mesh), protocol.get().protocol.clone());
+        let PyMesh { mesh, numbering } = mesh.get();
+        let electrode = |(index, electrode): (usize, &Bound<'_, PyElectrode>)| match numbering {
+            Some(numbering) => numbering.to_mesh(index, &electrode.get().electrode),
+            None => Ok(electrode.get().electrode.clone()),
+        };
+        let electrodes = electrodes.iter().enumerate().map(electrode).collect::<Result<Vec<_>, Fault>>()?;
+        let (mesh, protocol) = (Arc::clone(mesh), protocol.get().protocol.clone());
         let operations = PER_ELEMENT * mesh.element_count() as f64;
         let model = run_sized(py, "forward model", operations, move || {
             let body = ElectrodedMesh::new(Mesh::clone(&mesh), electrodes)?;
             Ok(Arc::new(ForwardModel::new(body, protocol)?))
         })?;
-        Ok(Self { model })
+        Ok(Self { model, numbering: numbering.clone() })
     }
 
     /// The mesh.
     #[getter]
     fn mesh(&self) -> PyMesh {
-        PyMesh { mesh: Arc::new(self.model.body().mesh.clone()) }
+        PyMesh { mesh: Arc::new(self.model.body().mesh.clone()), numbering: self.numbering.clone() }
     }
 
     /// The electrodes.
     #[getter]
     fn electrodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
-        PyTuple::new(py, electrodes_of(self.model.body()))
+        let mut electrodes = electrodes_of(self.model.body());
+        if let Some(numbering) = &self.numbering {
+            electrodes.iter_mut().for_each(|own| own.electrode = numbering.to_caller(&own.electrode));
+        }
+        PyTuple::new(py, electrodes)
     }
 
     /// The protocol.
@@ -249,7 +259,7 @@ impl PyForwardModel {
     /// Returns
     /// -------
     /// numpy.ndarray
-    ///     Shape (n,), volts, against the last electrode.
+    ///     Shape (n,), volts, against the last electrode; NaN at nodes of no element.
     fn node_potentials<'py>(
         &self,
         py: Python<'py>,
@@ -257,7 +267,14 @@ impl PyForwardModel {
         stimulation: usize,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let stimulation = self.stimulation(stimulation)?;
-        Ok(array1(py, self.solved(py, sigma, |solution| Ok(solution.node_potentials(stimulation)))?))
+        let potentials = self.solved(py, sigma, |solution| Ok(solution.node_potentials(stimulation)))?;
+        Ok(array1(
+            py,
+            match &self.numbering {
+                Some(numbering) => numbering.values_to_caller(&potentials),
+                None => potentials,
+            },
+        ))
     }
 
     /// Potentials of the electrodes during a stimulation.

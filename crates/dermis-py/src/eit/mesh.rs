@@ -26,7 +26,76 @@ pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyA
     read_only(array2(py, values, mesh.element_count(), mesh.kind().nodes_per_element())?)
 }
 
+/// The caller's numbers of nodes, where some of them belong to no element (points of a drawing, middles of arcs): the
+/// model has no such nodes, and its own numbers are seen nowhere.
+#[derive(Clone, Debug)]
+pub struct Numbering {
+    /// All nodes of the caller.
+    nodes: Vec<[f64; 3]>,
+    /// The caller's number of each node of the mesh.
+    given: Vec<u32>,
+    /// Number in the mesh of each node of the caller; `u32::MAX` for those of no element.
+    own: Vec<u32>,
+}
+
+impl Numbering {
+    /// Of so many nodes and these elements; `None` where every node is used.
+    fn of(nodes: &[[f64; 3]], elements: &[u32]) -> Option<Self> {
+        let mut own = vec![u32::MAX; nodes.len()];
+        elements.iter().for_each(|&node| own[node as usize] = 0);
+        let given: Vec<u32> = (0..nodes.len() as u32).filter(|&node| own[node as usize] == 0).collect();
+        (given.len() < nodes.len()).then(|| {
+            given.iter().enumerate().for_each(|(number, &node)| own[node as usize] = number as u32);
+            Self { nodes: nodes.to_vec(), given, own }
+        })
+    }
+
+    /// An electrode in the mesh's numbers.
+    pub fn to_mesh(&self, index: usize, electrode: &Electrode) -> Result<Electrode, Fault> {
+        let number = |&node: &u32| match self.own.get(node as usize) {
+            Some(&own) if own != u32::MAX => Ok(own),
+            Some(_) => {
+                let expected = "nodes of elements";
+                Err(Fault::input(&format!("electrode {index}"), expected, format!("node {node}, which is in none")))
+            }
+            None => {
+                let expected = format!("nodes 0 to {}", self.own.len() - 1);
+                Err(Fault::input(&format!("electrode {index}"), expected, node))
+            }
+        };
+        let contact = match &electrode.contact {
+            Contact::Faces(faces) => {
+                let face = |face: &Vec<u32>| face.iter().map(number).collect::<Result<Vec<u32>, Fault>>();
+                Contact::Faces(faces.iter().map(face).collect::<Result<Vec<Vec<u32>>, Fault>>()?)
+            }
+            Contact::Area(elements) => Contact::Area(elements.clone()),
+            Contact::Point(node) => Contact::Point(number(node)?),
+        };
+        Ok(Electrode { contact, contact_impedance: electrode.contact_impedance })
+    }
+
+    /// An electrode in the caller's numbers.
+    pub fn to_caller(&self, electrode: &Electrode) -> Electrode {
+        let number = |&node: &u32| self.given[node as usize];
+        let contact = match &electrode.contact {
+            Contact::Faces(faces) => {
+                Contact::Faces(faces.iter().map(|face| face.iter().map(number).collect()).collect())
+            }
+            Contact::Area(elements) => Contact::Area(elements.clone()),
+            Contact::Point(node) => Contact::Point(number(node)),
+        };
+        Electrode { contact, contact_impedance: electrode.contact_impedance }
+    }
+
+    /// A value of each node in the caller's numbers, NaN at those of no element.
+    pub fn values_to_caller(&self, values: &[f64]) -> Vec<f64> {
+        self.own.iter().map(|&own| values.get(own as usize).copied().unwrap_or(f64::NAN)).collect()
+    }
+}
+
 /// A mesh of triangles or tetrahedra: connected, without folds.
+///
+/// Nodes keep the numbers that they are given with, also where some of them belong to no element.
 ///
 /// Parameters
 /// ----------
@@ -43,6 +112,18 @@ pub fn elements_of<'py>(py: Python<'py>, mesh: &Mesh) -> PyResult<Bound<'py, PyA
 pub struct PyMesh {
     /// The mesh, checked.
     pub mesh: Arc<Mesh>,
+    /// The caller's numbers of nodes, where they are not the mesh's own.
+    pub numbering: Option<Arc<Numbering>>,
+}
+
+impl PyMesh {
+    /// Node indices in the caller's numbers.
+    fn given(&self, nodes: impl Iterator<Item = u32>) -> Vec<u32> {
+        match &self.numbering {
+            Some(numbering) => nodes.map(|node| numbering.given[node as usize]).collect(),
+            None => nodes.collect(),
+        }
+    }
 }
 
 #[pymethods]
@@ -64,20 +145,32 @@ impl PyMesh {
         let point = |row: &[f64]| [row[0], row[1], row.get(2).copied().unwrap_or(0.0)];
         let points: Vec<[f64; 3]> = nodes.values()?.chunks_exact(columns).map(point).collect();
         let size = (points.len() + list.len()) as f64;
-        let mesh = run_sized(py, "mesh", PER_INDEX * size, move || Ok(Arc::new(Mesh::new(kind, points, list)?)))?;
-        Ok(Self { mesh })
+        let (mesh, numbering) = run_sized(py, "mesh", PER_INDEX * size, move || {
+            let Some(numbering) = Numbering::of(&points, &list) else {
+                return Ok((Arc::new(Mesh::new(kind, points, list)?), None));
+            };
+            let used = numbering.given.iter().map(|&node| points[node as usize]).collect();
+            let elements = list.iter().map(|&node| numbering.own[node as usize]).collect();
+            Ok((Arc::new(Mesh::new(kind, used, elements)?), Some(Arc::new(numbering))))
+        })?;
+        Ok(Self { mesh, numbering })
     }
 
     /// Shape (n, 2) of flat meshes or (n, 3), metres. Read-only.
     #[getter]
     fn nodes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-        nodes_of(py, &self.mesh)
+        let Some(numbering) = &self.numbering else { return nodes_of(py, &self.mesh) };
+        let flat = self.mesh.kind() == CellKind::Triangle && numbering.nodes.iter().all(|node| node[2] == 0.0);
+        let columns = if flat { 2 } else { 3 };
+        let values = numbering.nodes.iter().flat_map(|node| node[..columns].iter().copied()).collect();
+        read_only(array2(py, values, numbering.nodes.len(), columns)?)
     }
 
     /// Shape (m, 3) or (m, 4), from 0. Read-only.
     #[getter]
     fn elements<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        elements_of(py, &self.mesh)
+        let values = self.given(self.mesh.elements().flatten().copied());
+        read_only(array2(py, values, self.mesh.element_count(), self.mesh.kind().nodes_per_element())?)
     }
 
     /// Area or volume of every element, shape (m,).
@@ -98,7 +191,7 @@ impl PyMesh {
     fn boundary_faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let faces = self.mesh.boundary_faces();
         let columns = self.mesh.kind().nodes_per_face();
-        array2(py, faces.iter().flat_map(|(face, _)| face.iter().copied()).collect(), faces.len(), columns)
+        array2(py, self.given(faces.iter().flat_map(|(face, _)| face.iter().copied())), faces.len(), columns)
     }
 
     /// Pairs of elements that share a face, shape (p, 2).
@@ -131,7 +224,8 @@ impl PyMesh {
 
     fn __repr__(&self) -> String {
         let what = if self.mesh.kind() == CellKind::Triangle { "triangles" } else { "tetrahedra" };
-        format!("<dermis.eit.Mesh: {} nodes, {} {what}>", self.mesh.nodes().len(), self.mesh.element_count())
+        let nodes = self.numbering.as_ref().map_or(self.mesh.nodes().len(), |numbering| numbering.nodes.len());
+        format!("<dermis.eit.Mesh: {nodes} nodes, {} {what}>", self.mesh.element_count())
     }
 
     fn __reduce__<'py>(

@@ -10,6 +10,8 @@ use crate::pair::Pair;
 
 /// More electrodes than any multiplexer has are a typing error.
 const MOST_ELECTRODES: usize = 1024;
+/// Electrodes that are given by place may be so far from the rim, as a share of the skin's longer side.
+const FARTHEST: f64 = 0.05;
 
 /// Electrodes of a skin; numbered from 1 in the order that the generator says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,6 +44,13 @@ pub enum Electrodes {
     },
     /// Listed electrodes on the rim.
     RimList(Vec<RimElectrode>),
+    /// Electrodes on the rim by place: each is put at the rim's nearest point. `dermis skins show` says how far that is.
+    RimPlaces {
+        /// [x, y] of each.
+        places_mm: Vec<[f64; 2]>,
+        /// Length of each along the rim.
+        width_mm: f64,
+    },
     /// Round pads under the sheet all over it: in the middles of an even division of a square or rectangle into rows
     /// and columns, on a disc at their image under the equal-area concentric map; row by row to and fro from the bottom
     /// left, so that neighbours in number are neighbours in place.
@@ -140,6 +149,7 @@ impl Electrodes {
             }
             Self::PadRings { rings, .. } => rings.iter().fold(0, |sum, ring| sum.saturating_add(ring.count)),
             Self::RimList(list) => list.len(),
+            Self::RimPlaces { places_mm, .. } => places_mm.len(),
             Self::Pads(pads) => pads.len(),
         }
     }
@@ -179,6 +189,19 @@ impl Electrodes {
                 };
                 list.iter().map(place).collect()
             }
+            Self::RimPlaces { places_mm, width_mm } => {
+                let width_m = width_mm * MM;
+                let shape = |place: &[f64; 2]| {
+                    let (centre_m, _) = outline.nearest_rim(place.map(|x| x * MM));
+                    match outline {
+                        Outline::Disc { radius_m } => {
+                            ElectrodeShape::RimArc { centre_rad: centre_m / radius_m, width_m }
+                        }
+                        _ => ElectrodeShape::RimSegment { centre_m, width_m },
+                    }
+                };
+                places_mm.iter().map(shape).collect()
+            }
             Self::PadGrid { per_side, diameter_mm } => {
                 pad_grid(outline, per_side.both()).into_iter().map(circle(*diameter_mm)).collect()
             }
@@ -196,7 +219,13 @@ impl Electrodes {
         }
     }
 
-    pub(super) fn check(&self, checker: &Checker<'_>) -> Result<(), Error> {
+    /// How far each electrode of [`Electrodes::RimPlaces`] was moved to the rim, millimetres; nothing for others.
+    pub fn moved_mm(&self, outline: &Outline) -> Vec<f64> {
+        let Self::RimPlaces { places_mm, .. } = self else { return Vec::new() };
+        places_mm.iter().map(|place| outline.nearest_rim(place.map(|x| x * MM)).1 / MM).collect()
+    }
+
+    pub(super) fn check(&self, outline: &Outline, checker: &Checker<'_>) -> Result<(), Error> {
         let count = self.count();
         if !(2..=MOST_ELECTRODES).contains(&count) {
             let expected = format!("2 to {MOST_ELECTRODES} electrodes");
@@ -217,6 +246,20 @@ impl Electrodes {
                 checker.within(&key("rim-list.at_deg"), electrode.at_deg, -360.0, 360.0)?;
                 checker.length_mm(&key("rim-list.width_mm"), electrode.width_mm)
             }),
+            Self::RimPlaces { places_mm, width_mm } => {
+                checker.length_mm(&key("rim-places.width_mm"), *width_mm)?;
+                places_mm.iter().try_for_each(|place| checker.place_mm(&key("rim-places.places_mm"), place))?;
+                let (low, high) = outline.bounds_m();
+                let size_mm = (high[0] - low[0]).max(high[1] - low[1]) / MM;
+                let far = (1..).zip(self.moved_mm(outline)).find(|(_, moved)| *moved > FARTHEST * size_mm);
+                if let Some((number, moved)) = far {
+                    let value = format!("{:?}, electrode {number}", places_mm[number - 1]);
+                    let expected =
+                        format!("a place at the rim, got one {moved:.1} mm from it (lengths are millimetres)");
+                    return Err(checker.refused(&key("rim-places.places_mm"), value, expected));
+                }
+                Ok(())
+            }
             Self::PadGrid { per_side, diameter_mm } => {
                 per_side.both().iter().try_for_each(|n| checker.count(&key("pad-grid.per_side"), *n, 1, 256))?;
                 checker.length_mm(&key("pad-grid.diameter_mm"), *diameter_mm)

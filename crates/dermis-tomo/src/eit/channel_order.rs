@@ -49,6 +49,9 @@ pub struct OrderReport {
 
 /// How much better a less simple hypothesis must fit to be preferred.
 const MARGIN: f64 = 0.05;
+/// Correlation below which a hypothesis does not fit: among all those tried the best one of shuffled channels reaches a
+/// half.
+const LEAST: f64 = 0.8;
 
 /// Compares measured baseline voltages with the model's, both in channels of `protocol`; `NaN` channels are left out.
 /// With `magnitudes`, absolute values are compared and the sign is not examined.
@@ -74,7 +77,7 @@ pub fn diagnose_order(protocol: &Protocol, model: &[f64], measured: &[f64], magn
             best = Some(OrderFit { description, correlation: value, map: ChannelMap { source, sign } });
         }
     }
-    OrderReport { correlation: stated, better: best }
+    OrderReport { correlation: stated, better: best.filter(|fit| fit.correlation >= LEAST) }
 }
 
 /// Pearson correlation over the positions where both values are finite; 0 where either does not vary.
@@ -182,6 +185,37 @@ impl Protocol {
             .collect()
     }
 
+    /// For each channel of `file` the channel of this protocol that reads the same, and the factor between the two (-1
+    /// where drive or reading is the other way round). Reciprocal channels read the same. `None` unless each channel of
+    /// one is a channel of the other.
+    pub fn same_channels(&self, file: &Self) -> Option<(Vec<u32>, Vec<f64>)> {
+        if self.channel_count() != file.channel_count() {
+            return None;
+        }
+        let mut known: std::collections::HashMap<_, Vec<(u32, f64)>> = std::collections::HashMap::new();
+        for channel in (0..self.channel_count()).rev() {
+            let (drive, a) = unsigned(self.stimulation_of(channel));
+            let (read, b) = unsigned(self.pattern_of(channel));
+            known.entry((drive, read)).or_default().push((channel as u32, a * b));
+        }
+        let (mut source, mut signs) = (vec![u32::MAX; file.channel_count()], vec![1.0; file.channel_count()]);
+        // Channels as they are first; what is left may be there the other way round.
+        for reciprocal in [false, true] {
+            for channel in 0..file.channel_count() {
+                if source[channel] != u32::MAX {
+                    continue;
+                }
+                let (drive, a) = unsigned(file.stimulation_of(channel));
+                let (read, b) = unsigned(file.pattern_of(channel));
+                let key = if reciprocal { (read, drive) } else { (drive, read) };
+                if let Some((own, sign)) = known.get_mut(&key).and_then(Vec::pop) {
+                    (source[channel], signs[channel]) = (own, sign * a * b);
+                }
+            }
+        }
+        source.iter().all(|own| *own != u32::MAX).then_some((source, signs))
+    }
+
     /// The channels as seen after renaming electrode `k` to `relabel[k]`: channel `i` becomes channel `source[i]` times
     /// `sign[i]`, if the renamed protocol consists of the same channels. Symmetries of a skin are such renamings.
     pub fn relabelled(&self, relabel: &[u32]) -> Option<(Vec<u32>, Vec<f64>)> {
@@ -277,6 +311,40 @@ mod tests {
         late.rotate_left(13 * 3);
         assert!(diagnose_order(&absolute, &model, &late, false).better.is_some());
         assert!(diagnose_order(&absolute, &model, &model, false).better.is_none());
+    }
+
+    #[test]
+    fn shuffled_channels_fit_nothing() {
+        let absolute = protocol(Order::Absolute);
+        let model = voltages(&absolute);
+        // 101 and 208 have no common divisor.
+        let shuffled: Vec<f64> = (0..208).map(|k| model[k * 101 % 208]).collect();
+        let report = diagnose_order(&absolute, &model, &shuffled, false);
+        assert!(report.correlation < 0.5 && report.better.is_none(), "{report:?}");
+    }
+
+    #[test]
+    fn the_same_channels_are_found_in_any_order_and_either_way_round() {
+        let absolute = protocol(Order::Absolute);
+        let model = voltages(&absolute);
+        let mut channels: Vec<_> = (0..208)
+            .map(|k| {
+                let stimulation = absolute.measurements()[k].stimulation as usize;
+                let turned = absolute.pattern_of(k).entries().iter().map(|&(e, w)| (e, -w)).collect();
+                (crate::eit::Pattern::new(turned), stimulation)
+            })
+            .collect();
+        channels.reverse();
+        let file = Protocol::from_patterns(16, absolute.stimulations().to_vec(), channels).unwrap();
+        let (source, signs) = absolute.same_channels(&file).unwrap();
+        for (k, value) in voltages(&file).into_iter().enumerate() {
+            assert!((signs[k] * value - model[source[k] as usize]).abs() < 1e-12);
+        }
+        assert!(absolute.same_channels(&protocol(Order::Rotating)).is_some());
+        let mut twice: Vec<_> = (0..208).map(|k| (file.pattern_of(k).clone(), 0)).collect();
+        twice[1] = twice[0].clone();
+        let twice = Protocol::from_patterns(16, absolute.stimulations().to_vec(), twice).unwrap();
+        assert!(absolute.same_channels(&twice).is_none());
     }
 
     #[test]

@@ -1,6 +1,8 @@
-//! Reads meshes in Gmsh's MSH 4.1 text format (Gmsh reference manual, "MSH file format"): nodes, first-order triangles
-//! and tetrahedra, and electrodes from physical groups. The domain is all tetrahedra, or all triangles where there are
-//! none. Sections that are not needed are skipped; sizes claimed in the text reserve no memory.
+//! Reads meshes in Gmsh's MSH formats 2.2 and 4.1, as text and binary (Gmsh reference manual, "MSH file format"): nodes,
+//! first-order triangles and tetrahedra, and electrodes from physical groups. The domain is all tetrahedra, or all
+//! triangles where there are none. Sections that are not needed are skipped; sizes claimed in the file reserve no memory.
+
+mod binary;
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -21,19 +23,23 @@ pub enum ElectrodeGroups {
 /// Reads a mesh and its electrodes. `contact_impedance` holds one value for all electrodes or one each.
 ///
 /// # Errors
-/// With the line number, whatever the format does not allow or this reader does not know (binary files, other versions,
-/// elements of higher order); and everything [`Mesh::new`] and [`ElectrodedMesh::new`] refuse.
+/// With the line number, whatever the format does not allow or this reader does not know (other versions, elements of
+/// higher order); and everything [`Mesh::new`] and [`ElectrodedMesh::new`] refuse.
 pub fn read_msh(
     bytes: &[u8],
     groups: &ElectrodeGroups,
     contact_impedance: &[f64],
 ) -> Result<ElectrodedMesh, MeshError> {
-    let text = std::str::from_utf8(bytes).map_err(|error| {
-        let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
-        MeshError::Parse { line, reason: "not text; binary MSH files cannot be read, save as ASCII".into() }
-    })?;
     let mut file = MshFile::default();
-    file.read(&mut Lines::new(text))?;
+    if binary::is_binary(bytes) {
+        binary::read(&mut file, bytes)?;
+    } else {
+        let text = std::str::from_utf8(bytes).map_err(|error| {
+            let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+            MeshError::Parse { line, reason: "not text; expected an MSH file of Gmsh, version 2.2 or 4.1".into() }
+        })?;
+        file.read(&mut Lines::new(text))?;
+    }
     file.into_mesh(groups, contact_impedance)
 }
 
@@ -113,11 +119,13 @@ impl MshFile {
         if lines.expect("$MeshFormat")? != "$MeshFormat" {
             return Err(lines.error("not an MSH file: it does not begin with $MeshFormat"));
         }
-        read_format(lines)?;
+        let is_old = read_format(lines)? == Version::V2;
         while let Some(line) = lines.next() {
             match line {
                 "$PhysicalNames" => self.read_names(lines)?,
                 "$Entities" => self.read_entities(lines)?,
+                "$Nodes" if is_old => self.read_old_nodes(lines)?,
+                "$Elements" if is_old => self.read_old_elements(lines)?,
                 "$Nodes" => self.read_nodes(lines)?,
                 "$Elements" => self.read_elements(lines)?,
                 other if other.starts_with('$') && !other.starts_with("$End") => skip(lines, other)?,
@@ -174,31 +182,77 @@ impl MshFile {
             }
             for tag in tags {
                 let xyz = lines.numbers::<f64>("node coordinates", 3)?;
-                if let Some(value) = xyz[..3].iter().find(|value| !value.is_finite()) {
-                    return Err(lines.error(format!("node {tag}: coordinate {value} is not finite")));
-                }
-                if self.nodes.insert(tag, [xyz[0], xyz[1], xyz[2]]).is_some() {
-                    return Err(lines.error(format!("node {tag} is given twice")));
-                }
+                self.put_node(tag, [xyz[0], xyz[1], xyz[2]]).map_err(|reason| lines.error(reason))?;
             }
         }
         lines.close("$EndNodes")
+    }
+
+    fn put_node(&mut self, tag: u64, xyz: [f64; 3]) -> Result<(), String> {
+        if let Some(value) = xyz.iter().find(|value| !value.is_finite()) {
+            return Err(format!("node {tag}: coordinate {value} is not finite"));
+        }
+        match self.nodes.insert(tag, xyz) {
+            Some(_) => Err(format!("node {tag} is given twice")),
+            None => Ok(()),
+        }
+    }
+
+    /// Version 2.2: `tag x y z` lines.
+    fn read_old_nodes(&mut self, lines: &mut Lines) -> Result<(), MeshError> {
+        let count = lines.numbers::<usize>("the number of nodes", 1)?[0];
+        for _ in 0..count {
+            let line = lines.numbers::<f64>("a node", 4)?;
+            if !(line[0] >= 0.0 && line[0] < 1e15) {
+                return Err(lines.error(format!("{} is no number of a node", line[0])));
+            }
+            self.put_node(line[0] as u64, [line[1], line[2], line[3]]).map_err(|reason| lines.error(reason))?;
+        }
+        lines.close("$EndNodes")
+    }
+
+    /// Version 2.2: `tag type count tags... nodes...` lines; the first tag is the physical group.
+    fn read_old_elements(&mut self, lines: &mut Lines) -> Result<(), MeshError> {
+        let count = lines.numbers::<usize>("the number of elements", 1)?[0];
+        for _ in 0..count {
+            let line = lines.numbers::<u64>("an element", 3)?;
+            let dimension = dimension_of(line[1] as i64).map_err(|reason| lines.error(reason))?;
+            let tags = usize::try_from(line[2]).unwrap_or(usize::MAX);
+            let nodes = line.get(tags.saturating_add(3)..).unwrap_or(&[]);
+            if nodes.len() != usize::from(dimension) + 1 {
+                let expected = dimension + 1;
+                return Err(lines.error(format!(
+                    "element {}: expected {expected} nodes, got {}",
+                    line[0],
+                    nodes.len()
+                )));
+            }
+            let group = if tags > 0 { line[3] as i64 } else { 0 };
+            self.put_element(dimension, group, line[0], nodes).map_err(|reason| lines.error(reason))?;
+        }
+        lines.close("$EndElements")
+    }
+
+    /// An element of version 2.2, of a physical group (0: of none).
+    fn put_element(&mut self, dimension: u8, group: i64, element: u64, nodes: &[u64]) -> Result<(), String> {
+        if let Some(node) = nodes.iter().find(|node| !self.nodes.contains_key(node)) {
+            return Err(format!("element {element} names node {node}, which is not there"));
+        }
+        if group != 0 {
+            self.physical.entry((dimension, group)).or_insert_with(|| vec![group]);
+        }
+        match self.blocks.last_mut() {
+            Some(block) if block.dimension == dimension && block.entity == group => block.nodes.extend(nodes),
+            _ => self.blocks.push(Block { dimension, entity: group, nodes: nodes.to_vec() }),
+        }
+        Ok(())
     }
 
     fn read_elements(&mut self, lines: &mut Lines) -> Result<(), MeshError> {
         let blocks = lines.numbers::<usize>("the header of $Elements", 4)?[0];
         for _ in 0..blocks {
             let header = lines.numbers::<i64>("a block of elements", 4)?;
-            let dimension = match header[2] {
-                15 => 0,
-                1 => 1,
-                2 => 2,
-                4 => 3,
-                other => {
-                    let known = "1 (lines), 2 (triangles), 4 (tetrahedra) and 15 (points)";
-                    return Err(lines.error(format!("element type {other} cannot be read; known are {known}")));
-                }
-            };
+            let dimension = dimension_of(header[2]).map_err(|reason| lines.error(reason))?;
             let mut block = Block { dimension, entity: header[1], nodes: Vec::new() };
             for _ in 0..header[3] {
                 let line = lines.numbers::<u64>("an element", dimension as usize + 2)?;
@@ -295,13 +349,47 @@ impl MshFile {
     }
 }
 
-fn read_format(lines: &mut Lines) -> Result<(), MeshError> {
+/// Dimension of the elements of a Gmsh type.
+fn dimension_of(kind: i64) -> Result<u8, String> {
+    match kind {
+        15 => Ok(0),
+        1 => Ok(1),
+        2 => Ok(2),
+        4 => Ok(3),
+        other => {
+            let known = "1 (lines), 2 (triangles), 4 (tetrahedra) and 15 (points)";
+            Err(format!("element type {other} cannot be read; known are {known}"))
+        }
+    }
+}
+
+/// Versions of the format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Version {
+    V2,
+    V4,
+}
+
+impl Version {
+    fn of(word: &str) -> Option<Self> {
+        match word {
+            "2" | "2.0" | "2.1" | "2.2" => Some(Self::V2),
+            "4.1" => Some(Self::V4),
+            _ => None,
+        }
+    }
+}
+
+fn read_format(lines: &mut Lines) -> Result<Version, MeshError> {
     let line = lines.expect("the version")?;
-    let words: Vec<&str> = line.split_ascii_whitespace().collect();
-    match words[..] {
-        ["4.1", "0", ..] => lines.close("$EndMeshFormat"),
-        ["4.1", "1", ..] => Err(lines.error("binary MSH files cannot be read, save as ASCII")),
-        _ => Err(lines.error(format!("expected version 4.1 in ASCII (\"4.1 0 8\"), got {:?}", shortened(line)))),
+    let mut words = line.split_ascii_whitespace();
+    let version = words.next().and_then(Version::of);
+    match (version, words.next()) {
+        (Some(version), Some("0")) => lines.close("$EndMeshFormat").map(|()| version),
+        _ => {
+            let got = shortened(line);
+            Err(lines.error(format!("expected version 2.2 or 4.1 (\"4.1 0 8\"), got {got:?}; save it as one of these")))
+        }
     }
 }
 

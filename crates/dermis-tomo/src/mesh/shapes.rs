@@ -158,6 +158,27 @@ impl Outline {
         }
     }
 
+    /// Position along the rim of its point nearest to a place, and the distance between the two, metres.
+    pub fn nearest_rim(&self, place_m: [f64; 2]) -> (f64, f64) {
+        if let Outline::Disc { radius_m } = self {
+            let angle = place_m[1].atan2(place_m[0]).rem_euclid(TAU);
+            return (angle * radius_m, (place_m[0].hypot(place_m[1]) - radius_m).abs());
+        }
+        let (mut begin, mut nearest) = (0.0, (0.0, f64::INFINITY));
+        for [a, b] in sides(&self.rim_vertices()) {
+            let length = super::plane::distance(a, b);
+            let along = (0..2).map(|k| (place_m[k] - a[k]) * (b[k] - a[k])).sum::<f64>() / (length * length);
+            let along = along.clamp(0.0, 1.0);
+            let point = [0, 1].map(|k| a[k] + along * (b[k] - a[k]));
+            let distance = super::plane::distance(point, place_m);
+            if distance < nearest.1 {
+                nearest = (begin + along * length, distance);
+            }
+            begin += length;
+        }
+        nearest
+    }
+
     /// Corners counter-clockwise, beginning where rim positions begin; empty for a disc.
     pub(super) fn rim_vertices(&self) -> Vec<Point> {
         match self {

@@ -27,11 +27,7 @@ fn changed(table: &FrameTable, change: impl Fn(&mut Vec<f64>)) -> FrameTable {
 /// The skin with the lines that were found fits the baseline in its stated order.
 fn assert_lines_read(skin: &Skin, table: &FrameTable, found: &FoundOrder) {
     let best = &found.candidates[0];
-    let mut skin = skin.clone();
-    let backend = &mut skin.backend;
-    (backend.drive, backend.measure) = (best.drive.clone(), best.measure.clone());
-    (backend.order, backend.driven, backend.reads) = (best.order, best.driven, best.reads);
-    let prepared = Prepared::new(skin).unwrap();
+    let prepared = Prepared::new(best.on(skin)).unwrap();
     let mean = table.row(0).unwrap();
     let report = prepared.diagnose(mean);
     assert!((report.correlation - best.correlation).abs() < 0.01, "{} {best:?}", report.correlation);

@@ -7,6 +7,7 @@ mod circuit;
 mod damage;
 mod design;
 mod doctor;
+mod eit_kit;
 mod em;
 mod examples;
 mod five_skins;
@@ -20,11 +21,13 @@ mod hostile;
 mod hydrogel;
 mod ionic;
 mod learning;
+mod mesh_files;
 #[allow(dead_code, reason = "the tests of streams use the rest of it")]
 #[path = "../../../dermis-device/tests/own_clock/mod.rs"]
 mod own_clock;
 mod piezo;
 mod random_skins;
+mod protocol_lists;
 mod recording;
 mod reliability;
 mod reproduce;

@@ -98,6 +98,11 @@ pub struct Opened {
 }
 
 impl Opened {
+    /// A source of one's own, which may be held up.
+    pub fn of(skin: Skin, source: Box<dyn Source>) -> Self {
+        Self { skin, source, twin: None, wait: true, is_file: false, prepared: None }
+    }
+
     /// The pipeline for these frames, and what a recording of it says at its beginning; both calibrations are files.
     pub fn pipeline(
         &mut self,

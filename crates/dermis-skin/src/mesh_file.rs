@@ -1,0 +1,195 @@
+//! `shape = { mesh = { file = "tank.msh" } }`: outline and electrodes of a skin from the rim and the groups of a mesh that
+//! Gmsh wrote. The skin is then one with that outline, and dermis meshes it itself.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use dermis_tomo::mesh::{CellKind, Contact, ElectrodeGroups, ElectrodedMesh, read_msh};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::check::{Checker, MM};
+use crate::error::Error;
+use crate::frontend::{Electrodes, RimElectrode, Shape};
+use crate::parts::read_bytes_beside;
+
+/// The key in skin files.
+const FIELD: &str = "frontend.shape.mesh";
+/// Wider than any skin, and narrower than a skin of 10 mm whose millimetres are taken for metres.
+const WIDEST_M: f64 = 5.0;
+
+/// A flat mesh whose rim is a skin's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeshFile {
+    /// MSH file of Gmsh, version 2.2 or 4.1, beside the skin file.
+    pub file: String,
+    /// What its coordinates are in. Metres where left out, but a mesh wider than 5 m is then refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<LengthUnit>,
+    /// The groups of rim edges that are electrodes: this prefix and a number. Asked for where the skin file has no
+    /// electrodes of its own.
+    #[serde(default = "electrode")]
+    pub electrodes: String,
+}
+
+fn electrode() -> String {
+    "electrode".into()
+}
+
+/// A unit of lengths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum LengthUnit {
+    /// Metres.
+    M,
+    /// Centimetres.
+    Cm,
+    /// Millimetres.
+    Mm,
+}
+
+impl LengthUnit {
+    fn metres(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 1e-2,
+            Self::Mm => MM,
+        }
+    }
+}
+
+impl MeshFile {
+    /// Outline, and electrodes if they are `wanted`.
+    pub(crate) fn read(
+        &self,
+        wanted: bool,
+        file: &str,
+        folder: Option<&Path>,
+    ) -> Result<(Shape, Option<Electrodes>), Error> {
+        let checker = Checker { file };
+        let (bytes, name) = read_bytes_beside(FIELD, &self.file, file, folder, "an MSH file beside the skin file")?;
+        let refuse = |message: String| Error::SkinFile { file: name.clone(), message };
+        let groups = ElectrodeGroups::Prefix(self.electrodes.clone());
+        let read = read_msh(&bytes, &groups, &[1.0]).map_err(|error| refuse(error.to_string()))?;
+        let flat = read.mesh.nodes().iter().all(|node| node[2] == read.mesh.nodes()[0][2]);
+        if read.mesh.kind() != CellKind::Triangle || !flat {
+            return Err(refuse("expected a flat mesh of triangles: a skin is a sheet".into()));
+        }
+        let unit_m = self.unit.map_or(1.0, LengthUnit::metres);
+        let extent = |axis: usize| {
+            let along = || read.mesh.nodes().iter().map(|node| node[axis]);
+            along().fold(f64::MIN, f64::max) - along().fold(f64::MAX, f64::min)
+        };
+        let width_m = unit_m * extent(0).max(extent(1));
+        if self.unit.is_none() && width_m > WIDEST_M {
+            let expected = "unit = \"mm\" if its coordinates are millimetres, unit = \"m\" if they are metres";
+            return Err(checker.refused(FIELD, format!("{:?}, {width_m:.3} m wide", self.file), expected));
+        }
+        let mut loops = loops(&read);
+        let scale = unit_m / MM;
+        let place = |node: &u32| {
+            let [x, y, _] = read.mesh.nodes()[*node as usize];
+            [scale * x, scale * y]
+        };
+        let area = |ring: &Vec<u32>| signed_area(&ring.iter().map(place).collect::<Vec<_>>());
+        // The outer rim encloses most.
+        loops.sort_by(|a, b| area(b).abs().total_cmp(&area(a).abs()));
+        if let Some(outer) = loops.first_mut()
+            && area(outer) < 0.0
+        {
+            outer.reverse();
+        }
+        let Some((outer, holes)) = loops.split_first() else { return Err(refuse("a mesh without a rim".into())) };
+        let electrodes = if wanted { Some(self.rim_electrodes(&read, outer, &place, &refuse)?) } else { None };
+        let holes_mm = holes.iter().map(|ring| ring.iter().map(place).collect()).collect();
+        Ok((Shape::Polygon { outer_mm: outer.iter().map(place).collect(), holes_mm }, electrodes))
+    }
+
+    /// The groups as stretches of the outer rim.
+    fn rim_electrodes(
+        &self,
+        read: &ElectrodedMesh,
+        outer: &[u32],
+        place: &dyn Fn(&u32) -> [f64; 2],
+        refuse: &dyn Fn(String) -> Error,
+    ) -> Result<Electrodes, Error> {
+        let prefix = &self.electrodes;
+        if read.electrodes.is_empty() {
+            let message = format!(
+                "expected physical groups named {prefix}1, {prefix}2, ... of rim edges (electrodes = \"PREFIX\" in the skin \
+                 file's mesh names others), or electrodes in the skin file"
+            );
+            return Err(refuse(message));
+        }
+        let count = outer.len();
+        let length = |k: usize| {
+            let (a, b) = (place(&outer[k]), place(&outer[(k + 1) % count]));
+            (b[0] - a[0]).hypot(b[1] - a[1])
+        };
+        let mut begins = vec![0.0; count + 1];
+        (0..count).for_each(|k| begins[k + 1] = begins[k] + length(k));
+        let edge_of: HashMap<[u32; 2], usize> = (0..count)
+            .map(|k| {
+                let (a, b) = (outer[k], outer[(k + 1) % count]);
+                ([a.min(b), a.max(b)], k)
+            })
+            .collect();
+        let mut list = Vec::with_capacity(read.electrodes.len());
+        for (number, electrode) in (1..).zip(&read.electrodes) {
+            let Contact::Faces(faces) = &electrode.contact else {
+                return Err(refuse(format!("electrode {number}: expected a group of rim edges")));
+            };
+            let edges: Option<Vec<usize>> =
+                faces.iter().map(|face| edge_of.get(&[face[0].min(face[1]), face[0].max(face[1])]).copied()).collect();
+            let mut edges =
+                edges.ok_or_else(|| refuse(format!("electrode {number}: expected edges of the outer rim")))?;
+            edges.sort_unstable();
+            edges.dedup();
+            // Round the seam: begin after the one gap.
+            let gaps: Vec<usize> =
+                (0..edges.len()).filter(|&k| (edges[k] + 1) % count != edges[(k + 1) % edges.len()]).collect();
+            let first = match gaps[..] {
+                [gap] => edges[(gap + 1) % edges.len()],
+                _ => return Err(refuse(format!("electrode {number}: expected one stretch of the rim"))),
+            };
+            let width_mm: f64 = edges.iter().map(|&k| length(k)).sum();
+            let at_deg = (360.0 * (begins[first] + 0.5 * width_mm) / begins[count]).rem_euclid(360.0);
+            list.push(RimElectrode { at_deg, width_mm });
+        }
+        Ok(Electrodes::RimList(list))
+    }
+}
+
+/// The rims of a mesh, each a closed chain of nodes.
+fn loops(read: &ElectrodedMesh) -> Vec<Vec<u32>> {
+    let mut next: HashMap<u32, Vec<u32>> = HashMap::new();
+    for (edge, _) in read.mesh.boundary_faces() {
+        next.entry(edge[0]).or_default().push(edge[1]);
+        next.entry(edge[1]).or_default().push(edge[0]);
+    }
+    let mut starts: Vec<u32> = next.keys().copied().collect();
+    starts.sort_unstable();
+    let mut seen = std::collections::HashSet::new();
+    let mut loops = Vec::new();
+    for start in starts {
+        if seen.contains(&start) {
+            continue;
+        }
+        let (mut ring, mut node) = (Vec::new(), Some(start));
+        while let Some(at) = node {
+            seen.insert(at);
+            ring.push(at);
+            node = next.get(&at).and_then(|others| others.iter().copied().find(|other| !seen.contains(other)));
+        }
+        if ring.len() >= 3 {
+            loops.push(ring);
+        }
+    }
+    loops
+}
+
+fn signed_area(ring: &[[f64; 2]]) -> f64 {
+    let next = |k: usize| ring[(k + 1) % ring.len()];
+    (0..ring.len()).map(|k| 0.5 * (ring[k][0] * next(k)[1] - next(k)[0] * ring[k][1])).sum()
+}
