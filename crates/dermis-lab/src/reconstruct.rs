@@ -3,7 +3,7 @@
 use dermis_live::imager::Refiner;
 use std::path::PathBuf;
 
-use dermis_device::{FileSpec, Format};
+use dermis_device::{FileSpec, ReadOptions};
 use dermis_tomo::eit::OrderReport;
 use dermis_touch::health::Health;
 use dermis_touch::{Observation, Touch};
@@ -32,8 +32,8 @@ pub struct Request {
     pub baseline: Option<FileSpec>,
     /// The frames.
     pub frames: FileSpec,
-    /// Format of both files; detected where `None`.
-    pub format: Option<Format>,
+    /// How both files are read.
+    pub read: ReadOptions,
     /// A calibration of the skin.
     pub calibration: Option<PathBuf>,
     /// A force calibration of the skin.
@@ -109,9 +109,9 @@ fn reconstruct_to(
     // Offline every frame counts at once: a touch need not be seen twice before it is reported.
     skin.touch.least_frames = 1;
     skin.backend.differences |= request.baseline.is_none();
-    let read = |file| dermis_record::read_frames(file, request.format);
+    let read = |file| dermis_record::read_frames_of(&request.skin, file, request.read.clone());
     let baseline_table = request.baseline.as_ref().map(read).transpose()?;
-    let frame_table = dermis_record::read_frames(&request.frames, request.format)?;
+    let frame_table = read(&request.frames)?;
     let loaded = request.calibration.as_deref().map(Calibration::load).transpose()?;
     let calibration = at_hand.or(loaded.as_ref());
     let forces = request.forces.as_deref().map(|path| load_forces(path, &skin.name)).transpose()?;
@@ -226,6 +226,7 @@ fn reconstruct_to(
             sequence: index as u64,
             time_ns,
             wall_ns: 0,
+            device_time_ns: None,
             raw: &frames[index],
             compensated: difference,
             image: &image,

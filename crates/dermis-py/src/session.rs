@@ -121,7 +121,7 @@ pub fn open(
                 (None, None) => Ok(Skin::open(dermis::skin::DEFAULT_NAME)?),
             }
         };
-        let mut opened = open_of(&named, &find, &SourceOptions { speed, as_set, format: None })?;
+        let mut opened = open_of(&named, &find, &SourceOptions { speed, as_set, ..SourceOptions::default() })?;
         let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
         Ok((opened, pipeline, head))
     })?;

@@ -73,7 +73,7 @@ impl Arguments {
             skin,
             baseline: self.baseline,
             frames: self.recorded.frames,
-            format: self.recorded.format,
+            read: self.recorded.read.options(),
             calibration: self.calibration,
             forces: self.forces,
             hyperparameter: self.hyperparameter,
@@ -83,7 +83,7 @@ impl Arguments {
         let report = with_progress("frames", |progress| reconstruct(&request, progress))?;
         let found = match (&report.order.better, &request.baseline) {
             (Some(_), Some(baseline)) => {
-                Some(find_order(&read_frames(baseline, request.format)?, Some(&request.skin))?)
+                Some(find_order(&read_frames(baseline, request.read.clone())?, Some(&request.skin))?)
             }
             _ => None,
         };

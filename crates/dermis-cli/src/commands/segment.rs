@@ -60,7 +60,7 @@ impl Arguments {
             skin: self.recorded.skin.open()?,
             reference: self.baseline,
             frames: self.recorded.frames,
-            format: self.recorded.format,
+            read: self.recorded.read.options(),
             network: match self.model {
                 Some(path) => NetworkChoice::File(path),
                 None if self.no_model => NetworkChoice::None,

@@ -121,6 +121,8 @@ fn list(json: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
 
 fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let skin = Skin::open(name)?;
+    // Refuse the same skins as `draw`.
+    skin.body()?;
     let protocol = skin.protocol()?;
     let (low, high) = skin.outline().bounds_m();
     let (width_mm, height_mm) = (1e3 * (high[0] - low[0]), 1e3 * (high[1] - low[1]));

@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
+use dermis_device::HostStamp;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
@@ -26,9 +27,11 @@ pub enum LinesFor {
 }
 
 /// Writes lines such as
-/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
+/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}],"clocks":{...}}`.
 ///
-/// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
+/// `time_s` is the host's monotonic clock from the start of the process. `clocks` has the same frame on the clocks that
+/// others can read, nanoseconds: `wall_ns` since 1970-01-01 UTC, `monotonic_ns` on the system's monotonic clock
+/// (`CLOCK_MONOTONIC`), both at the frame's first byte, and `device_ns` on the device's own, or null. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
 /// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, with a force calibration, `force_n` and `force_range`
 /// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`) and, where the forward
 /// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
@@ -79,6 +82,7 @@ impl<W: Write + Send> Sink for JsonLines<W> {
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
+        push_clocks(&mut self.line, output);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;
@@ -109,6 +113,16 @@ fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], 
         push_touch(text, touch);
     }
     text.push(']');
+}
+
+/// The frame's time on every clock.
+fn push_clocks(text: &mut String, output: &Output<'_>) {
+    let (wall_ns, monotonic_ns) = (output.wall_ns, HostStamp::on_system_clock(output.time_ns));
+    let _ = write!(text, ",\"clocks\":{{\"wall_ns\":{wall_ns},\"monotonic_ns\":{monotonic_ns},\"device_ns\":");
+    let _ = match output.device_time_ns {
+        Some(device_ns) => write!(text, "{device_ns}}}"),
+        None => write!(text, "null}}"),
+    };
 }
 
 /// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in

@@ -69,7 +69,7 @@ fn press(name: &str, at_once: usize, seed: u64) -> Trial {
         skin,
         baseline: Some(FileSpec::all(at("b.csv"))),
         frames: FileSpec::all(at("f.csv")),
-        format: None,
+        read: Default::default(),
         calibration: None,
         forces: None,
         hyperparameter: None,
