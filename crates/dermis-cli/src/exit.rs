@@ -49,6 +49,14 @@ impl Outcome {
         Outcome::DataLost
     }
 
+    /// Frames of a twin that a busy computer skipped are not lost data. Logs their number and removes them from the count.
+    pub fn without_twins_frames(counters: AcquisitionCounters) -> AcquisitionCounters {
+        if counters.dropped > 0 {
+            tracing::warn!(frames = counters.dropped, "the computer was too busy for some frames of the twin");
+        }
+        AcquisitionCounters { dropped: 0, ..counters }
+    }
+
     /// The code for the shell.
     pub fn code(self) -> u8 {
         match self {

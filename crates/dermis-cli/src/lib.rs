@@ -127,7 +127,7 @@ fn named_files(word: &OsStr) -> impl Iterator<Item = PathBuf> {
 /// Log lines go to stderr, so that stdout holds results alone.
 fn start_logging(verbose: u8) {
     let level = match verbose {
-        0 => "warn",
+        0 => "warn,understood=info",
         1 => "info",
         _ => "debug",
     };

@@ -193,7 +193,7 @@ fn frames_that_cannot_be_used_are_refused() {
     let desk = Desk::with(&files);
     let table = [
         ("one.csv", "expected at least 2, got 1"),
-        ("ragged.csv", "ragged.csv:2: expected 2 values as in the first row, found 1"),
+        ("ragged.csv", "ragged.csv:2: expected 2 values as in the other rows, found 1"),
         ("word.csv", "word.csv:2: column 2"),
         ("inf.csv", "inf.csv:1: column 2: expected a finite number or nan"),
         ("none.csv", "none.csv: cannot read"),

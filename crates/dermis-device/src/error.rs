@@ -40,7 +40,7 @@ pub enum DeviceError {
         found: u64,
     },
     /// A line has another number of cells than the first.
-    #[error("{}:{line}: expected {expected} values as in the first row, found {found}", file.display())]
+    #[error("{}:{line}: expected {expected} values as in the other rows, found {found}", file.display())]
     Ragged {
         /// File concerned.
         file: PathBuf,
@@ -130,6 +130,20 @@ pub enum DeviceError {
         channel: usize,
         /// The value.
         found: f64,
+    },
+    /// A table has as many rows as the skin has channels, and another number of columns.
+    #[error(
+        "{}: {frames} frames of {channels} readings, and the skin has {frames} channels: transposed? --transpose \
+         (transpose=True in Python) reads frames from columns",
+        file.display()
+    )]
+    Transposed {
+        /// File concerned.
+        file: PathBuf,
+        /// Rows.
+        frames: usize,
+        /// Columns.
+        channels: usize,
     },
     /// The file holds no frame.
     #[error("{}: expected at least one frame, found none", file.display())]

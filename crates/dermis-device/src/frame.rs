@@ -76,15 +76,37 @@ pub struct HostStamp {
     pub wall_ns: u64,
 }
 
-static MONOTONIC_ORIGIN: LazyLock<Instant> = LazyLock::new(Instant::now);
+/// The first use in the process, by this library's clock and by the system's.
+static MONOTONIC_ORIGIN: LazyLock<(Instant, u64)> = LazyLock::new(|| (Instant::now(), system_now_ns()));
+
+/// The system's monotonic clock, which all processes of a machine share.
+#[cfg(unix)]
+fn system_now_ns() -> u64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    (now.tv_sec as u64).saturating_mul(1_000_000_000).saturating_add(now.tv_nsec as u64)
+}
+
+/// Other systems have no such clock in std. The origin is the process's first stamp there.
+#[cfg(not(unix))]
+fn system_now_ns() -> u64 {
+    0
+}
 
 impl HostStamp {
     /// The clocks now.
     pub fn now() -> Self {
-        let origin = *MONOTONIC_ORIGIN;
+        let (origin, _) = *MONOTONIC_ORIGIN;
         let monotonic_ns = Instant::now().saturating_duration_since(origin).as_nanos() as u64;
         let wall_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
         Self { monotonic_ns, wall_ns }
+    }
+
+    /// A [`Frame::host_monotonic_ns`] of this process on the system's own monotonic clock (`CLOCK_MONOTONIC`,
+    /// `time.monotonic_ns()` in Python, what ROS calls steady time), nanoseconds: it is the same in all processes of a
+    /// machine, so that two skins, a robot and a camera can be brought together. On systems without one the origin stays
+    /// the process's first stamp.
+    pub fn on_system_clock(monotonic_ns: u64) -> u64 {
+        monotonic_ns.saturating_add(MONOTONIC_ORIGIN.1)
     }
 }
 
@@ -111,6 +133,17 @@ mod tests {
             frame,
             Frame { sequence: 1, host_monotonic_ns: 7, host_wall_ns: 9, values: vec![0.5], ..Frame::default() }
         );
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn stamps_are_brought_to_the_clock_that_all_processes_share() {
+        let before = system_now_ns();
+        let stamp = HostStamp::on_system_clock(HostStamp::now().monotonic_ns);
+        let after = system_now_ns();
+        // Both clocks of the origin are read one after the other.
+        let apart = 50_000_000;
+        assert!(stamp + apart >= before && stamp <= after + apart, "{before} {stamp} {after}");
     }
 
     #[test]

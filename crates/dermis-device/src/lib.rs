@@ -29,7 +29,7 @@
 //! | | |
 //! |---|---|
 //! | [`Source`], [`Frame`], [`acquire`] | frames one after the other; a thread that reads them into a queue |
-//! | [`FrameTable`], [`read`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
+//! | [`FrameTable`], [`read`], [`ReadOptions`], [`FileSpec`] | finite recordings; reading files; `frames.csv#0..60` |
 //! | [`instruments`] | formats of files and streams, one module each |
 //! | [`SourceSelector`], [`open_stream`], [`open_wire`], [`stream`] | live instruments by name, ports, sockets |
 //! | [`Playback`], [`write_atomic`] | tables played as sources; files that are whole or not there |
@@ -45,6 +45,7 @@ pub mod instruments;
 mod open;
 mod place;
 mod playback;
+mod read_options;
 mod select;
 mod selector;
 mod source;
@@ -55,10 +56,12 @@ pub use atomic::write_atomic;
 pub use dermis_wire::Status;
 pub use error::DeviceError;
 pub use frame::{Frame, HostStamp};
-pub use instruments::{Format, decode, open_regular, read};
-pub use open::{open_stream, open_wire};
+pub use instruments::mend_times;
+pub use instruments::{Format, decode, decode_with, open_regular, read};
+pub use open::{open_stream, open_stream_greeted, open_wire};
 pub use place::{Place, partial_name, remember, rename_new};
 pub use playback::{Pacing, Playback, Repeat};
+pub use read_options::{Frequencies, ReadOptions};
 pub use select::{FileSpec, FrameItem, FrameSelect};
 pub use selector::{Instrument, SerialName, SourceSelector};
 pub use source::{Counters, Source, SourceEvent};

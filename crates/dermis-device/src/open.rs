@@ -13,13 +13,25 @@ use crate::{DeviceError, SerialName};
 /// [`DeviceError::SourceFailed`] where nothing answers in time; [`DeviceError::Selector`] for selectors of files and
 /// twins, and for serial ports where they were left out when dermis was built.
 pub fn open_stream(selector: &SourceSelector, options: StreamOptions) -> Result<StreamSource, DeviceError> {
+    open_stream_greeted(selector, options, "")
+}
+
+/// As [`open_stream`]; `greeting` is sent to an instrument of lines with every connection.
+///
+/// # Errors
+/// As [`open_stream`].
+pub fn open_stream_greeted(
+    selector: &SourceSelector,
+    options: StreamOptions,
+    greeting: &str,
+) -> Result<StreamSource, DeviceError> {
     let name = selector.to_string();
     match selector {
         SourceSelector::Tcp { host, port, instrument } => {
-            StreamSource::open(Box::new(TcpConnect::new(name, host, *port)), dialogue(*instrument), options)
+            StreamSource::open(Box::new(TcpConnect::new(name, host, *port)), dialogue(*instrument, greeting), options)
         }
         SourceSelector::Serial { port, baud, instrument } => {
-            StreamSource::open(serial(name, port, *baud)?, dialogue(*instrument), options)
+            StreamSource::open(serial(name, port, *baud)?, dialogue(*instrument, greeting), options)
         }
         _ => Err(DeviceError::selector(&name, "a live instrument: tcp:HOST:PORT or serial:PORT")),
     }
@@ -48,10 +60,10 @@ pub fn open_wire(
     Ok((StreamSource::open(connect, Box::new(host), options)?, control))
 }
 
-fn dialogue(instrument: Instrument) -> Box<dyn Dialogue> {
+fn dialogue(instrument: Instrument, greeting: &str) -> Box<dyn Dialogue> {
     match instrument {
         Instrument::Wire => Box::new(WireHost::new()),
-        Instrument::Lines { channels } => Box::new(Lines::new(channels)),
+        Instrument::Lines { channels } => Box::new(Lines::new(channels).with_greeting(greeting)),
         Instrument::Floats { channels } => Box::new(Floats::new(channels)),
     }
 }

@@ -49,6 +49,9 @@ pub struct FrameTable {
     times_s: Option<Vec<f64>>,
     sequences: Option<Vec<u64>>,
     names: Option<Vec<String>>,
+    channel_names: Option<Vec<String>>,
+    wall_ns: Option<Vec<i64>>,
+    notes: Vec<String>,
 }
 
 impl FrameTable {
@@ -74,7 +77,18 @@ impl FrameTable {
             });
         }
         refuse_infinite(&values, channels, &source)?;
-        Ok(Self { layout, source, values, imaginary: None, times_s: None, sequences: None, names: None })
+        Ok(Self {
+            layout,
+            source,
+            values,
+            imaginary: None,
+            times_s: None,
+            sequences: None,
+            names: None,
+            channel_names: None,
+            wall_ns: None,
+            notes: Vec::new(),
+        })
     }
 
     /// Adds the imaginary part of every reading, in the order of the real parts.
@@ -116,6 +130,34 @@ impl FrameTable {
         self.check_count("frame names", self.frames(), names.len())?;
         self.names = Some(names);
         Ok(self)
+    }
+
+    /// Adds what the file calls its channels.
+    ///
+    /// # Errors
+    /// [`DeviceError::Count`] if there is not one name per channel.
+    pub fn with_channel_names(mut self, names: Vec<String>) -> Result<Self, DeviceError> {
+        self.check_count("channel names", self.channels(), names.len())?;
+        self.channel_names = Some(names);
+        Ok(self)
+    }
+
+    /// Adds the moment of every frame, nanoseconds since 1970-01-01 UTC (on the local calendar where the file states no
+    /// time zone).
+    ///
+    /// # Errors
+    /// [`DeviceError::Count`] if there is not one per frame.
+    pub fn with_wall_ns(mut self, wall_ns: Vec<i64>) -> Result<Self, DeviceError> {
+        self.check_count("moments", self.frames(), wall_ns.len())?;
+        self.wall_ns = Some(wall_ns);
+        Ok(self)
+    }
+
+    /// Adds what was understood of the file beyond its shape, one thing a note.
+    #[must_use]
+    pub fn with_notes(mut self, notes: Vec<String>) -> Self {
+        self.notes.extend(notes);
+        self
     }
 
     fn check_count(&self, what: &'static str, expected: usize, found: usize) -> Result<(), DeviceError> {
@@ -185,12 +227,57 @@ impl FrameTable {
         self.names.as_deref()
     }
 
+    /// What the file calls its channels, where it does.
+    pub fn channel_names(&self) -> Option<&[String]> {
+        self.channel_names.as_deref()
+    }
+
+    /// The moment of every frame, where the recording knows it: nanoseconds since 1970-01-01 UTC.
+    pub fn wall_ns(&self) -> Option<&[i64]> {
+        self.wall_ns.as_deref()
+    }
+
+    /// What was understood of the file beyond its shape, one thing a note.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// What was understood of the file, in a line: `40 frames x 208 channels; header in line 1; decimal commas`.
+    pub fn understood(&self) -> String {
+        let kind = if self.imaginary.is_some() { " complex" } else { "" };
+        let frames = if self.frames() == 1 { "1 frame".to_owned() } else { format!("{} frames", self.frames()) };
+        let mut text = format!("{frames} x {}{kind} channels", self.channels());
+        for note in &self.notes {
+            text.push_str("; ");
+            text.push_str(note);
+        }
+        text
+    }
+
+    /// The same frames with other channels: `taken` lists for each new channel the old one and a factor.
+    ///
+    /// # Panics
+    /// For an old channel that is not there.
+    #[must_use]
+    pub fn rearranged(mut self, taken: &[(usize, f64)]) -> Self {
+        let channels = self.channels();
+        let rearrange = |all: &[f64]| -> Vec<f64> {
+            all.chunks_exact(channels).flat_map(|row| taken.iter().map(|(from, factor)| row[*from] * factor)).collect()
+        };
+        self.values = rearrange(&self.values);
+        self.imaginary = self.imaginary.as_deref().map(rearrange);
+        self.channel_names =
+            self.channel_names.map(|names| taken.iter().map(|(from, _)| names[*from].clone()).collect());
+        self.layout = Layout::Channels { count: taken.len() };
+        self
+    }
+
     /// The chosen frames as a table of their own.
     ///
     /// # Errors
     /// [`DeviceError::Selection`] naming the item that fits no frame, or two of one name.
-    pub fn select(&self, select: &FrameSelect) -> Result<Self, DeviceError> {
-        let FrameSelect::Listed(items) = select else { return Ok(self.clone()) };
+    pub fn select(self, select: &FrameSelect) -> Result<Self, DeviceError> {
+        let FrameSelect::Listed(items) = select else { return Ok(self) };
         let mut chosen = Vec::new();
         for item in items {
             chosen.extend(self.resolve(item)?);
@@ -207,6 +294,9 @@ impl FrameTable {
             times_s: self.times_s.as_ref().map(|times| chosen.iter().map(|&frame| times[frame]).collect()),
             sequences: self.sequences.as_ref().map(|numbers| chosen.iter().map(|&frame| numbers[frame]).collect()),
             names: self.names.as_ref().map(|names| chosen.iter().map(|&frame| names[frame].clone()).collect()),
+            wall_ns: self.wall_ns.as_ref().map(|moments| chosen.iter().map(|&frame| moments[frame]).collect()),
+            channel_names: self.channel_names,
+            notes: self.notes,
         })
     }
 

@@ -1,6 +1,9 @@
 //! Bytes that nobody meant as frames: every reader answers with frames or an error, whatever it is given, and never
 //! yields an infinite reading or more values than the bytes can hold.
 
+#[path = "hostile/mutated_tables.rs"]
+mod mutated_tables;
+
 use std::path::Path;
 
 use dermis_device::instruments::npy;

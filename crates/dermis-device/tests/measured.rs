@@ -85,7 +85,7 @@ fn pyeidors_pairs() {
         assert_eq!((frames.frames(), frames.channels()), (2, 208));
         assert!(correlation(frames.row(0).unwrap(), frames.row(1).unwrap()) > 0.95);
         assert!(correlation(frames.imaginary_row(0).unwrap(), frames.imaginary_row(1).unwrap()) > 0.9);
-        assert_eq!(frames.select(&"target".parse().unwrap()).unwrap().row(0), frames.row(1));
+        assert_eq!(frames.clone().select(&"target".parse().unwrap()).unwrap().row(0), frames.row(1));
     }
 }
 

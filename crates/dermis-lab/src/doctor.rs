@@ -29,6 +29,8 @@ const LEAST_CORRELATION: f64 = 0.9;
 const MOST_MISMATCH: f64 = 0.05;
 /// Contacts this many times as resistive as the median one are named.
 const POOR_TIMES: f64 = 5.0;
+/// A thousand, give or take what skin files are wrong about conductances and currents.
+const THOUSAND: [f64; 2] = [250.0, 4000.0];
 /// Channels named at most.
 const MOST_NAMED: usize = 8;
 
@@ -101,10 +103,17 @@ pub fn examine(
 ) -> Result<Vec<Check>, Error> {
     let prepared = Prepared::new(skin)?;
     let layout = source.layout().clone();
+    let channels = prepared.channels();
     let pipeline = match Pipeline::new(prepared, &layout, None) {
         Ok(pipeline) => pipeline,
         Err(error) => {
-            let advice = "give the skin file that belongs to this instrument, or set its protocol to the skin's";
+            let advice = match &layout {
+                Layout::Channels { count } if count + 1 == channels => {
+                    "one reading of every frame is missing: look for a loop that ends one early, a column that was cut off, \
+                     or a header that was taken for a frame"
+                }
+                _ => "give the skin file that belongs to this instrument, or set its protocol to the skin's",
+            };
             return Ok(vec![Check::bad("channels", error.to_string(), advice)]);
         }
     };
@@ -123,7 +132,7 @@ pub fn examine(
     }
     checks.extend([seen.noise(), seen.saturation()]);
     checks.extend(seen.faults());
-    checks.extend([seen.reciprocity(), seen.order(), contacts]);
+    checks.extend([seen.scale(), seen.reciprocity(), seen.order(), contacts]);
     Ok(checks)
 }
 
@@ -185,7 +194,8 @@ impl Seen {
         let per_s = self.frames.saturating_sub(1) as f64 / self.elapsed_s.max(f64::MIN_POSITIVE);
         if self.lost + self.bad > 0 {
             let found = format!("{per_s:.1} frames/s; {} frames lost, {} damaged on the way", self.lost, self.bad);
-            let advice = "use a shorter or shielded cable, a lower rate, or a port of its own; \
+            let advice = "the log says what is wrong with damaged frames; where bytes are lost, use a shorter or shielded \
+                          cable, a lower rate, or a port of its own; \
                           for FTDI adapters set latency_timer to 1";
             return Check::bad("rate", found, advice);
         }
@@ -302,6 +312,33 @@ impl Seen {
             return Check::bad("reciprocity", found, advice);
         }
         Check::good("reciprocity", found)
+    }
+
+    /// Readings and model in different units: a thousand between them is millivolts read as volts, or the other way
+    /// round.
+    fn scale(&self) -> Check {
+        const NAME: &str = "scale";
+        let (prepared, (baseline, _)) = (self.pipeline.prepared(), self.pipeline.baseline());
+        let mut ratios: Vec<f64> = baseline
+            .iter()
+            .zip(&prepared.voltages)
+            .map(|(reading, model)| (reading / model).abs())
+            .filter(|ratio| ratio.is_finite() && *ratio > 0.0)
+            .collect();
+        if ratios.is_empty() || !prepared.skin.backend.wiring.is_known() {
+            return Check::skipped(NAME, "no readings to compare with the model");
+        }
+        let middle = ratios.len() / 2;
+        let ratio = *ratios.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let found = format!("readings are {ratio:.3} times the model's (median)");
+        let is_thousand = |ratio: f64| (THOUSAND[0]..THOUSAND[1]).contains(&ratio);
+        if is_thousand(ratio) || is_thousand(1.0 / ratio) {
+            let unit = if ratio > 1.0 { "millivolts read as volts" } else { "volts read as millivolts" };
+            let advice =
+                format!("a factor of about 1,000: these look like {unit}; name the columns with their unit, `ch1_mV`");
+            return Check::bad(NAME, found, advice);
+        }
+        Check::good(NAME, found)
     }
 
     /// The lines of a skin file that say which order the readings are in, where that is clear. Frames that hold more

@@ -3,7 +3,7 @@
 use dermis_live::imager::Refiner;
 use std::path::PathBuf;
 
-use dermis_device::{FileSpec, Format};
+use dermis_device::{FileSpec, ReadOptions};
 use dermis_tomo::eit::OrderReport;
 use dermis_touch::health::{FrameFault, FrameFaultKind, Health};
 use dermis_touch::{Observation, Touch};
@@ -33,8 +33,8 @@ pub struct Request {
     pub baseline: Option<FileSpec>,
     /// The frames.
     pub frames: FileSpec,
-    /// Format of both files; detected where `None`.
-    pub format: Option<Format>,
+    /// How both files are read.
+    pub read: ReadOptions,
     /// Recordings of another skin, and calibrations of it, are used as this skin's.
     pub as_skin: bool,
     /// A calibration of the skin.
@@ -114,16 +114,16 @@ fn reconstruct_to(
     // Offline every frame counts at once: a touch need not be seen twice before it is reported.
     skin.touch.least_frames = 1;
     skin.backend.differences |= request.baseline.is_none();
-    if !request.as_skin && request.format.is_none() {
+    if !request.as_skin && request.read.format.is_none() {
         request
             .baseline
             .iter()
             .chain([&request.frames])
             .try_for_each(|file| dermis_record::check_skin(file, &request.skin))?;
     }
-    let read = |file| dermis_record::read_frames(file, request.format);
+    let read = |file| dermis_record::read_frames_of(&request.skin, file, request.read.clone());
     let baseline_table = request.baseline.as_ref().map(read).transpose()?;
-    let frame_table = dermis_record::read_frames(&request.frames, request.format)?;
+    let frame_table = read(&request.frames)?;
     let loaded = request.calibration.as_deref().map(Calibration::load).transpose()?;
     let loaded = if request.as_skin { loaded.map(Calibration::insist) } else { loaded };
     let calibration = at_hand.or(loaded.as_ref());
@@ -274,6 +274,7 @@ fn reconstruct_to(
             sequence: index as u64,
             time_ns,
             wall_ns: 0,
+            device_time_ns: None,
             raw: &frames[index],
             compensated: if odd[index].is_some() { &unknown } else { difference },
             image: &image,

@@ -70,13 +70,13 @@ pub struct Sampled {
     pub outside_validity: usize,
 }
 
-/// Reads a table of presses: columns x_mm, y_mm, one of force_n and pressure_kpa, and, where given, radius_mm (else the
+/// Reads a table of presses: columns x_mm, y_mm (or x_m, y_m), one of force_n and pressure_kpa, and, where given, radius_mm (else the
 /// skin's usual one) and group: rows of the same group press together.
 ///
 /// # Errors
 /// A file that is no such table, values that are missing or make no sense, with the row.
 pub fn read_presses(path: &Path, usual: &PressRange) -> Result<Vec<Vec<Indenter>>, Error> {
-    let table = csv::read_numbers(path)?;
+    let table = csv::read_numbers(path)?.in_millimetres();
     let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
     let expected =
         "expected a header with x_mm, y_mm, one of force_n and pressure_kpa, and optionally radius_mm and group";

@@ -5,7 +5,7 @@ use dermis_device::{FrameTable, Layout};
 use dermis_tomo::eit::{Pattern, Protocol};
 
 use crate::Error;
-use dermis_skin::Reads;
+use dermis_skin::{Reads, Skin};
 
 /// How to make the protocol's channels out of a source's values: a sparse linear map.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,12 +172,13 @@ fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
 
 /// Turns an instrument's frames into channels of a protocol, as real numbers.
 ///
-/// Complex readings become their component along one common phase, that of the first frame read (the instrument's
-/// phase, not the body's), so that baselines and frames must go through the same reader, baseline first.
+/// Complex readings become their magnitude on a skin that reads magnitudes, and otherwise their component along one
+/// common phase, that of the first frame read (the instrument's phase, not the body's), so that baselines and frames must
+/// go through the same reader, baseline first.
 #[derive(Clone, Debug)]
 pub struct ChannelReader {
     layout: ChannelLayout,
-    complex: bool,
+    reads: Reads,
     phase: Option<(f64, f64)>,
     imaginary: Vec<f64>,
 }
@@ -189,7 +190,7 @@ impl ChannelReader {
     /// A layout that does not hold the protocol's channels.
     pub fn new(layout: &Layout, protocol: &Protocol, reads: Reads, name: &str) -> Result<Self, Error> {
         let layout = ChannelLayout::new(layout, protocol, name)?;
-        Ok(Self { layout, complex: reads == Reads::Complex, phase: None, imaginary: Vec::new() })
+        Ok(Self { layout, reads, phase: None, imaginary: Vec::new() })
     }
 
     /// Takes over the phase that another reader found (a baseline's, for the frames that go with it).
@@ -210,8 +211,12 @@ impl ChannelReader {
             });
         }
         self.layout.apply(values, channels);
-        if self.complex && imaginary.len() == values.len() {
+        if imaginary.len() == values.len() && !values.is_empty() {
             self.layout.apply(imaginary, &mut self.imaginary);
+            if self.reads == Reads::Magnitude {
+                channels.iter_mut().zip(&self.imaginary).for_each(|(re, im)| *re = re.hypot(*im));
+                return Ok(());
+            }
             let (cosine, sine) = *self.phase.get_or_insert_with(|| common_phase(channels, &self.imaginary));
             channels.iter_mut().zip(&self.imaginary).for_each(|(re, im)| *re = *re * cosine + im * sine);
         }
@@ -234,6 +239,77 @@ impl ChannelReader {
     }
 }
 
+/// Readings that a frame of a skin may have: its channels, and the full matrix of its electrodes.
+pub fn readings_of(skin: &Skin) -> Vec<usize> {
+    let Ok(protocol) = skin.protocol() else { return Vec::new() };
+    vec![protocol.channel_count(), protocol.electrode_count().pow(2)]
+}
+
+/// A table in the order of the skin's channels, where its header names the electrodes of every column: drive, drive,
+/// plus, minus, as in `1-2 > 3-4`. A pair that the header names the other way round has the other sign, unless all are
+/// (who writes the sink first is a matter of taste) or the skin reads magnitudes. Other tables stay as they are.
+///
+/// # Errors
+/// A column of electrodes that are no channel of the skin.
+pub fn order_by_names(table: FrameTable, skin: &Skin) -> Result<FrameTable, Error> {
+    let Some(named) = table.channel_names().and_then(electrodes_of) else { return Ok(table) };
+    let Ok(protocol) = skin.protocol() else { return Ok(table) };
+    let labels: Vec<String> = (0..protocol.channel_count()).map(|channel| protocol.channel_label(channel)).collect();
+    let Some(wanted) = electrodes_of(&labels) else { return Ok(table) };
+    if named.len() != wanted.len() {
+        return Ok(table);
+    }
+    // The pair without its direction, and the direction.
+    let undirected = |(a, b): (usize, usize)| if a < b { ((a, b), 1.0) } else { ((b, a), -1.0) };
+    let key = |[a, b, c, d]: [usize; 4]| {
+        let ((drive, first), (measure, second)) = (undirected((a, b)), undirected((c, d)));
+        ((drive, measure), first * second)
+    };
+    let columns: std::collections::HashMap<_, _> =
+        named.iter().enumerate().map(|(column, names)| (key(*names).0, (column, key(*names).1))).collect();
+    let mut taken = Vec::with_capacity(wanted.len());
+    for (channel, electrodes) in wanted.iter().enumerate() {
+        let (place, sign) = key(*electrodes);
+        let Some((column, its_sign)) = columns.get(&place) else {
+            return Err(Error::Frames {
+                what: format!("columns of {}, by the electrodes in their names", table.source().display()),
+                expected: format!("one for channel {} of skin {}, {}", channel + 1, skin.name, labels[channel]),
+                got: format!("{} and others", table.channel_names().map_or("", |names| names[channel].as_str())),
+            });
+        };
+        taken.push((*column, sign * its_sign));
+    }
+    let all_reversed = taken.iter().all(|(_, sign)| *sign < 0.0);
+    if all_reversed || skin.backend.reads == Reads::Magnitude {
+        taken.iter_mut().for_each(|(_, sign)| *sign = 1.0);
+    }
+    let moved = taken.iter().enumerate().filter(|(channel, (column, _))| channel != column).count();
+    let reversed = taken.iter().filter(|(_, sign)| *sign < 0.0).count();
+    if moved + reversed == 0 {
+        return Ok(table.with_notes(vec!["electrodes in the header are the skin's".to_owned()]));
+    }
+    let note =
+        format!("columns put in the skin's order by the electrodes in the header ({moved} moved, {reversed} reversed)");
+    Ok(table.rearranged(&taken).with_notes(vec![note]))
+}
+
+/// The four electrodes in every name, from 1; none where a name has not four numbers.
+fn electrodes_of(names: &[String]) -> Option<Vec<[usize; 4]>> {
+    let numbers = |name: &String| -> Option<[usize; 4]> {
+        let numbers: Vec<usize> = name
+            .split(|c: char| !c.is_ascii_digit())
+            .filter(|digits| !digits.is_empty())
+            .map(|digits| digits.parse().ok())
+            .collect::<Option<_>>()?;
+        numbers.try_into().ok()
+    };
+    let mut all: Vec<[usize; 4]> = names.iter().map(numbers).collect::<Option<_>>()?;
+    if all.iter().flatten().any(|electrode| *electrode == 0) {
+        all.iter_mut().flatten().for_each(|electrode| *electrode += 1);
+    }
+    Some(all)
+}
+
 /// Direction (cos, sin) of the principal axis of complex channels, toward positive real parts: half the angle of the
 /// sum of squares.
 fn common_phase(real: &[f64], imaginary: &[f64]) -> (f64, f64) {
@@ -247,7 +323,6 @@ fn common_phase(real: &[f64], imaginary: &[f64]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dermis_skin::Skin;
 
     #[test]
     fn matrices_and_potentials_give_the_same_channels() {
@@ -262,6 +337,39 @@ mod tests {
         ChannelLayout::new(&layout, &protocol, "a").unwrap().apply(&single, &mut a);
         ChannelLayout::new(&Layout::FullMatrix { electrodes: 16 }, &protocol, "b").unwrap().apply(&full, &mut b);
         assert_eq!(a, b);
+    }
+
+    #[test]
+    fn columns_are_put_in_order_by_the_electrodes_in_their_names() {
+        let skin = Skin::open("sciospec-tank").unwrap();
+        let protocol = skin.protocol().unwrap();
+        let count = protocol.channel_count();
+        let labels: Vec<String> = (0..count).map(|channel| protocol.channel_label(channel)).collect();
+        let table = |names: Vec<String>, values: Vec<f64>| {
+            let table = FrameTable::new(Layout::Channels { count }, values, "x.csv").unwrap();
+            order_by_names(table.with_channel_names(names).unwrap(), &skin)
+        };
+        let values: Vec<f64> = (0..count).map(|channel| channel as f64).collect();
+        let same = table(labels.clone(), values.clone()).unwrap();
+        assert_eq!(same.values(), values);
+        // From the last to the first, counted from 0, the first one's measuring pair the other way round.
+        let from_zero = |label: &String| {
+            let numbers: Vec<usize> = label.split(['-', '>', ' ']).filter_map(|n| n.parse().ok()).collect();
+            format!("d{}_{}_m{}_{}", numbers[0] - 1, numbers[1] - 1, numbers[2] - 1, numbers[3] - 1)
+        };
+        let mut names: Vec<String> = labels.iter().rev().map(from_zero).collect();
+        let parts: Vec<String> = names[0].split('_').map(str::to_owned).collect();
+        names[0] = format!("{}_{}_m{}_{}", parts[0], parts[1], parts[3], parts[2].trim_start_matches('m'));
+        let mut backwards: Vec<f64> = values.iter().rev().copied().collect();
+        backwards[0] = -backwards[0];
+        let ordered = table(names.clone(), backwards.clone()).unwrap();
+        assert_eq!(ordered.values(), values);
+        assert!(ordered.understood().contains("1 reversed"), "{}", ordered.understood());
+        names[5] = names[6].clone();
+        let error = table(names, backwards).unwrap_err().to_string();
+        assert!(error.contains("by the electrodes in their names"), "{error}");
+        // Names without electrodes say nothing.
+        assert_eq!(table((0..count).map(|k| format!("ch{k}")).collect(), values.clone()).unwrap().values(), values);
     }
 
     #[test]

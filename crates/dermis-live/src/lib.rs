@@ -47,6 +47,7 @@ pub mod frame_noise;
 mod image_cells;
 pub mod imager;
 pub mod instant;
+pub mod label_checks;
 pub mod latency;
 pub mod magnetic_model;
 pub mod network;

@@ -13,10 +13,13 @@ use crate::stages::damage::DamageView;
 pub struct Output<'a> {
     /// The device's frame number. Gaps are lost frames.
     pub sequence: u64,
-    /// Time of the frame on the host's monotonic clock, nanoseconds.
+    /// Time of the frame on the host's monotonic clock, nanoseconds; `HostStamp::on_system_clock` makes it comparable
+    /// with other processes.
     pub time_ns: u64,
     /// Time of the frame on the host's wall clock, nanoseconds since 1970-01-01 UTC.
     pub wall_ns: u64,
+    /// Time of the frame on the device's own clock, nanoseconds from an origin of its choice, where it has one.
+    pub device_time_ns: Option<u64>,
     /// Readings in the skin's channel order and the instrument's unit; NaN where missing.
     pub raw: &'a [f64],
     /// Readings minus baseline, in the same order.

@@ -198,6 +198,7 @@ impl Pipeline {
             sequence: frame.sequence,
             time_ns: frame.host_monotonic_ns,
             wall_ns: frame.host_wall_ns,
+            device_time_ns: frame.device_time_ns,
             raw: self.baseline.raw(),
             compensated: self.baseline.compensated(),
             image: &self.buffers.image,

@@ -5,6 +5,7 @@ mod damage;
 use std::borrow::Cow;
 use std::path::Path;
 
+use dermis_device::HostStamp;
 use dermis_device::acquire::AcquisitionCounters;
 use dermis_learn::scene::{LOWERED, RAISED};
 use dermis_live::output::Output;
@@ -94,6 +95,8 @@ impl PageFeed {
         let update = &mut self.update;
         update.frame = output.sequence;
         update.time_ns = output.time_ns;
+        update.monotonic_ns = HostStamp::on_system_clock(output.time_ns);
+        (update.wall_ns, update.device_time_ns) = (output.wall_ns, output.device_time_ns);
         update.image.values.copy_from_slice(output.image);
         update.channels.values.clear();
         update.channels.values.extend(output.raw.iter().map(|v| *v as f32));

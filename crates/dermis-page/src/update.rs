@@ -14,6 +14,12 @@ pub struct Update {
     pub frame: u64,
     /// Host monotonic time of the frame's first byte, nanoseconds.
     pub time_ns: u64,
+    /// The same on the system's monotonic clock, which all processes of a machine share.
+    pub monotonic_ns: u64,
+    /// Host wall clock then, nanoseconds since 1970-01-01 UTC.
+    pub wall_ns: u64,
+    /// The device's own clock, nanoseconds, where it has one.
+    pub device_time_ns: Option<u64>,
     /// The reconstructed image.
     pub image: Image,
     /// Touches on the skin; a touch that ended may be listed once with [`TouchPhase::End`].
@@ -326,6 +332,8 @@ impl Update {
     pub fn copy_from(&mut self, other: &Update) {
         self.frame = other.frame;
         self.time_ns = other.time_ns;
+        (self.monotonic_ns, self.wall_ns) = (other.monotonic_ns, other.wall_ns);
+        self.device_time_ns = other.device_time_ns;
         self.image.rows = other.image.rows;
         self.image.cols = other.image.cols;
         self.image.values.clone_from(&other.image.values);

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use dermis::device::Frame;
+use dermis::device::{Frame, ReadOptions};
 use dermis::live::channels::ChannelReader;
 use dermis::record::{Entry, Recording};
 use dermis::skin::Skin;
@@ -268,17 +268,35 @@ impl PyRecording {
     }
 }
 
-/// Values, and times in seconds where there are some.
-type FramesAndTimes<'py> = (Bound<'py, PyArray2<f64>>, Option<Bound<'py, PyArray1<f64>>>);
+/// What a file of frames holds, for Python.
+struct FileFrames {
+    rows: Vec<Vec<f64>>,
+    times_s: Option<Vec<f64>>,
+    sequences: Option<Vec<u64>>,
+    wall_ns: Option<Vec<i64>>,
+    understood: String,
+}
 
-/// Frames of any file that ``dermis reconstruct`` reads: CSV, NumPy, Sciospec ``.eit``, KTC and the others.
+/// Frames of any file that ``dermis reconstruct`` reads: tables as text, NumPy, recordings, ROS bags, Sciospec ``.eit`` and
+/// the others.
 ///
 /// Parameters
 /// ----------
 /// path : str or os.PathLike
-///     The file; ``#A..B`` after it chooses frames.
+///     The file or folder; ``#A..B`` after it chooses frames.
 /// skin : Skin or str, optional
-///     With a skin, single-ended potentials and full matrices become its channels; without, readings are as they stand.
+///     With a skin, single-ended potentials and full matrices become its channels, and columns that name their electrodes
+///     are put in its order; without, readings are as they stand.
+/// format : str, optional
+///     Recognised where left out.
+/// columns : str, optional
+///     Columns of a table that hold readings: names, indices from 0, ranges such as ``"1..209"``.
+/// skip_rows : int
+///     Lines at the beginning of a text that are passed over.
+/// array, topic : str, optional
+///     Array of an archive, or topic of a bag.
+/// transpose : bool
+///     Frames stand in columns.
 ///
 /// Returns
 /// -------
@@ -286,18 +304,43 @@ type FramesAndTimes<'py> = (Bound<'py, PyArray2<f64>>, Option<Bound<'py, PyArray
 ///     Shape (n, k), NaN where missing.
 /// times_s : numpy.ndarray or None
 ///     Shape (n,), seconds, where the file has times.
+///
+/// The pair that is returned has the attributes ``frames``, ``times_s``, ``sequences`` (the instrument's numbers, gaps are
+/// lost frames), ``wall_ns`` (nanoseconds since 1970), each None where the file has none, and ``understood``, which says in a
+/// line what was made of the file.
+///
+/// Raises
+/// ------
+/// FileError
+///     A file that cannot be read, with the place in it and what to do.
 #[pyfunction]
-#[pyo3(signature = (path, skin=None))]
+#[pyo3(signature = (path, skin=None, *, format=None, columns=None, skip_rows=0, array=None, topic=None, transpose=false))]
 pub fn read_frames<'py>(
     py: Python<'py>,
     path: PathBuf,
     skin: Option<&Bound<'py, PyAny>>,
-) -> PyResult<FramesAndTimes<'py>> {
+    format: Option<String>,
+    columns: Option<String>,
+    skip_rows: usize,
+    array: Option<String>,
+    topic: Option<String>,
+    transpose: bool,
+) -> PyResult<Bound<'py, PyAny>> {
     let skin = skin.map(crate::skin::skin_of).transpose()?;
-    let (rows, channels, times_s) = run_interruptibly(py, "read", move || {
+    let found = run_interruptibly(py, "read", move || {
         let spec: dermis::device::FileSpec = path.to_string_lossy().parse()?;
-        let table = dermis::device::read(&spec, None)?;
-        let times_s = table.times_s().map(<[f64]>::to_vec);
+        let options = ReadOptions {
+            format: format.map(|name| name.parse()).transpose()?,
+            columns: columns.map(|text| text.parse()).transpose()?.unwrap_or_default(),
+            skip_rows,
+            array: array.or(topic),
+            transpose,
+            ..ReadOptions::default()
+        };
+        let table = match &skin {
+            Some(skin) => dermis::record::read_frames_of(skin, &spec, options)?,
+            None => dermis::record::read_frames(&spec, options)?,
+        };
         let rows = match &skin {
             Some(skin) => {
                 let protocol = skin.protocol()?;
@@ -306,9 +349,21 @@ pub fn read_frames<'py>(
             }
             None => table.rows().map(<[f64]>::to_vec).collect(),
         };
-        let channels = rows.first().map_or(0, Vec::len);
-        Ok((rows, channels, times_s))
+        Ok(FileFrames {
+            rows,
+            times_s: table.times_s().map(<[f64]>::to_vec),
+            sequences: table.sequences().map(<[u64]>::to_vec),
+            wall_ns: table.wall_ns().map(<[i64]>::to_vec),
+            understood: table.understood(),
+        })
     })?;
-    let count = rows.len();
-    Ok((array2(py, rows.concat(), count, channels)?, times_s.map(|times| array1(py, times))))
+    let (count, channels) = (found.rows.len(), found.rows.first().map_or(0, Vec::len));
+    let arguments = (
+        array2(py, found.rows.concat(), count, channels)?,
+        found.times_s.map(|times| array1(py, times)),
+        found.sequences.map(|numbers| array1(py, numbers)),
+        found.wall_ns.map(|moments| array1(py, moments)),
+        found.understood,
+    );
+    py.import("dermis._tables")?.getattr("FileFrames")?.call1(arguments)
 }

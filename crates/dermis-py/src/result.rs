@@ -1,5 +1,6 @@
 //! [`PyFrameResult`]: what the pipeline says of one frame, as arrays made when they are asked for.
 
+use dermis::device::HostStamp;
 use dermis::live::output::Output;
 use dermis::record::TouchEntry;
 use dermis::touch::{Touch, TouchEvent, TouchPhase};
@@ -85,6 +86,9 @@ pub fn table_of<'py>(py: Python<'py>, rows: &[TouchRow]) -> PyResult<Bound<'py, 
 pub struct PyFrameResult {
     sequence: u64,
     time_s: f64,
+    wall_ns: u64,
+    monotonic_ns: u64,
+    device_ns: Option<u64>,
     ready: bool,
     raw: Vec<f64>,
     compensated: Vec<f64>,
@@ -131,6 +135,9 @@ impl PyFrameResult {
         Self {
             sequence: output.sequence,
             time_s,
+            wall_ns: output.wall_ns,
+            monotonic_ns: HostStamp::on_system_clock(output.time_ns),
+            device_ns: output.device_time_ns,
             ready,
             raw: output.raw.to_vec(),
             compensated: output.compensated.to_vec(),
@@ -163,6 +170,25 @@ impl PyFrameResult {
     #[getter]
     fn time_s(&self) -> f64 {
         self.time_s
+    }
+
+    /// The host's wall clock at the frame's first byte, nanoseconds since 1970-01-01 UTC: ``time.time_ns()``.
+    #[getter]
+    fn wall_ns(&self) -> u64 {
+        self.wall_ns
+    }
+
+    /// The system's monotonic clock at the frame's first byte, nanoseconds: ``time.monotonic_ns()`` on Linux. It is the
+    /// same in all processes of a machine.
+    #[getter]
+    fn monotonic_ns(&self) -> u64 {
+        self.monotonic_ns
+    }
+
+    /// The device's own clock, nanoseconds, or None.
+    #[getter]
+    fn device_ns(&self) -> Option<u64> {
+        self.device_ns
     }
 
     /// True once the baseline stood.

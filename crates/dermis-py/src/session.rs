@@ -155,7 +155,7 @@ pub fn open(
                 (None, None) => Ok(Skin::open(dermis::skin::DEFAULT_NAME)?),
             }
         };
-        let options = SourceOptions { speed, as_set, as_skin, format: None };
+        let options = SourceOptions { speed, as_set, as_skin, ..SourceOptions::default() };
         let mut opened = open_of(&named, &find, given.as_ref(), &options)?;
         let (pipeline, head) = opened.pipeline(calibration.as_deref(), forces.as_deref())?;
         Ok((opened, pipeline, head))

@@ -162,11 +162,16 @@ impl<'a> CdrReader<'a> {
 
     /// A sequence of elements of eight bytes.
     fn eights(&mut self) -> Option<&'a [[u8; 8]]> {
-        let length = self.length(8)?;
+        Some(self.elements(8)?.as_chunks::<8>().0)
+    }
+
+    /// The bytes of a sequence whose elements have `size` bytes each.
+    pub(super) fn elements(&mut self, size: usize) -> Option<&'a [u8]> {
+        let length = self.length(size)?;
         if length > 0 {
-            self.at = self.at.next_multiple_of(8);
+            self.at = self.at.next_multiple_of(size);
         }
-        Some(self.take(8 * length)?.as_chunks::<8>().0)
+        self.take(size.checked_mul(length)?)
     }
 }
 

@@ -1,23 +1,28 @@
-//! Frames of any file: recordings as well as the tables that [`dermis_device::read`] knows.
+//! Frames of any file: recordings, bags and MCAP files of others, and the tables that [`dermis_device::read`] knows.
 
 use std::io::Read;
 use std::path::Path;
 
 use dermis_device::instruments::MOST_BYTES;
-use dermis_device::{DeviceError, FileSpec, Format, Frame, FrameTable, open_regular};
+use dermis_device::{DeviceError, FileSpec, Frame, FrameSelect, FrameTable, ReadOptions, mend_times, open_regular};
+use dermis_live::channels::{order_by_names, readings_of};
 use dermis_live::same_skin::check_frames;
 use dermis_skin::Skin;
 
-use crate::{Error, Recording};
+use crate::{Error, Recording, bag};
 
 /// First bytes of every MCAP file.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// True of a file that is a recording, by its first bytes, or, where it cannot be read, by its name.
-pub fn is_recording(path: &Path) -> bool {
+/// Where what was understood of a file is said: a target of its own, which the command shows always.
+pub const UNDERSTOOD: &str = "understood";
+
+/// True of a file that is an MCAP file, by its first bytes, or, where it cannot be read, by its name.
+fn is_mcap(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
     match open_regular(path).and_then(|mut file| file.read_exact(&mut first)) {
         Ok(()) => first == MAGIC,
+        Err(_) if path.is_dir() => false,
         Err(_) => path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
     }
 }
@@ -35,34 +40,94 @@ pub fn check_skin(spec: &FileSpec, skin: &Skin) -> Result<(), Error> {
     Ok(check_frames(&name, &recorded, skin)?)
 }
 
-/// Reads the frames that `spec` names, of a recording or of a table in `format`, which is recognised where `None`. The
-/// frames of a recording have its numbers, and times from its first frame on.
+/// True of a file that is a recording, by its first bytes, or, where it cannot be read, by its name. An MCAP file of
+/// another program with arrays of numbers is none.
+pub fn is_recording(path: &Path) -> bool {
+    is_mcap(path) && !is_of_others(path)
+}
+
+/// An MCAP file that can be read, and has nothing of dermis in it.
+fn is_of_others(path: &Path) -> bool {
+    let Ok(file) = open_regular(path) else { return false };
+    let outline = crate::scan::Outline::read(&mut std::io::BufReader::new(file));
+    outline.ok().flatten().is_some_and(|outline| {
+        !outline.metadata.keys().any(|name| name.starts_with("dermis."))
+            && !outline.topics.values().any(|topic| topic.starts_with("/dermis/"))
+            && (!outline.topics.is_empty() || !outline.chunks.is_empty())
+    })
+}
+
+/// Reads the frames that `spec` names, of a recording, a bag or a table, as the options say: a [`ReadOptions`], or just a
+/// format or `None`. The frames of a recording have its numbers, times from its first frame on, and moments of the wall
+/// clock. What was understood is said under the target [`UNDERSTOOD`].
 ///
 /// # Errors
-/// A file that cannot be read or holds no frames, and a recording of more than [`MOST_BYTES`] of readings.
-pub fn read_frames(spec: &FileSpec, format: Option<Format>) -> Result<FrameTable, Error> {
-    if format.is_some() || spec.path.is_dir() || !is_recording(&spec.path) {
-        return Ok(dermis_device::read(spec, format)?);
-    }
-    let mut recording = Recording::open(&spec.path)?;
+/// A file that cannot be read or holds no frames, and more than [`MOST_BYTES`] of readings.
+pub fn read_frames(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTable, Error> {
+    let options: ReadOptions = options.into();
+    let table = read(spec, &options)?;
+    say(&table);
+    Ok(table)
+}
+
+/// The same for frames of a skin: its channels settle what a file leaves open, and columns that name their electrodes are
+/// put in its order.
+///
+/// # Errors
+/// As [`read_frames`], and electrodes in a header that are no channel of the skin.
+pub fn read_frames_of(skin: &Skin, spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTable, Error> {
+    let options: ReadOptions = options.into();
+    let options = options.with_channels(readings_of(skin));
+    let has_columns = options.columns != FrameSelect::All;
+    let table = read(spec, &options)?;
+    let table = if has_columns { table } else { order_by_names(table, skin)? };
+    say(&table);
+    Ok(table)
+}
+
+fn say(table: &FrameTable) {
+    tracing::info!(target: UNDERSTOOD, "{}: {}", table.source().display(), table.understood());
+}
+
+fn read(spec: &FileSpec, options: &ReadOptions) -> Result<FrameTable, Error> {
+    let path = spec.path.as_path();
+    Ok(if options.format.is_none() && is_recording(path) {
+        read_recording(path)?.select(&spec.select)?
+    } else if options.format.is_none() && (is_mcap(path) || bag::is_bag(path) || bag::is_sqlite(path)) {
+        bag::read(path, options)?.select(&spec.select)?
+    } else {
+        dermis_device::read(spec, options.clone())?
+    })
+}
+
+fn read_recording(path: &Path) -> Result<FrameTable, Error> {
+    let mut recording = Recording::open(path)?;
     let layout = recording.head().layout.clone();
     let (mut values, mut imaginary, mut times_ns, mut sequences) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let mut wall_ns = Vec::new();
     let mut frame = Frame::default();
     while recording.next_frame(&mut frame)? {
         values.extend_from_slice(&frame.values);
         imaginary.extend_from_slice(&frame.imaginary);
         times_ns.push(frame.device_time_ns.unwrap_or(frame.host_monotonic_ns));
+        wall_ns.push(i64::try_from(frame.host_wall_ns).unwrap_or(i64::MAX));
         sequences.push(frame.sequence);
         let found = 8 * (values.len() + imaginary.len()) as u64;
         if found > MOST_BYTES {
-            return Err(DeviceError::TooLarge { file: spec.path.clone(), limit: MOST_BYTES, found }.into());
+            return Err(DeviceError::TooLarge { file: path.to_owned(), limit: MOST_BYTES, found }.into());
         }
     }
     let first_ns = times_ns.first().copied().unwrap_or_default();
-    let times_s = times_ns.iter().map(|ns| ns.saturating_sub(first_ns) as f64 * 1e-9).collect();
-    let mut table = FrameTable::new(layout, values, &spec.path)?.with_times_s(times_s)?.with_sequences(sequences)?;
-    if !imaginary.is_empty() {
-        table = table.with_imaginary(imaginary)?;
+    // A clock that began anew stands before its first time.
+    let mut times_s: Vec<f64> =
+        times_ns.iter().map(|ns| (i128::from(*ns) - i128::from(first_ns)) as f64 * 1e-9).collect();
+    let mut notes = vec!["a recording of dermis".to_owned()];
+    mend_times(&mut times_s, &mut notes);
+    let damage = recording.damage();
+    if !damage.is_none() {
+        notes.push(damage.to_string());
     }
-    Ok(table.select(&spec.select)?)
+    let table = FrameTable::new(layout, values, path)?.with_times_s(times_s)?.with_sequences(sequences)?;
+    let table = table.with_wall_ns(wall_ns)?.with_notes(notes);
+    Ok(if imaginary.is_empty() { table } else { table.with_imaginary(imaginary)? })
 }

@@ -28,7 +28,7 @@
 //! | | |
 //! |---|---|
 //! | [`Recorder`], [`LiveRecording`] | writing, by hand or of a running pipeline |
-//! | [`Recording`], [`read_frames`], [`Replay`], [`rerun`] | reading; as a table, as a source, through a pipeline again |
+//! | [`Recording`], [`read_frames`], [`read_frames_of`], [`Replay`], [`rerun`] | reading; as a table, as a source, through a pipeline again |
 //! | [`export`](fn@export), [`sink`] | tables for other programs; JSON lines, images, touches |
 //! | [`recover`](fn@recover) | a whole recording of what is left of a broken one |
 //!
@@ -59,6 +59,7 @@
 //! [`Recording::damage`] says what is missing. Neither name is ever overwritten. Where a device stands under the name
 //! (a pipe, a terminal), it is written to directly.
 
+mod bag;
 mod cdr;
 mod error;
 mod export;
@@ -81,7 +82,7 @@ mod writer;
 
 pub use error::Error;
 pub use export::{Exported, Table, TableFormat, export};
-pub use frames::{check_skin, is_recording, read_frames};
+pub use frames::{UNDERSTOOD, check_skin, is_recording, read_frames, read_frames_of};
 pub use head::RecordingHead;
 pub use live::{LiveRecording, RecordingEnd};
 pub use messages::{BaselineEntry, EventEntry, OtherPlaceEntry, TouchEntry, TouchesEntry};

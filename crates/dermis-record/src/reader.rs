@@ -439,7 +439,7 @@ pub(super) fn read_chunk(input: &mut (impl Read + Seek), place: ChunkPlace) -> i
     input.seek(SeekFrom::Start(place.offset))?;
     let buffer = reader.insert(length);
     input.read_exact(&mut buffer[..length])?;
-    let announced_bytes = announced_size(&buffer[PREFIX as usize..length]);
+    let announced_bytes = if place.is_run { place.length } else { announced_size(&buffer[PREFIX as usize..length]) };
     reader.notify_read(length);
     Ok(Some((reader, announced_bytes)))
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use dermis_device::Layout;
 
 use super::live::{HYPERPARAMETER, TARE};
-use super::{BaselineEntry, Damage, Entry, EventEntry, Recording, RecordingHead};
+use super::{BaselineEntry, Damage, Entry, EventEntry, LostFrames, Recording, RecordingHead};
 use crate::Error;
 use dermis_live::calibration::Calibration;
 use dermis_live::driver::{Command, Driver, Feed, Next, Progress};
@@ -101,10 +101,15 @@ pub fn rerun<R: Read + Seek>(
     stop: &AtomicBool,
     mut each: impl FnMut(&Output<'_>) -> Result<ControlFlow<()>, Error>,
 ) -> Result<RerunReport, Error> {
-    let mut feed = RecordingFeed { recording, options, stop, begun: None };
+    let mut feed = RecordingFeed { recording, options, stop, begun: None, is_stopped: false };
     let progress = Driver::new(pipeline).run(&mut feed, &mut |output: &Output<'_>| each(output))?;
     let Progress { frames, missing, refused } = progress;
-    Ok(RerunReport { frames, missing, damage: feed.recording.damage(), refused })
+    let mut damage = feed.recording.damage();
+    // What was not reached is not lost.
+    if feed.is_stopped {
+        damage.frames = LostFrames::Exactly(0);
+    }
+    Ok(RerunReport { frames, missing, damage, refused })
 }
 
 /// Frames of a recording at their pace, and what was commanded between them.
@@ -114,6 +119,8 @@ struct RecordingFeed<'a, R> {
     stop: &'a AtomicBool,
     /// When the first frame was run, and its time.
     begun: Option<(Instant, u64)>,
+    /// It was told to stop before the end.
+    is_stopped: bool,
 }
 
 impl<R: Read + Seek> Feed for RecordingFeed<'_, R> {
@@ -126,8 +133,8 @@ impl<R: Read + Seek> Feed for RecordingFeed<'_, R> {
                 let (start, first_ns) = *self.begun.get_or_insert_with(|| (Instant::now(), frame.host_monotonic_ns));
                 let since_first = Duration::from_nanos(frame.host_monotonic_ns.saturating_sub(first_ns));
                 wait(start, since_first, self.options.speed, self.stop);
-                let is_stopped = self.stop.load(Ordering::Relaxed);
-                return Ok(if is_stopped { Next::End } else { Next::Frame(frame, None) });
+                self.is_stopped = self.stop.load(Ordering::Relaxed);
+                return Ok(if self.is_stopped { Next::End } else { Next::Frame(frame, None) });
             }
             Entry::Baseline { entry: BaselineEntry { record, values, noise_std }, .. } if self.begun.is_none() => {
                 let (record, values, noise_std) = (record.clone(), values.clone(), noise_std.clone());

@@ -12,14 +12,19 @@ use mcap::records::{Record, Statistics, op};
 /// Longest record, and longest chunk once decompressed, that is read into memory.
 pub(super) const MOST_BYTES: usize = 64 << 20;
 
+/// A run of messages outside chunks ends with the first one beyond these bytes.
+const RUN_BYTES: u64 = 1 << 20;
+
 /// Bytes before a record's content.
 pub(super) const PREFIX: u64 = 9;
 
-/// Where a chunk record stands, prefix included.
+/// Where a chunk record stands, prefix included, or a run of messages outside chunks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct ChunkPlace {
     pub offset: u64,
     pub length: u64,
+    /// Messages that stand outside chunks, one after the other.
+    pub is_run: bool,
 }
 
 /// What the first pass found.
@@ -86,7 +91,14 @@ impl Outline {
             return Ok(None);
         }
         match kind {
-            op::CHUNK => self.chunks.push(ChunkPlace { offset: at, length: PREFIX + length }),
+            // Messages outside chunks: runs of them are read as chunks are.
+            op::MESSAGE => match self.chunks.last_mut() {
+                Some(run) if run.is_run && run.offset + run.length == at && run.length < RUN_BYTES => {
+                    run.length += PREFIX + length;
+                }
+                _ => self.chunks.push(ChunkPlace { offset: at, length: PREFIX + length, is_run: true }),
+            },
+            op::CHUNK => self.chunks.push(ChunkPlace { offset: at, length: PREFIX + length, is_run: false }),
             op::FOOTER => self.whole = true,
             op::METADATA | op::SCHEMA | op::CHANNEL | op::STATISTICS => self.content(input, kind, length)?,
             _ => {}

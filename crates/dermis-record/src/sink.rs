@@ -58,6 +58,7 @@ pub(crate) mod testing {
             sequence,
             time_ns,
             wall_ns,
+            device_time_ns: Some(5),
             raw,
             compensated,
             image,

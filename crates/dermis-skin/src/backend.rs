@@ -57,6 +57,9 @@ pub struct Backend {
     /// Frames a second, where the instrument has a rate of its own.
     #[serde(default)]
     pub frames_per_s: Option<f64>,
+    /// What is sent to an instrument of lines with every connection: what starts it after its reset, line end included.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub send: Option<String>,
     /// What the electronics add to a reading, for twins.
     #[serde(default, skip_serializing_if = "Electronics::is_default")]
     pub electronics: Electronics,

@@ -66,6 +66,7 @@ impl Skin {
                 wiring: Wiring::default(),
                 circuit: None,
                 frames_per_s: None,
+                send: None,
                 electronics: Electronics::default(),
             },
             imaging: Imaging { polarity, gain, ..Imaging::default() },

@@ -212,9 +212,6 @@ impl Skin {
             None => (self.frontend.electrodes.count(), 0),
         };
         self.backend.check(elements, electrodes, checker)?;
-        if elements && self.touch.refine {
-            return Err(checker.refused("touch.refine", "true", "false with layer.kind = \"elements\""));
-        }
         // Faults may name channels.
         let channels = self.twin.names_channels().then(|| self.backend.protocol(electrodes.max(coils)));
         let channels = channels.and_then(Result::ok).map(|protocol| protocol.channel_count());

@@ -13,7 +13,7 @@ use dermis_live::forces::load_forces;
 use dermis_live::output::Output;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
-use dermis_record::read_frames;
+use dermis_record::read_frames_of;
 use dermis_skin::Skin;
 use dermis_touch::{Touch, TouchEvent};
 
@@ -97,7 +97,8 @@ impl Session {
     /// As [`Session::open`], and files that cannot be read or belong to another skin.
     pub fn open_with(source: &str, skin: Skin, options: &SessionOptions) -> Result<Self, Error> {
         let selector: SourceSelector = source.parse()?;
-        let baseline = options.baseline.as_ref().map(|spec| read_frames(spec, options.source.format)).transpose()?;
+        let baseline = options.baseline.as_ref();
+        let baseline = baseline.map(|spec| read_frames_of(&skin, spec, options.source.read.clone())).transpose()?;
         let OpenedSource { source, twin, .. } = open_source(&selector, &skin, &options.source)?;
         let calibration = match &options.calibration {
             Some(path) => Some(Calibration::parse(&instruments::read_bytes(path)?, path)?),

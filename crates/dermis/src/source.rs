@@ -3,12 +3,13 @@
 use crossbeam_channel::Receiver;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
-    FileSpec, Format, FrameSelect, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
+    FileSpec, FrameSelect, Instrument, Pacing, Playback, ReadOptions, Repeat, Source, SourceSelector,
+    open_stream_greeted, open_wire,
 };
 use dermis_lab::Error;
 use dermis_lab::measured_list::setup_of;
 use dermis_lab::twin_source::{TwinCommands, TwinSource};
-use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames};
+use dermis_record::{Recording, Replay, check_skin, is_recording, read_frames_of};
 use dermis_skin::Skin;
 use dermis_twin::PressRange;
 
@@ -16,7 +17,7 @@ use dermis_twin::PressRange;
 const FRAMES_PER_S: f64 = 20.0;
 
 /// How a source is opened.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SourceOptions {
     /// Pace of files and of the twin: 1 as recorded, 2 twice as fast, 0 as fast as frames are taken.
     pub speed: f64,
@@ -24,14 +25,14 @@ pub struct SourceOptions {
     pub as_set: bool,
     /// A recording of another skin is read as one of this skin.
     pub as_skin: bool,
-    /// Format of a file of frames; recognised where `None`.
-    pub format: Option<Format>,
+    /// How a file of frames is read.
+    pub read: ReadOptions,
 }
 
 impl Default for SourceOptions {
     /// As fast as frames are taken, instruments set to the skin.
     fn default() -> Self {
-        Self { speed: 0.0, as_set: false, as_skin: false, format: None }
+        Self { speed: 0.0, as_set: false, as_skin: false, read: ReadOptions::default() }
     }
 }
 
@@ -99,14 +100,14 @@ fn file(spec: &FileSpec, skin: &Skin, options: &SourceOptions) -> Result<OpenedS
         (_, None) => Pacing::Recorded,
         (speed, Some(frames_per_s)) => Pacing::Rate { frames_per_s: speed * frames_per_s },
     };
-    if !options.as_skin && options.format.is_none() {
+    if !options.as_skin && options.read.format.is_none() {
         check_skin(spec, skin)?;
     }
-    let is_whole = spec.select == FrameSelect::All && options.format.is_none();
+    let is_whole = spec.select == FrameSelect::All && options.read.format.is_none();
     let source: Box<dyn Source> = if is_whole && is_recording(&spec.path) {
         Box::new(Replay::new(Recording::open(&spec.path)?, pacing(None), Repeat::Once)?)
     } else {
-        let table = read_frames(spec, options.format)?;
+        let table = read_frames_of(skin, spec, options.read.clone())?;
         let usual = skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
         let rate = (table.times_s().is_none() || options.speed != 1.0).then_some(usual);
         // Frames without times are as far apart as the skin's, at whatever pace they are played.
@@ -132,5 +133,6 @@ fn instrument(selector: &SourceSelector, skin: &Skin, options: &SourceOptions) -
     if on_the_wire && !options.as_set {
         return Ok(open_wire(selector, StreamOptions::default(), setup_of(skin)?, true)?.0);
     }
-    Ok(open_stream(selector, StreamOptions::default())?)
+    let greeting = skin.backend.send.as_deref().unwrap_or_default();
+    Ok(open_stream_greeted(selector, StreamOptions::default(), greeting)?)
 }

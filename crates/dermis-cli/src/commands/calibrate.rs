@@ -16,18 +16,20 @@ use dermis::live::calibration::{
 };
 use dermis::live::channels::ChannelReader;
 use dermis::live::forces::save_forces;
+use dermis::live::label_checks::check_labels;
 use dermis::live::prepare::Prepared;
 use dermis::skin::{CircuitChoice, Skin, Wiring};
 use dermis::twin::from_skin::press_range;
-use dermis_device::{FileSpec, Format, FrameTable};
+use dermis_device::{FileSpec, FrameTable, ReadOptions};
 use dermis_touch::force::{CalibrationScope, CurveKind, ForceSample};
 use report::{print_experts, print_forces, print_pokes};
 
 use super::circuit::print_circuit;
 use super::extent::Extent;
+use super::reading::ReadArguments;
 use super::recorded::baseline_or_differences;
 use super::skin_word::SkinWord;
-use super::{busy, spinner, with_progress};
+use super::{busy, hint, spinner, with_progress};
 use crate::exit::{Outcome, UsageError};
 
 const EXAMPLE: &str = "\
@@ -40,7 +42,7 @@ Examples:
   dermis calibrate healing-square --twin --pokes 12 --out c.json
 
 The baseline has one frame for all pokes, or one for each; --differences says that the frames are differences from the
-untouched skin already. --start SISTER.json begins from the calibration of a skin of the same family. The positions have the columns x_m, y_m and, if the load is known, depth_m or force_n. Of a skin
+untouched skin already. --start SISTER.json begins from the calibration of a skin of the same family. The positions have the columns x_m, y_m (or x_mm, y_mm) and, if\nthe load is known, depth_m, depth_mm or force_n; it is said where they look mirrored, turned or shifted by a row, and positions\nthat have nothing to do with the frames are refused. Of a skin
 of which only the outline is known, --outline-mm and --channels stand for the skin file, which --write-skin writes for
 `run` and `reconstruct`. Without positions, what the readout does to the potentials is found from 20 or more frames of
 unknown touches. Printed are the leave-one-out error, what each part of the locator and physics brought, and where
@@ -72,13 +74,15 @@ pub struct Arguments {
     /// Frames of the pressed skin, one a poke.
     #[arg(long, value_name = "FILE[#FRAMES]", required_unless_present_any = ["twin", "baseline"])]
     frames: Option<FileSpec>,
-    /// Where each poke was: x_m, y_m[, depth_m or force_n]. Without it, what the readout does is found from the frames
+    /// Where each poke was: x_m, y_m[, depth_m or force_n], or x_mm, y_mm[, depth_mm]. Without it, what the readout does is found from the frames
     /// alone.
     #[arg(long, value_name = "FILE.csv")]
     positions: Option<PathBuf>,
-    /// Format of the frames (csv, columns, npy, sciospec, ...); recognised where left out.
+    #[command(flatten)]
+    read: ReadArguments,
+    /// Take the positions as they are, even where they do not seem to belong to the frames.
     #[arg(long)]
-    format: Option<Format>,
+    trust_labels: bool,
     /// Leave the skin file's physics out, however much it helps.
     #[arg(long)]
     no_physics: bool,
@@ -134,17 +138,17 @@ impl Measured {
         prepared: &Prepared,
         baseline: Option<&FileSpec>,
         frames: &FileSpec,
-        format: Option<Format>,
+        options: &ReadOptions,
     ) -> anyhow::Result<Self> {
         let reads = prepared.skin.backend.reads;
         let reader = |table: &FrameTable| {
             ChannelReader::new(table.layout(), &prepared.protocol, reads, &table.source().display().to_string())
         };
         let table = |file: &FileSpec| {
-            if format.is_none() {
+            if options.format.is_none() {
                 dermis::record::check_skin(file, &prepared.skin)?;
             }
-            dermis::record::read_frames(file, format)
+            dermis::record::read_frames_of(&prepared.skin, file, options.clone())
         };
         let frames = table(frames)?;
         let mut frame_reader = reader(&frames)?;
@@ -194,7 +198,8 @@ impl Arguments {
         let pokes = read_pokes(positions)?;
         let sisters = self.start.iter().map(|path| Calibration::load(path)).collect::<Result<Vec<_>, _>>()?;
         let prepared = Prepared::new(skin)?;
-        let measured = Measured::read(&prepared, self.baseline.as_ref(), frames, self.format)?;
+        let measured = Measured::read(&prepared, self.baseline.as_ref(), frames, &self.read.options())?;
+        self.check_labels(&prepared, &measured, &pokes)?;
         if let Some(path) = &self.forces {
             let diameter_mm = self.indenter_mm.ok_or_else(|| {
                 UsageError("--forces from files: --indenter-mm is needed, signals depend on the indenter".into())
@@ -224,6 +229,31 @@ impl Arguments {
         Ok(Outcome::Done)
     }
 
+    /// Says what is odd about the labels, and refuses those that have nothing to do with the frames.
+    fn check_labels(&self, prepared: &Prepared, measured: &Measured, pokes: &Pokes) -> anyhow::Result<()> {
+        if self.trust_labels {
+            return Ok(());
+        }
+        let found = check_labels(prepared, measured.as_pokes(), pokes)?;
+        if let Some(rows) = found.lag_rows {
+            let (rows, way) = (rows.unsigned_abs(), if rows > 0 { "lag behind" } else { "lead" });
+            let unit = if rows == 1 { "row" } else { "rows" };
+            hint(&format!("--positions {way} the frames by {rows} {unit}: shifted, they fit far better"));
+        }
+        if let Some(turn) = found.turned {
+            hint(&format!("--positions: {}: the model fits them far better so", turn.words));
+        }
+        if found.is_unrelated() {
+            let text = format!(
+                "positions and frames do not belong together: {:.0} % of shuffled tables fit as well (--trust-labels \
+                 takes them nevertheless)",
+                100.0 * found.p_value.unwrap_or(1.0)
+            );
+            return Err(UsageError(text).into());
+        }
+        Ok(())
+    }
+
     /// The skin named, or one of which only outline and channels are known.
     fn skin(&self) -> anyhow::Result<Skin> {
         let mut skin = match (self.outline_mm, self.channels, &self.write_skin) {
@@ -250,7 +280,8 @@ impl Arguments {
             return Err(UsageError("--baseline is needed: relative changes are taken against it".into()).into());
         };
         let prepared = Prepared::new(skin)?;
-        let read = Measured::read(&prepared, Some(baseline), self.frames.as_ref().unwrap_or(baseline), self.format)?;
+        let read =
+            Measured::read(&prepared, Some(baseline), self.frames.as_ref().unwrap_or(baseline), &self.read.options())?;
         let baselines = read.baselines.unwrap_or_default();
         let frames = if self.frames.is_some() { read.frames } else { Vec::new() };
         let changes = relative_changes(&prepared, &baselines, &frames)?;

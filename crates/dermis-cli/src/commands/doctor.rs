@@ -9,9 +9,10 @@ use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis_device::instruments::wire::Order;
 use dermis_device::stream::{StreamOptions, StreamSource};
 use dermis_device::{
-    DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream, open_wire,
+    DeviceError, Instrument, Pacing, Playback, Repeat, Source, SourceSelector, open_stream_greeted, open_wire,
 };
 
+use super::reading::ReadArguments;
 use super::skin_word::{SkinWord, skin};
 use crate::exit::{Outcome, UsageError};
 
@@ -31,6 +32,8 @@ pub struct Arguments {
     /// The instrument, as for `dermis run`: twin, tcp:HOST:PORT, serial:PORT and so on, or a file of frames.
     #[arg(long, default_value = "twin", value_name = "SOURCE")]
     source: String,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Frames to look at.
     #[arg(long, default_value_t = 128, value_name = "N")]
     frames: u64,
@@ -73,14 +76,14 @@ impl Arguments {
                 Err(UsageError(format!("--source {}: name the twin by SKIN, the first word", self.source)).into())
             }
             SourceSelector::File(spec) => {
-                let table = dermis::record::read_frames(&spec, None)?;
+                let table = dermis::record::read_frames_of(skin, &spec, self.read.options())?;
                 let playback = Playback::new(table, Pacing::Immediate, Repeat::Once).map_err(dermis::Error::from)?;
                 checks.push(Check::good("connection", playback.name()));
                 Ok(Some((Box::new(playback), None)))
             }
             live => {
                 let options = StreamOptions { patience, ..StreamOptions::default() };
-                match open_live(&live, options) {
+                match open_live(&live, options, skin.backend.send.as_deref().unwrap_or_default()) {
                     Ok((source, contacts_ohm)) => {
                         let identity = source.identity().unwrap_or_else(|| "it does not say what it is".into());
                         checks.push(Check::good("connection", self.source.as_str()));
@@ -126,6 +129,7 @@ type Examined = (Box<dyn Source>, Option<Vec<f32>>);
 fn open_live(
     selector: &SourceSelector,
     options: StreamOptions,
+    greeting: &str,
 ) -> Result<(StreamSource, Option<Vec<f32>>), DeviceError> {
     let on_the_wire = matches!(
         selector,
@@ -133,7 +137,7 @@ fn open_live(
             | SourceSelector::Serial { instrument: Instrument::Wire, .. }
     );
     if !on_the_wire {
-        return Ok((open_stream(selector, options)?, None));
+        return Ok((open_stream_greeted(selector, options, greeting)?, None));
     }
     let (source, control) = open_wire(selector, options, Vec::new(), false)?;
     let measures = control.description().is_some_and(|known| known.obeys(&Order::ElectrodeImpedance));

@@ -19,6 +19,7 @@ mod new;
 mod order;
 mod printing;
 mod progress;
+mod reading;
 mod reconstruct;
 mod record;
 mod recorded;

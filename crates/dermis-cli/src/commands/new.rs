@@ -125,21 +125,26 @@ fn write_new(path: &Path, content: &[u8]) -> Result<(), dermis::Error> {
     file.write_all(content).and_then(|()| file.sync_all()).map_err(failed)
 }
 
-/// Asks until the answer is one; where nobody sits at the terminal, the usual one is taken.
+/// Asks until the answer is one. Answers that come through a pipe are taken line by line, the usual one for an empty line
+/// and behind the last.
 fn ask<T>(
     out: &mut dyn Write,
     question: &str,
     usual: &str,
     parse: impl Fn(&str) -> Result<T, UsageError>,
 ) -> anyhow::Result<T> {
-    if !io::stdin().is_terminal() {
-        return Ok(parse(usual)?);
-    }
+    let is_terminal = io::stdin().is_terminal();
     loop {
-        write!(out, "{question} [{usual}]: ")?;
-        out.flush()?;
         let mut line = String::new();
+        if is_terminal {
+            write!(out, "{question} [{usual}]: ")?;
+            out.flush()?;
+        }
         if io::stdin().read_line(&mut line)? == 0 {
+            // A pipe has no more answers.
+            if !is_terminal {
+                return Ok(parse(usual)?);
+            }
             return Err(
                 UsageError("nothing was answered; expected answers or options, see dermis new --help".into()).into()
             );
@@ -147,7 +152,8 @@ fn ask<T>(
         let answer = if line.trim().is_empty() { usual } else { line.trim() };
         match parse(answer) {
             Ok(value) => return Ok(value),
-            Err(error) => writeln!(out, "{error}")?,
+            Err(error) if is_terminal => writeln!(out, "{error}")?,
+            Err(error) => return Err(error.into()),
         }
     }
 }

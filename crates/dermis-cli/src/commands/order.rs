@@ -3,10 +3,12 @@
 use std::io::Write;
 
 use dermis::lab::channel_search::{FoundOrder, OrderCandidate, find_order};
+use dermis::live::channels::readings_of;
 use dermis::record::read_frames;
 use dermis::skin::Skin;
-use dermis_device::{FileSpec, Format};
+use dermis_device::FileSpec;
 
+use super::reading::ReadArguments;
 use super::skin_word::SkinWord;
 use super::{print_json, spinner};
 use crate::exit::Outcome;
@@ -32,9 +34,8 @@ pub struct Arguments {
     /// Frames of the untouched skin.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: FileSpec,
-    /// Format of the file (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
@@ -44,7 +45,9 @@ impl Arguments {
     /// Searches, and says what fits.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let skin = self.skin.given()?.map(|name| Skin::open(&name)).transpose()?;
-        let table = read_frames(&self.baseline, self.format)?;
+        let channels = skin.as_ref().map(readings_of).unwrap_or_default();
+        let options = self.read.options().with_channels(channels);
+        let table = read_frames(&self.baseline, options)?;
         let spinner = spinner("comparing orders");
         let found = find_order(&table, skin.as_ref());
         spinner.finish_and_clear();

@@ -73,7 +73,7 @@ impl Arguments {
             skin,
             baseline: self.baseline,
             frames: self.recorded.frames,
-            format: self.recorded.format,
+            read: self.recorded.read.options(),
             as_skin: self.recorded.as_skin,
             calibration: self.calibration,
             forces: self.forces,
@@ -85,7 +85,7 @@ impl Arguments {
         let found = match (&report.order.better, &request.baseline) {
             // Behind a readout's circuit readings are not the model's voltages, whatever their order.
             (Some(_), Some(baseline)) if request.skin.backend.circuit.is_none() => {
-                Some(find_order(&read_frames(baseline, request.format)?, Some(&request.skin))?)
+                Some(find_order(&read_frames(baseline, request.read.clone())?, Some(&request.skin))?)
             }
             _ => None,
         };

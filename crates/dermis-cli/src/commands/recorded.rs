@@ -1,8 +1,9 @@
 //! What commands that work on frames from files are told alike: the skin, the frames and their format.
 
 use dermis::skin::Skin;
-use dermis_device::{FileSpec, Format};
+use dermis_device::FileSpec;
 
+use super::reading::ReadArguments;
 use super::skin_word::SkinWord;
 use crate::exit::UsageError;
 
@@ -14,9 +15,8 @@ pub(super) struct RecordedFrames {
     /// Frames to work on; #0..60 or #name after the file's name takes some of them.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     pub frames: FileSpec,
-    /// Format of all files of frames (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    pub format: Option<Format>,
+    #[command(flatten)]
+    pub read: ReadArguments,
     /// Read the frames of a recording as SKIN's though they are of another skin.
     #[arg(long)]
     pub as_skin: bool,

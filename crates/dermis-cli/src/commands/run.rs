@@ -85,6 +85,7 @@ impl Arguments {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         let (opened, mut pipeline, head) = self.input.open()?;
         self.classify_by_network(&mut pipeline)?;
+        let is_twin = opened.twin.is_some();
         let mut run = Running::new(opened.twin, head, &pipeline);
         let page = if self.headless {
             None
@@ -125,6 +126,7 @@ impl Arguments {
             let rest = if pipeline.hyperparameter().is_none() { ", before there was a baseline" } else { "" };
             eprintln!("{name} has ended after {} frames{rest}", pipeline.frames());
         }
+        let counters = if is_twin { Outcome::without_twins_frames(counters) } else { counters };
         Ok(run.outcome(counters, incomplete.as_deref()))
     }
 

@@ -66,7 +66,7 @@ impl Arguments {
             skin,
             reference: self.baseline,
             frames: self.recorded.frames,
-            format: self.recorded.format,
+            read: self.recorded.read.options(),
             network: match self.model {
                 Some(path) => NetworkChoice::File(path),
                 None if self.no_model => NetworkChoice::None,

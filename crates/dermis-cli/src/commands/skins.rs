@@ -122,6 +122,8 @@ fn list(json: bool, out: &mut dyn Write) -> anyhow::Result<Outcome> {
 
 fn show(name: &str, out: &mut dyn Write) -> anyhow::Result<Outcome> {
     let skin = Skin::open(name)?;
+    // Refuse the same skins as `draw`.
+    skin.body()?;
     let protocol = skin.protocol()?;
     meshed(&skin)?;
     let (low, high) = skin.outline().bounds_m();

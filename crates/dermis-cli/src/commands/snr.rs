@@ -3,10 +3,11 @@
 
 use std::io::{self, Write};
 
-use dermis_device::{FileSpec, Format, FrameTable};
+use dermis_device::{FileSpec, FrameTable};
 use dermis_touch::{RunningStats, SnrDefinition, SnrSummary, average_snr_db, snr_db};
 use serde::Serialize;
 
+use super::reading::ReadArguments;
 use crate::exit::Outcome;
 
 const EXAMPLE: &str = "\
@@ -30,9 +31,8 @@ pub struct Arguments {
     /// Frames of an untouched skin, one a row; #0..60 after the name takes some of them.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     frames: FileSpec,
-    /// Format of the file (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Print JSON instead of a table; ratios that are not finite are null.
     #[arg(long)]
     json: bool,
@@ -69,7 +69,7 @@ struct Channel {
 impl Arguments {
     /// Reads the frames and prints the ratios.
     pub fn run(&self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
-        let table = dermis::record::read_frames(&self.frames, self.format)?;
+        let table = dermis::record::read_frames(&self.frames, self.read.options())?;
         let report = Report::of(&table)?;
         if self.json {
             serde_json::to_writer_pretty(&mut *out, &report).map_err(io::Error::from)?;

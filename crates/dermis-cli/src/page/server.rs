@@ -1,7 +1,7 @@
 //! The server's own thread: a handful of embedded files, one WebSocket per page, and the guard before both.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
@@ -123,10 +123,11 @@ impl ServerHandle {
         self.address
     }
 
-    /// What to open in a browser on this machine, token included.
+    /// Address to open in a browser, token included. A server on all addresses gives its network address, which works
+    /// on this machine and from a phone.
     pub fn url(&self) -> String {
         let ip = self.address.ip();
-        let host = if ip.is_unspecified() { "127.0.0.1".to_owned() } else { bracketed(ip) };
+        let host = if ip.is_unspecified() { bracketed(network_address()) } else { bracketed(ip) };
         let query = self.token.as_ref().map(|token| format!("?token={}", token.as_str())).unwrap_or_default();
         format!("http://{host}:{}/{query}", self.address.port())
     }
@@ -150,6 +151,19 @@ impl ServerHandle {
             let _ = thread.join();
         }
     }
+}
+
+/// This machine's address in its network: that from which packets would leave. Nothing is sent; without a network it is
+/// the machine's own.
+fn network_address() -> IpAddr {
+    // An address that is nobody's (RFC 5737) goes the way of all that is far away.
+    let far_away = SocketAddr::from(([192, 0, 2, 1], 9));
+    let own = || {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+        socket.connect(far_away)?;
+        socket.local_addr()
+    };
+    own().map_or(Ipv4Addr::LOCALHOST.into(), |address| address.ip())
 }
 
 impl Drop for ServerHandle {

@@ -4,14 +4,18 @@
 use std::path::Path;
 
 use super::csv::{self, Shape};
-use crate::{DeviceError, FrameTable, Layout};
+use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 /// Frames in columns, in whatever channel order the file has.
 ///
 /// # Errors
 /// As [`csv::parse`].
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
-    decode_as(content, file, |count| Layout::Channels { count })
+    decode_with(content, file, &ReadOptions::default())
+}
+
+pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
+    decode_as(content, file, options, |count| Layout::Channels { count })
 }
 
 /// Whether the first name is one that only a column of readings has.
@@ -24,9 +28,10 @@ pub(super) fn looks_like(shape: &Shape) -> bool {
 pub(super) fn decode_as(
     content: &[u8],
     file: &Path,
+    options: &ReadOptions,
     layout: impl FnOnce(usize) -> Layout,
 ) -> Result<FrameTable, DeviceError> {
-    let table = csv::parse(content, file)?;
+    let table = csv::parse_with(content, file, options)?;
     let layout = layout(table.rows());
     if layout.channels() != table.rows() {
         let expected = layout.channels();
@@ -34,7 +39,7 @@ pub(super) fn decode_as(
         return Err(DeviceError::Count { file: file.to_owned(), what, expected, found: table.rows() });
     }
     let values = (0..table.columns).flat_map(|column| table.column(column)).collect();
-    let frames = FrameTable::new(layout, values, file)?;
+    let frames = FrameTable::new(layout, values, file)?.with_notes(vec!["frames in columns".to_owned()]);
     match table.header {
         Some(names) => frames.with_names(names),
         None => Ok(frames),
@@ -56,7 +61,7 @@ mod tests {
 
     #[test]
     fn only_names_of_a_reference_are_recognised() {
-        let shape = |text: &str| Shape::of(text.as_bytes(), Path::new("made.csv")).unwrap();
+        let shape = |text: &str| Shape::of(text.as_bytes(), Path::new("made.csv")).unwrap().unwrap();
         assert!(looks_like(&shape("Reference,x\n1,2\n")));
         assert!(!looks_like(&shape("x,ref\n1,2\n")));
         assert!(!looks_like(&shape("1,2\n1,2\n")));

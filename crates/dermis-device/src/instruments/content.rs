@@ -9,6 +9,9 @@ use crate::DeviceError;
 /// First bytes of every file.
 pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
 
+/// First bytes of a ZIP archive.
+pub(super) const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
+
 /// Most bytes of one file that are read into memory.
 pub const MOST_BYTES: u64 = 1 << 30;
 
@@ -51,7 +54,7 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>, DeviceError> {
 pub(crate) fn describe(content: &[u8]) -> &'static str {
     const SIGNATURES: [(&[u8], &str); 16] = [
         (NPY_MAGIC, "a NumPy array (npy)"),
-        (b"PK\x03\x04", "a ZIP archive (npz or xlsx?)"),
+        (ZIP_MAGIC, "a ZIP archive that is no npz (xlsx? save the sheet as CSV)"),
         (b"\x89HDF\r\n\x1a\n", "an HDF5 file (or MATLAB 7.3)"),
         (b"MATLAB 5.0", "a MATLAB 5 file"),
         (b"\x89MCAP0\r\n", "an MCAP recording"),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::columns;
 use super::csv::Shape;
-use crate::{DeviceError, FrameTable, Layout};
+use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 const LAYOUT: Layout = Layout::FullMatrix { electrodes: 16 };
 
@@ -14,11 +14,12 @@ const LAYOUT: Layout = Layout::FullMatrix { electrodes: 16 };
 /// # Errors
 /// As [`columns::decode`], and [`DeviceError::Count`] for another number of rows than 256.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
-    columns::decode_as(content, file, |_| LAYOUT)
+    columns::decode_as(content, file, &ReadOptions::default(), |_| LAYOUT)
 }
 
+/// A head that begins with the reference, and 256 rows: 256 frames of a few channels have other names.
 pub(super) fn looks_like(shape: &Shape) -> bool {
-    shape.header.is_some() && shape.rows == LAYOUT.channels() && shape.columns < 16
+    columns::looks_like(shape) && shape.rows == LAYOUT.channels() && shape.columns < 16
 }
 
 #[cfg(test)]

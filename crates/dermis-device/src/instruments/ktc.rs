@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::columns;
 use super::csv::Shape;
-use crate::{DeviceError, FrameTable, Layout};
+use crate::{DeviceError, FrameTable, Layout, ReadOptions};
 
 /// Readings in a frame: 76 injections x 31 differences.
 pub const CHANNELS: usize = 76 * 31;
@@ -15,11 +15,12 @@ pub const CHANNELS: usize = 76 * 31;
 /// # Errors
 /// As [`columns::decode`], and [`DeviceError::Count`] for another number of rows.
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
-    columns::decode_as(content, file, |_| Layout::Channels { count: CHANNELS })
+    columns::decode_as(content, file, &ReadOptions::default(), |_| Layout::Channels { count: CHANNELS })
 }
 
+/// A head that begins with the reference, and as many rows as there are channels.
 pub(super) fn looks_like(shape: &Shape) -> bool {
-    shape.header.is_some() && shape.rows == CHANNELS && shape.columns < 32
+    columns::looks_like(shape) && shape.rows == CHANNELS && shape.columns < 32
 }
 
 #[cfg(test)]

@@ -1,9 +1,11 @@
-//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do.
-//! Numbers are separated by commas, semicolons or blanks; words and what stands before a colon are no numbers. Frames
-//! are not numbered, so that lost ones are not known.
+//! Instruments that print a line of numbers for each frame, as OpenEIT and many sketches for microcontrollers do: numbers
+//! separated by commas, semicolons or blanks, in brackets, behind labels or times, as `name:value` pairs. Lines without
+//! numbers are passed over; one with another count of numbers, or with a word among them, is counted as damaged, with its
+//! reason. Frames are not numbered, so that lost ones are not known.
 
 use std::time::Duration;
 
+use super::number_line::{self, Found};
 use crate::stream::{Dialogue, Inbox};
 use crate::{HostStamp, Layout};
 
@@ -24,6 +26,8 @@ pub struct Lines {
     /// Numbers of the last line, and how many lines in a row had as many.
     agreeing: (usize, u32),
     sequence: u64,
+    /// What the instrument waits for before it sends.
+    greeting: Vec<u8>,
 }
 
 impl Lines {
@@ -32,17 +36,32 @@ impl Lines {
         Self { channels, ..Self::default() }
     }
 
+    /// Sends `greeting` with every connection: what starts an instrument after its reset.
+    #[must_use]
+    pub fn with_greeting(self, greeting: &str) -> Self {
+        Self { greeting: greeting.as_bytes().to_vec(), ..self }
+    }
+
     fn finish(&mut self, at: HostStamp, inbox: &mut Inbox) {
         let skip = std::mem::replace(&mut self.skip, false);
-        if skip || !parse(&self.line, &mut self.numbers) {
-            let damaged = skip && self.line.len() >= LONGEST_LINE;
-            self.line.clear();
-            if damaged {
-                inbox.bad_because(format!("a line without end, of more than {LONGEST_LINE} bytes"));
+        let line = std::mem::take(&mut self.line);
+        let found = match (skip, str::from_utf8(&line)) {
+            (true, _) if line.len() >= LONGEST_LINE => {
+                Found::Bad(format!("a line without end, of more than {LONGEST_LINE} bytes"))
             }
-            return;
-        }
+            (true, _) => Found::Nothing,
+            (false, Ok(text)) => number_line::read(text, self.channels, &mut self.numbers),
+            (false, Err(_)) => Found::Bad("a line that is no text".to_owned()),
+        };
+        self.line = line;
         self.line.clear();
+        match found {
+            Found::Numbers => {}
+            Found::Nothing => return,
+            // Before the channels are known, what a device prints as it starts is no frame.
+            Found::Bad(_) if self.channels.is_none() => return,
+            Found::Bad(reason) => return inbox.bad_because(reason),
+        }
         let count = self.numbers.len();
         if self.channels.is_none() {
             self.agreeing = if self.agreeing.0 == count { (count, self.agreeing.1 + 1) } else { (count, 1) };
@@ -59,23 +78,9 @@ impl Lines {
     }
 }
 
-/// Reads the numbers of a line; false where it holds none (a heading, a comment, an empty line).
-fn parse(line: &[u8], numbers: &mut Vec<f64>) -> bool {
-    numbers.clear();
-    let Ok(text) = str::from_utf8(line) else { return false };
-    let text = text.rsplit_once(':').map_or(text, |(_, after)| after).trim();
-    let words = text.split(|c: char| c.is_whitespace() || c == ',' || c == ';' || c == '[' || c == ']');
-    for word in words.filter(|word| !word.is_empty()) {
-        match word.parse::<f64>() {
-            Ok(number) if !number.is_infinite() => numbers.push(number),
-            _ => return false,
-        }
-    }
-    !numbers.is_empty()
-}
-
 impl Dialogue for Lines {
-    fn open(&mut self, _send: &mut Vec<u8>) {
+    fn open(&mut self, send: &mut Vec<u8>) {
+        send.extend_from_slice(&self.greeting);
         self.line.clear();
         self.begun = None;
         self.skip = true;
@@ -138,6 +143,23 @@ mod tests {
         assert_eq!(values, [[1.0, 2.5], [-0.3, 4.0], [5.0, 6.0], [7.0, 8.0]]);
         assert_eq!(frames.iter().map(|frame| frame.sequence).collect::<Vec<_>>(), [0, 1, 2, 3]);
         assert_eq!((bad, layout), (0, Some(Layout::Channels { count: 2 })));
+    }
+
+    #[test]
+    fn tuples_pairs_and_trailing_separators_are_frames_and_bad_lines_are_counted_with_their_reason() {
+        let mut lines = Lines::new(Some(3)).with_greeting("start\n");
+        let (mut inbox, out, _spare) = Inbox::new(32);
+        let mut send = Vec::new();
+        lines.open(&mut send);
+        assert_eq!(send, b"start\n");
+        let text = "\n(1, 2, 3)\nV1:1,V2:2,V3:3\n1,2,3,\r\n1,ovf,3\n1,nan,3\nready\n1,2\n";
+        lines.receive(text.as_bytes(), HostStamp::now(), &mut inbox, &mut send).unwrap();
+        let frames: Vec<Frame> = out.try_iter().collect();
+        assert_eq!(frames.len(), 4);
+        assert!(frames[..3].iter().all(|frame| frame.values == [1.0, 2.0, 3.0]));
+        assert!(frames[3].values[1].is_nan());
+        assert_eq!(inbox.losses().1, 2);
+        assert_eq!(inbox.reason(), Some("a line of 2 numbers, expected 3"));
     }
 
     #[test]

@@ -9,19 +9,25 @@ pub mod floats;
 pub mod golfball;
 pub mod ktc;
 pub mod lines;
+pub mod log;
 pub mod npy;
+pub mod npz;
+mod number_line;
 pub mod pyeidors;
 pub mod sciospec;
+mod text;
+mod times;
 pub mod wire;
 
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-use self::content::NPY_MAGIC;
-use crate::{DeviceError, FileSpec, FrameTable};
+use self::content::{NPY_MAGIC, ZIP_MAGIC};
+use crate::{DeviceError, FileSpec, FrameTable, ReadOptions};
 pub use content::{MOST_BYTES, open_regular, read_bytes};
 pub(crate) use content::{foreign, text_of};
+pub use times::mend as mend_times;
 
 /// A file format of frames.
 ///
@@ -29,18 +35,22 @@ pub(crate) use content::{foreign, text_of};
 /// use dermis_device::Format;
 ///
 /// assert_eq!("sciospec".parse::<Format>()?, Format::Sciospec);
-/// let message = "xlsx".parse::<Format>().unwrap_err().to_string();
-/// assert_eq!(message, "'xlsx': expected one of csv, columns, npy, sciospec, ktc, golfball, pyeidors");
+/// let message = "toml".parse::<Format>().unwrap_err().to_string();
+/// assert_eq!(message, "'toml': expected one of csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors");
 /// # Ok::<(), dermis_device::DeviceError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// Text, one frame a row: [`csv`].
     Csv,
+    /// Text whose lines hold the numbers of a frame among labels, times and brackets: [`log`].
+    Lines,
     /// Text, one frame a column under a row of names: [`columns`].
     Columns,
     /// NumPy array, one frame a row: [`npy`].
     Npy,
+    /// Archive of NumPy arrays, of which one holds the frames: [`npz`].
+    Npz,
     /// Sciospec `.eit`, one frame a file: [`sciospec`].
     Sciospec,
     /// Columns of the Kuopio Tomography Challenge's 2356 readings: [`ktc`].
@@ -53,15 +63,26 @@ pub enum Format {
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 7] =
-        [Self::Csv, Self::Columns, Self::Npy, Self::Sciospec, Self::Ktc, Self::Golfball, Self::Pyeidors];
+    pub const ALL: [Self; 9] = [
+        Self::Csv,
+        Self::Lines,
+        Self::Columns,
+        Self::Npy,
+        Self::Npz,
+        Self::Sciospec,
+        Self::Ktc,
+        Self::Golfball,
+        Self::Pyeidors,
+    ];
 
     /// The name by which users choose it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Csv => "csv",
+            Self::Lines => "lines",
             Self::Columns => "columns",
             Self::Npy => "npy",
+            Self::Npz => "npz",
             Self::Sciospec => "sciospec",
             Self::Ktc => "ktc",
             Self::Golfball => "golfball",
@@ -71,27 +92,40 @@ impl Format {
 
     /// Recognises a format by a file's whole content; a directory is recognised with empty content.
     ///
-    /// Text with numbers is told apart by its shape: a head of names over 256 or 2356 rows is golfball or ktc; a head
-    /// that starts with `ref`, `reference` or `baseline` is columns; four columns without a head and n(n-3) rows for an
-    /// electrode count n are pyeidors; all else is csv.
+    /// Text with numbers is told apart by its shape: a header that starts with `ref`, `reference` or `baseline` is
+    /// golfball over 256 rows, ktc over 2356, and columns otherwise; four columns without a header and n(n-3) rows for an
+    /// electrode count n that look like two frames are pyeidors; numbers behind labels or in brackets are lines; all else
+    /// is csv.
     ///
     /// # Errors
     /// [`DeviceError::Foreign`] saying what the content looks like.
     pub fn detect(path: &Path, content: &[u8]) -> Result<Self, DeviceError> {
+        Self::detect_with(path, content, &ReadOptions::default())
+    }
+
+    fn detect_with(path: &Path, content: &[u8], options: &ReadOptions) -> Result<Self, DeviceError> {
         if path.is_dir() || sciospec::looks_like(path, content) {
             return Ok(Self::Sciospec);
         }
         if content.starts_with(NPY_MAGIC) {
             return Ok(Self::Npy);
         }
-        let shape = csv::Shape::of(content, path)?;
-        if ktc::looks_like(&shape) {
+        if content.starts_with(ZIP_MAGIC) && npz::looks_like(content) {
+            return Ok(Self::Npz);
+        }
+        let Some(shape) = csv::Shape::with(content, path, options)? else { return Ok(Self::Lines) };
+        let is_frame = options.channels.contains(&shape.columns);
+        if is_frame || options.skip_rows > 0 {
+            Ok(Self::Csv)
+        } else if ktc::looks_like(&shape) {
             Ok(Self::Ktc)
         } else if golfball::looks_like(&shape) {
             Ok(Self::Golfball)
         } else if columns::looks_like(&shape) {
             Ok(Self::Columns)
-        } else if pyeidors::looks_like(&shape) {
+        } else if pyeidors::looks_like(&shape)
+            && csv::parse(content, path).is_ok_and(|table| pyeidors::holds_two_frames(&table))
+        {
             Ok(Self::Pyeidors)
         } else {
             Ok(Self::Csv)
@@ -116,17 +150,17 @@ impl fmt::Display for Format {
     }
 }
 
-/// Reads the frames that `spec` names, in the given format or the one recognised.
+/// Reads the frames that `spec` names, as the options say: a [`ReadOptions`], or just a format or `None`.
 ///
-/// Where a table with a head of names is read and `spec` chooses frames by name, its frames are taken to be columns.
+/// Where a table with a header of names is read and `spec` chooses frames by name, its frames are taken to be columns.
 ///
 /// # Errors
 /// Any [`DeviceError`]; the message names the file and the place in it.
-pub fn read(spec: &FileSpec, format: Option<Format>) -> Result<FrameTable, DeviceError> {
-    let path = spec.path.as_path();
+pub fn read(spec: &FileSpec, options: impl Into<ReadOptions>) -> Result<FrameTable, DeviceError> {
+    let (path, options): (&Path, ReadOptions) = (&spec.path, options.into());
     if path.is_dir() {
-        return match format {
-            None | Some(Format::Sciospec) => sciospec::read_directory(path)?.select(&spec.select),
+        return match options.format {
+            None | Some(Format::Sciospec) => sciospec::read_directory_with(path, &options)?.select(&spec.select),
             Some(_) => Err(DeviceError::Foreign {
                 file: path.to_owned(),
                 expected: "a file",
@@ -134,15 +168,18 @@ pub fn read(spec: &FileSpec, format: Option<Format>) -> Result<FrameTable, Devic
             }),
         };
     }
+    if matches!(options.format, None | Some(Format::Npy)) && npy::is_npy(path) {
+        return npy::read_frames(path, &options)?.select(&spec.select);
+    }
     let content = read_bytes(path)?;
-    let format = match format {
+    let format = match options.format {
         Some(format) => format,
-        None => match Format::detect(path, &content)? {
+        None => match Format::detect_with(path, &content, &options)? {
             Format::Csv if spec.select.names_frames() => Format::Columns,
             detected => detected,
         },
     };
-    decode(format, &content, path)?.select(&spec.select)
+    decode_with(format, &content, path, &options)?.select(&spec.select)
 }
 
 /// Decodes the content of one file; `file` is for messages (and for Sciospec's frame number).
@@ -150,11 +187,27 @@ pub fn read(spec: &FileSpec, format: Option<Format>) -> Result<FrameTable, Devic
 /// # Errors
 /// Any [`DeviceError`] but [`DeviceError::Io`].
 pub fn decode(format: Format, content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
+    decode_with(format, content, file, &ReadOptions::default())
+}
+
+/// As [`decode`], as the options say.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_with(
+    format: Format,
+    content: &[u8],
+    file: &Path,
+    options: &ReadOptions,
+) -> Result<FrameTable, DeviceError> {
     match format {
-        Format::Csv => csv::decode(content, file),
-        Format::Columns => columns::decode(content, file),
-        Format::Npy => npy::decode(content, file)?.into_frames(file),
-        Format::Sciospec => sciospec::decode(content, file),
+        Format::Csv if options.transpose => columns::decode_with(content, file, options),
+        Format::Csv => csv::decode_with(content, file, options),
+        Format::Lines => log::decode_with(content, file, options),
+        Format::Columns => columns::decode_with(content, file, options),
+        Format::Npy => npy::decode(content, file)?.into_frames_with(file, options),
+        Format::Npz => npz::decode_with(content, file, options),
+        Format::Sciospec => sciospec::decode_with(content, file, options),
         Format::Ktc => ktc::decode(content, file),
         Format::Golfball => golfball::decode(content, file),
         Format::Pyeidors => pyeidors::decode(content, file),

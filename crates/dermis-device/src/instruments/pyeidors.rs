@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::csv::{self, Shape};
+use super::csv::{self, NumberTable, Shape};
 use crate::{DeviceError, FrameTable, Layout};
 
 /// Two complex frames named `reference` and `target`.
@@ -27,6 +27,19 @@ pub(super) fn looks_like(shape: &Shape) -> bool {
     shape.header.is_none()
         && shape.columns == 4
         && (8..=64).any(|electrodes| shape.rows == electrodes * (electrodes - 3))
+}
+
+/// Whether the numbers are those of two frames: target and reference differ less than the channels do. Rows that are
+/// frames of four channels are alike, and their columns are not.
+pub(super) fn holds_two_frames(table: &NumberTable) -> bool {
+    let spread = |values: &[f64]| {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+    };
+    let (reference, target): (Vec<f64>, Vec<f64>) = (table.column(0).collect(), table.column(2).collect());
+    let differences: Vec<f64> = reference.iter().zip(&target).map(|(a, b)| a - b).collect();
+    let size = (differences.iter().map(|value| value * value).sum::<f64>() / differences.len() as f64).sqrt();
+    size < 0.5 * spread(&reference)
 }
 
 #[cfg(test)]

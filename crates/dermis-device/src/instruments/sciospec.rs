@@ -1,21 +1,28 @@
-//! Sciospec `.eit` files, version 2: text, one frame a file, every electrode's complex potential for every injection.
+//! Sciospec `.eit` files, versions 1 and 2: text, one frame a file, every electrode's complex potential for every injection.
 //!
 //! The first line counts the header's lines, itself included; then, in fixed places, version, name, date, frequencies,
 //! amplitude and rate, and further down the measuring channels under their name. After the header, each injection is a
 //! line with the two electrode numbers (current in, current out) and a line of real and imaginary parts in volts,
-//! either of the measuring channels or of all channels that the instrument has.
+//! either of the measuring channels or of all channels that the instrument has. A sweep has such a line for each of its
+//! frequencies, of which one is read, or the difference of two. Version 1 has nine lines of header, no version and no list
+//! of channels.
 
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use super::times::days_since_1970;
 use super::{foreign, read_bytes, text_of};
 use crate::error::shorten;
-use crate::{DeviceError, FrameTable, Layout};
+use crate::{DeviceError, FrameTable, Frequencies, Layout, ReadOptions};
 
-const EXPECTED: &str = "a Sciospec .eit file (text, version 2)";
+const EXPECTED: &str = "a Sciospec .eit file (text, version 1 or 2)";
 const MOST_ELECTRODES: usize = 256;
+/// Most frequencies of a sweep: more than instruments offer.
+const MOST_FREQUENCIES: usize = 1024;
+/// Lines of a header of version 1.
+const LINES_OF_VERSION_1: usize = 9;
 const CHANNELS_KEY: &str = "MeasurementChannels:";
 const PRESENT_KEY: &str = "MeasurementChannelsIndependentFromInjectionPattern:";
 
@@ -26,14 +33,18 @@ pub struct Setup {
     pub name: String,
     /// Start of the frame, seconds since 1970-01-01 on the instrument's local calendar.
     pub time_s: f64,
-    /// Excitation frequency.
+    /// Excitation frequency that was read, the first of two whose difference was taken.
     pub frequency_hz: f64,
+    /// All frequencies of the file.
+    pub frequencies_hz: Vec<f64>,
     /// Injected current.
     pub amplitude_a: f64,
     /// Frames in a second.
     pub frames_per_s: f64,
     /// Numbers of the measuring channels as the instrument counts them, in file order; index in this list = electrode.
     pub channels: Vec<usize>,
+    /// Frequencies that make a reading, by place in the sweep, and their weights.
+    taken: Vec<(usize, f64)>,
     /// Channels of which every row has a pair of numbers; those that do not measure are skipped.
     columns: Vec<usize>,
 }
@@ -63,7 +74,11 @@ pub(super) fn looks_like(path: &Path, content: &[u8]) -> bool {
 /// # Errors
 /// As [`parse`].
 pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
-    let measurement = parse(content, file)?;
+    decode_with(content, file, &ReadOptions::default())
+}
+
+pub(super) fn decode_with(content: &[u8], file: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
+    let measurement = parse_with(content, file, options.frequencies_hz)?;
     into_table(vec![(file_number(file), measurement)], file)
 }
 
@@ -74,13 +89,17 @@ pub fn decode(content: &[u8], file: &Path) -> Result<FrameTable, DeviceError> {
 /// As [`parse`] for the first unreadable file; [`DeviceError::Foreign`] without `.eit` files;
 /// [`DeviceError::Field`] for a file whose channels, injections or frequency differ from the first one's.
 pub fn read_directory(directory: &Path) -> Result<FrameTable, DeviceError> {
+    read_directory_with(directory, &ReadOptions::default())
+}
+
+pub(super) fn read_directory_with(directory: &Path, options: &ReadOptions) -> Result<FrameTable, DeviceError> {
     let mut files = numbered_files(directory)?;
     if files.is_empty() {
         files = files_below(directory)?;
     }
     let mut measurements = Vec::with_capacity(files.len());
     for (number, file) in files {
-        let measurement = parse(&read_bytes(&file)?, &file)?;
+        let measurement = parse_with(&read_bytes(&file)?, &file, options.frequencies_hz)?;
         if let Some((_, first)) = measurements.first() {
             refuse_other_setup(first, &measurement, &file)?;
         }
@@ -101,7 +120,11 @@ fn into_table(measurements: Vec<(Option<u64>, Measurement)>, source: &Path) -> R
         real_v.extend_from_slice(&measurement.real_v);
         imaginary_v.extend_from_slice(&measurement.imaginary_v);
     }
+    let hertz = |taken: &(usize, f64)| first.setup.frequencies_hz[taken.0].to_string();
+    let taken: Vec<String> = first.setup.taken.iter().map(hertz).collect();
+    let notes = vec![format!("Sciospec, {} Hz", taken.join(" Hz less "))];
     let table = FrameTable::new(layout, real_v, source)?.with_imaginary(imaginary_v)?.with_times_s(times_s)?;
+    let table = table.with_notes(notes);
     match numbers {
         Some(numbers) => table.with_sequences(numbers),
         None => Ok(table),
@@ -143,12 +166,16 @@ fn refuse_other_setup(first: &Measurement, other: &Measurement, file: &Path) -> 
 /// [`DeviceError::Foreign`] for other content, [`DeviceError::Field`] and [`DeviceError::Cell`] with the line,
 /// [`DeviceError::Empty`] without an injection.
 pub fn parse(content: &[u8], file: &Path) -> Result<Measurement, DeviceError> {
+    parse_with(content, file, Frequencies::Only)
+}
+
+fn parse_with(content: &[u8], file: &Path, wanted: Frequencies) -> Result<Measurement, DeviceError> {
     let text = text_of(content, file, EXPECTED)?;
     let mut reader = Lines { file, lines: text.lines().collect(), content };
     while reader.lines.last().is_some_and(|line| line.trim().is_empty()) {
         reader.lines.pop();
     }
-    let (header_lines, setup) = reader.header()?;
+    let (header_lines, setup) = reader.header(wanted)?;
     let mut measurement = Measurement { setup, injections: vec![], real_v: vec![], imaginary_v: vec![] };
     let mut seen = HashSet::new();
     let mut line = header_lines + 1;
@@ -159,7 +186,7 @@ pub fn parse(content: &[u8], file: &Path) -> Result<Measurement, DeviceError> {
         }
         measurement.injections.push(injection);
         reader.readings(line + 1, &mut measurement)?;
-        line += 2;
+        line += 1 + measurement.setup.frequencies_hz.len();
     }
     if measurement.injections.is_empty() {
         return Err(DeviceError::Empty { file: file.to_owned() });
@@ -196,25 +223,64 @@ impl Lines<'_> {
     }
 
     /// Number of header lines, and what they say.
-    fn header(&self) -> Result<(usize, Setup), DeviceError> {
+    fn header(&self, wanted: Frequencies) -> Result<(usize, Setup), DeviceError> {
         let count: usize = self.line(1).parse().map_err(|_| foreign(self.file, EXPECTED, self.content))?;
-        if !(11..=64).contains(&count) {
-            return Err(self.wrong(1, "number of header lines", "11 to 64 (version 2)"));
+        if count != LINES_OF_VERSION_1 && !(11..=64).contains(&count) {
+            return Err(self.wrong(1, "number of header lines", "9 (version 1) or 11 to 64 (version 2)"));
         }
         if count > self.lines.len() {
             return Err(self.wrong(self.lines.len() + 1, "header", &format!("{count} header lines as line 1 says")));
         }
         let positive = |value: &f64| value.is_finite() && *value > 0.0;
-        self.field(2, "version", "2", |&version: &u32| version == 2)?;
-        let time_s = self.time(4)?;
-        let frequency_hz = self.field(5, "lowest frequency", "a positive number of hertz", positive)?;
-        self.field(6, "highest frequency", "a positive number of hertz", positive)?;
-        self.field(8, "number of frequencies", "1 (several are not read)", |&count: &usize| count == 1)?;
-        let amplitude_a = self.field(9, "amplitude", "a positive number of amperes", positive)?;
-        let frames_per_s = self.field(10, "frame rate", "a positive number", positive)?;
+        // Version 1 does not state its version.
+        let before = if count == LINES_OF_VERSION_1 { 1 } else { 2 };
+        if before == 2 {
+            self.field(2, "version", "2", |&version: &u32| version == 2)?;
+        }
+        let time_s = self.time(before + 2)?;
+        let lowest_hz: f64 = self.field(before + 3, "lowest frequency", "a positive number of hertz", positive)?;
+        let highest_hz: f64 = self.field(before + 4, "highest frequency", "a positive number of hertz", positive)?;
+        let expected = format!("1 to {MOST_FREQUENCIES}");
+        let steps: usize = self.field(before + 6, "number of frequencies", &expected, |steps: &usize| {
+            (1..=MOST_FREQUENCIES).contains(steps)
+        })?;
+        let is_logarithmic = steps > 1
+            && self
+                .field(before + 5, "scale of frequencies", "0 (linear) or 1 (logarithmic)", |scale: &u8| *scale <= 1)?
+                == 1;
+        let frequencies_hz = sweep_hz(lowest_hz, highest_hz, steps, is_logarithmic);
+        let taken = self.taken(&frequencies_hz, wanted, before + 6)?;
+        let frequency_hz = taken.first().map_or(lowest_hz, |(index, _)| frequencies_hz[*index]);
+        let amplitude_a = self.field(before + 7, "amplitude", "a positive number of amperes", positive)?;
+        let frames_per_s = self.field(before + 8, "frame rate", "a positive number", positive)?;
         let (channels, columns) = self.channels(count)?;
-        let name = self.line(3).to_owned();
-        Ok((count, Setup { name, time_s, frequency_hz, amplitude_a, frames_per_s, channels, columns }))
+        let name = self.line(before + 1).to_owned();
+        Ok((
+            count,
+            Setup { name, time_s, frequency_hz, frequencies_hz, amplitude_a, frames_per_s, channels, taken, columns },
+        ))
+    }
+
+    /// Which frequencies make a reading, and with which weights.
+    fn taken(&self, all_hz: &[f64], wanted: Frequencies, line: usize) -> Result<Vec<(usize, f64)>, DeviceError> {
+        let listed = || {
+            let listed: Vec<String> = all_hz.iter().take(8).map(|hz| format!("{hz:.6}")).collect();
+            let listed: Vec<&str> = listed.iter().map(|hz| hz.trim_end_matches('0').trim_end_matches('.')).collect();
+            let more = if all_hz.len() > 8 { ", ..." } else { "" };
+            format!("--frequency-hz with one of {}{more}, or two, A,B", listed.join(", "))
+        };
+        let refuse = |found: String| DeviceError::field(self.file, line, "frequency", &found, listed());
+        let nearest = |hz: f64| {
+            let apart = |index: &usize| (all_hz[*index] - hz).abs();
+            let index = (0..all_hz.len()).min_by(|a, b| apart(a).total_cmp(&apart(b))).unwrap_or(0);
+            if apart(&index) <= 0.01 * hz { Ok(index) } else { Err(refuse(format!("{hz} Hz"))) }
+        };
+        match wanted {
+            Frequencies::Only if all_hz.len() == 1 => Ok(vec![(0, 1.0)]),
+            Frequencies::Only => Err(refuse(format!("a sweep of {} frequencies", all_hz.len()))),
+            Frequencies::One(hz) => Ok(vec![(nearest(hz)?, 1.0)]),
+            Frequencies::Difference(first, second) => Ok(vec![(nearest(first)?, 1.0), (nearest(second)?, -1.0)]),
+        }
     }
 
     /// A date such as `2025.02.12. 13:19:58.685`, in seconds since 1970-01-01 without regard to time zones.
@@ -280,15 +346,31 @@ impl Lines<'_> {
         }
         let setup = &measurement.setup;
         let expected = 2 * setup.columns.len();
-        let cells: Vec<&str> = self.line(line).split_whitespace().collect();
-        if cells.len() != expected {
-            let what = format!("{expected} numbers (real and imaginary part of {} channels)", expected / 2);
-            return Err(DeviceError::field(self.file, line, "readings", &format!("{} numbers", cells.len()), what));
+        let begin = measurement.real_v.len();
+        for (step, weight) in &setup.taken {
+            let line = line + step;
+            let cells: Vec<&str> = self.line(line).split_whitespace().collect();
+            if cells.len() != expected {
+                let what = format!("{expected} numbers (real and imaginary part of {} channels)", expected / 2);
+                return Err(DeviceError::field(self.file, line, "readings", &format!("{} numbers", cells.len()), what));
+            }
+            for (place, channel) in setup.channels.iter().enumerate() {
+                let Some(column) = setup.columns.iter().position(|other| other == channel) else { continue };
+                let real = weight * self.reading(line, 2 * column, &cells)?;
+                let imaginary = weight * self.reading(line, 2 * column + 1, &cells)?;
+                if measurement.real_v.len() > begin + place {
+                    measurement.real_v[begin + place] += real;
+                    measurement.imaginary_v[begin + place] += imaginary;
+                } else {
+                    measurement.real_v.push(real);
+                    measurement.imaginary_v.push(imaginary);
+                }
+            }
         }
-        for channel in &setup.channels {
-            let Some(column) = setup.columns.iter().position(|other| other == channel) else { continue };
-            measurement.real_v.push(self.reading(line, 2 * column, &cells)?);
-            measurement.imaginary_v.push(self.reading(line, 2 * column + 1, &cells)?);
+        // A sweep that ends within an injection is cut off.
+        let last = line + setup.frequencies_hz.len() - 1;
+        if last > self.lines.len() {
+            return Err(self.wrong(last, "readings", "a line of readings for each frequency"));
         }
         Ok(())
     }
@@ -305,6 +387,14 @@ impl Lines<'_> {
     }
 }
 
+/// The frequencies of a sweep.
+fn sweep_hz(lowest_hz: f64, highest_hz: f64, steps: usize, is_logarithmic: bool) -> Vec<f64> {
+    let share = |step: usize| step as f64 / (steps - 1).max(1) as f64;
+    let linear = |step: usize| lowest_hz + share(step) * (highest_hz - lowest_hz);
+    let logarithmic = |step: usize| lowest_hz * (highest_hz / lowest_hz).powf(share(step));
+    (0..steps).map(|step| if is_logarithmic { logarithmic(step) } else { linear(step) }).collect()
+}
+
 fn parse_time(text: &str) -> Option<f64> {
     let (date, time) = text.split_once(' ')?;
     let mut date = date.trim_end_matches('.').split('.').map(|part| part.parse::<i64>().ok());
@@ -317,14 +407,6 @@ fn parse_time(text: &str) -> Option<f64> {
     let whole = date.next().is_none() && time.next().is_none();
     (in_calendar && in_day && whole)
         .then(|| days_since_1970(year, month, day) as f64 * 86_400.0 + f64::from(hour * 3600 + minute * 60) + second)
-}
-
-/// Days from 1970-01-01 in the Gregorian calendar, counted in years that begin in March so that the leap day is last.
-fn days_since_1970(year: i64, month: i64, day: i64) -> i64 {
-    let year = if month <= 2 { year - 1 } else { year };
-    let month_from_march = (month + 9) % 12;
-    let day_of_year = (153 * month_from_march + 2) / 5 + day - 1;
-    365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + day_of_year - 719_468
 }
 
 /// The number at the end of a file's stem, as in `setup_00001.eit`.

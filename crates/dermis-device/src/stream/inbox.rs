@@ -68,7 +68,7 @@ impl Inbox {
     }
 
     /// What was wrong with the last damaged frame, where that was said.
-    pub(super) fn reason(&self) -> Option<&str> {
+    pub(crate) fn reason(&self) -> Option<&str> {
         self.reason.as_deref()
     }
 

@@ -77,7 +77,7 @@ pub fn imaged(
         skin,
         baseline,
         frames,
-        format: None,
+        read: Default::default(),
         as_skin: false,
         calibration: None,
         forces: None,

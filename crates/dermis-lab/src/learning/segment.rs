@@ -7,7 +7,7 @@ use dermis_live::imager::Refiner;
 use std::path::PathBuf;
 
 use dermis_device::instruments::npy;
-use dermis_device::{FileSpec, Format, FrameTable};
+use dermis_device::{FileSpec, FrameTable, ReadOptions};
 use dermis_learn::Model;
 use dermis_tomo::mesh::{INSIDE_COVERAGE, PixelGrid, PixelMap};
 
@@ -30,8 +30,8 @@ pub struct SegmentRequest {
     pub reference: FileSpec,
     /// The frames; missing channels are NaN.
     pub frames: FileSpec,
-    /// Format of both files; detected where `None`.
-    pub format: Option<Format>,
+    /// How both files are read.
+    pub read: ReadOptions,
     /// Which network labels the frames.
     pub network: NetworkChoice,
     /// Pixels along the longer side of the label images.
@@ -110,8 +110,8 @@ pub fn segment(request: &SegmentRequest, progress: impl FnMut(usize, usize)) -> 
     if request.probabilities.is_some() && model.is_none() {
         return refuse("probabilities", "a network, which gives them", "none for this skin".into());
     }
-    let references = dermis_record::read_frames(&request.reference, request.format)?;
-    let frames = dermis_record::read_frames(&request.frames, request.format)?;
+    let read = |file| dermis_record::read_frames_of(&request.skin, file, request.read.clone());
+    let (references, frames) = (read(&request.reference)?, read(&request.frames)?);
     let prepared = Prepared::new(request.skin.clone())?;
     let reads = prepared.skin.backend.reads;
     let reader = |table: &FrameTable| {

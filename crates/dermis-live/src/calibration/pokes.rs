@@ -15,13 +15,13 @@ pub struct Pokes {
     pub loads: Option<(LoadQuantity, Vec<f64>)>,
 }
 
-/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header; without one,
-/// metres of depth).
+/// Reads a table of pokes: columns x_m, y_m and, if there is a third, depth_m or force_n (by header, also x_mm, y_mm and
+/// depth_mm; without one, metres and metres of depth).
 ///
 /// # Errors
 /// A file that is no table of numbers, other columns, or values that are missing.
 pub fn read_pokes(path: &Path) -> Result<Pokes, Error> {
-    let table = dermis_device::instruments::csv::read_numbers(path)?;
+    let table = dermis_device::instruments::csv::read_numbers(path)?.in_metres();
     let content = |field: String, reason: String| Error::Content { file: path.to_path_buf(), field, reason };
     let column = |name: &str, otherwise: usize| match &table.header {
         Some(_) => table.column_index(name),

@@ -178,6 +178,12 @@ class Result:
     @property
     def time_s(self) -> float: ...
     @property
+    def wall_ns(self) -> int: ...
+    @property
+    def monotonic_ns(self) -> int: ...
+    @property
+    def device_ns(self) -> int | None: ...
+    @property
     def ready(self) -> bool: ...
     @property
     def raw(self) -> _Floats: ...
@@ -269,7 +275,24 @@ class Recording:
     def to_arrow(self) -> Any: ...
     def to_xarray(self) -> Any: ...
 
-def read_frames(path: _Path, skin: _Skin | None = None) -> tuple[_Floats, _Floats | None]: ...
+class FileFrames(tuple[_Floats, _Floats | None]):
+    frames: _Floats
+    times_s: _Floats | None
+    sequences: NDArray[np.uint64] | None
+    wall_ns: NDArray[np.int64] | None
+    understood: str
+
+def read_frames(
+    path: _Path,
+    skin: _Skin | None = None,
+    *,
+    format: str | None = None,
+    columns: str | None = None,
+    skip_rows: int = 0,
+    array: str | None = None,
+    topic: str | None = None,
+    transpose: bool = False,
+) -> FileFrames: ...
 @final
 class Calibration:
     @staticmethod

@@ -18,6 +18,23 @@ touch_dtype = np.dtype([("id", "u8"), ("phase", "U5"), *((name, "f8") for name i
 _recorded_dtype = np.dtype([("sequence", "u8"), ("wall_ns", "i8"), *touch_dtype.descr])
 
 
+class FileFrames(tuple):
+    """Frames of a file and their times, with what else the file says."""
+
+    frames: np.ndarray
+    times_s: np.ndarray | None
+    sequences: np.ndarray | None
+    wall_ns: np.ndarray | None
+    understood: str
+
+    def __new__(cls, frames: Any, times_s: Any, sequences: Any, wall_ns: Any, understood: str) -> FileFrames:
+        """A pair of frames and times, with attributes."""
+        pair = super().__new__(cls, (frames, times_s))
+        pair.frames, pair.times_s, pair.sequences, pair.wall_ns = frames, times_s, sequences, wall_ns
+        pair.understood = understood
+        return pair
+
+
 def touches(ids: Any, phases: list[str], values: Any) -> np.recarray:
     """Brings columns together."""
     table = np.empty(len(phases), touch_dtype)

@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
+use dermis_device::HostStamp;
 use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, Health};
 use dermis_touch::{Touch, TouchEvent, TouchPhase};
 
@@ -26,12 +27,14 @@ pub enum LinesFor {
 }
 
 /// Writes lines such as
-/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
+/// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}],"clocks":{...}}`.
 ///
-/// `time_s` is the host's monotonic clock. A touch has `id`, `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`,
-/// `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and, where a force is known, `force_n` and `force_range`
-/// (`within`; `below`, `above` or `saturated`, where `force_n` is the end of the range; `none`; `law`: by the
-/// law of the layer, with `sigma_force_n`) and, where the forward
+/// `time_s` is the host's monotonic clock from the start of the process. `clocks` has the same frame on the clocks that
+/// others can read, nanoseconds: `wall_ns` since 1970-01-01 UTC, `monotonic_ns` on the system's monotonic clock
+/// (`CLOCK_MONOTONIC`), both at the frame's first byte, and `device_ns` on the device's own, or null. A touch has `id`,
+/// `phase` (`begin`, `move`, or once `end`), `x_mm`, `y_mm`, `amplitude`, `area_mm2`, `sigma_x_mm`, `sigma_y_mm` and,
+/// where a force is known, `force_n` and `force_range` (`within`; `below`, `above` or `saturated`, where `force_n` is the
+/// end of the range; `none`; `law`: by the law of the layer, with `sigma_force_n`) and, where the forward
 /// model placed it, the fitted `radius_mm`, and where a calibration by pokes reads them `depth_mm` and `sigma_depth_mm`
 /// or `poke_force_n` and `sigma_poke_force_n`; what is not finite is `null`. Where something is broken there is
 /// `health` too: `frame` (`kind`: `frozen`, `saturated`, `flipped`, `out-of-range` or `blank`; `since_s`) where the frames are
@@ -82,6 +85,7 @@ impl<W: Write + Send> Sink for JsonLines<W> {
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
+        push_clocks(&mut self.line, output);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;
@@ -117,6 +121,16 @@ fn push_open(text: &mut String, output: &Output<'_>) {
     if !is_known {
         text.push_str(",\"touches_known\":false");
     }
+}
+
+/// The frame's time on every clock.
+fn push_clocks(text: &mut String, output: &Output<'_>) {
+    let (wall_ns, monotonic_ns) = (output.wall_ns, HostStamp::on_system_clock(output.time_ns));
+    let _ = write!(text, ",\"clocks\":{{\"wall_ns\":{wall_ns},\"monotonic_ns\":{monotonic_ns},\"device_ns\":");
+    let _ = match output.device_time_ns {
+        Some(device_ns) => write!(text, "{device_ns}}}"),
+        None => write!(text, "null}}"),
+    };
 }
 
 /// What is broken, if anything is; electrodes and channels counted from 1, channels that go with an electrode only in

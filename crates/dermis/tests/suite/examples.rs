@@ -41,7 +41,7 @@ fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<
         baseline: Some(file_spec(rest)),
         frames: file_spec(frames),
         skin,
-        format: None,
+        read: Default::default(),
         as_skin: false,
         calibration: None,
         forces: None,

@@ -70,7 +70,7 @@ pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u6
         skin,
         baseline: Some(FileSpec::all(at("b.csv"))),
         frames: FileSpec::all(at("f.csv")),
-        format: None,
+        read: Default::default(),
         as_skin: false,
         calibration: None,
         forces: None,

@@ -8,11 +8,12 @@ use dermis::live::calibration::Calibration;
 use dermis::live::forces::{parse_forces, parse_forces_as};
 use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
 use dermis::live::prepare::Prepared;
-use dermis::record::{Recording, RecordingHead, is_recording, read_frames};
+use dermis::record::{Recording, RecordingHead, is_recording, read_frames, read_frames_of};
 use dermis::skin::{DEFAULT_NAME, Skin};
 use dermis::source::{OpenedSource, SourceOptions, TwinControl, open_source};
-use dermis_device::{FileSpec, Format, Source, SourceSelector};
+use dermis_device::{FileSpec, FrameTable, Source, SourceSelector};
 
+use super::super::reading::ReadArguments;
 use super::super::skin_word::{SkinWord, skin};
 use super::super::{busy, hint};
 use crate::exit::UsageError;
@@ -31,9 +32,8 @@ pub struct InputArguments {
     /// for it.
     #[arg(long, value_name = "FILE[#FRAMES]")]
     baseline: Option<FileSpec>,
-    /// Format of files of frames (csv, columns, npy, sciospec, ktc, golfball, pyeidors); recognised where left out.
-    #[arg(long)]
-    format: Option<Format>,
+    #[command(flatten)]
+    read: ReadArguments,
     /// Leave an instrument on the wire as it is set; without it, it is told the skin file's protocol and current.
     #[arg(long)]
     as_set: bool,
@@ -57,10 +57,10 @@ impl InputArguments {
         let given = self.skin.given()?;
         let skin = given.clone().unwrap_or_else(|| DEFAULT_NAME.to_owned());
         // What is wrong with a file is said before the work of preparing a skin.
-        let baseline = self.baseline.as_ref().map(|spec| read_frames(spec, self.format)).transpose()?;
+        let baseline = self.baseline.as_ref().map(|spec| self.read_baseline(spec, &skin)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
         let (as_set, as_skin) = (self.as_set, self.as_skin);
-        let options = SourceOptions { speed: self.speed, as_set, as_skin, format: self.format };
+        let options = SourceOptions { speed: self.speed, as_set, as_skin, read: self.read.options() };
         if as_skin && given.is_none() {
             return Err(UsageError("--as-skin: expected SKIN as the first word, as which to read".into()).into());
         }
@@ -76,6 +76,21 @@ impl InputArguments {
         }
         busy.finish();
         Ok((opened, pipeline, head))
+    }
+}
+
+impl InputArguments {
+    /// Reads the baseline, of the skin that was named where the source is no recording, which has its own.
+    fn read_baseline(&self, spec: &FileSpec, name: &str) -> anyhow::Result<FrameTable> {
+        let is_recorded = self.source.parse().is_ok_and(|selector| match selector {
+            SourceSelector::File(spec) => is_recording(&spec.path),
+            _ => false,
+        });
+        let options = self.read.options();
+        match skin(name) {
+            Ok(skin) if !is_recorded => Ok(read_frames_of(&skin, spec, options)?),
+            _ => Ok(read_frames(spec, options)?),
+        }
     }
 }
 

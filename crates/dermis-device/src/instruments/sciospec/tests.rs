@@ -26,6 +26,8 @@ fn header_and_readings_of_one_file() {
         name: "made".into(),
         time_s,
         frequency_hz: 5e3,
+        frequencies_hz: vec![5e3],
+        taken: vec![(0, 1.0)],
         amplitude_a: 1e-3,
         frames_per_s: 10.0,
         columns: channels.clone(),
@@ -140,4 +142,54 @@ fn headers_without_channels_take_them_from_the_first_row() {
     let text = made(1.0, 0.0).replace("MeasurementChannels: 1,2,5,6", "1").replace('5', "3").replace('6', "4");
     let measurement = parse(text.as_bytes(), Path::new("s.eit")).unwrap();
     assert_eq!(measurement.setup.channels, [1, 2, 3, 4]);
+}
+
+/// Two injections of three electrodes at three frequencies; readings are injection, frequency and electrode in digits.
+fn swept(head: &str) -> String {
+    let mut text = head.to_owned();
+    for (injection, pair) in ["1 2", "2 3"].iter().enumerate() {
+        text += &format!("{pair}\n");
+        for step in 0..3 {
+            let readings: Vec<String> =
+                (0..3).map(|e| format!("{}\t{}", 100 * (injection + 1) + 10 * step + e, step)).collect();
+            text += &format!("{}\n", readings.join("\t"));
+        }
+    }
+    text
+}
+
+#[test]
+fn of_a_sweep_one_frequency_is_read_or_the_difference_of_two() {
+    let head = "12\n2\nmade\n2024.02.29. 23:59:01.250\n1000\n100000\n1\n3\n0.001\n10\n0\nMeasurementChannels: 1,2,3\n";
+    let text = swept(head);
+    let read = |frequencies_hz| {
+        let options = ReadOptions { frequencies_hz, ..ReadOptions::default() };
+        decode_with(text.as_bytes(), Path::new("s_1.eit"), &options)
+    };
+    let question = read(Frequencies::Only).unwrap_err().to_string();
+    assert!(question.contains("--frequency-hz with one of 1000, 10000, 100000, or two"), "{question}");
+    let table = read(Frequencies::One(10_050.0)).unwrap();
+    assert_eq!(table.values(), [110.0, 111.0, 112.0, 210.0, 211.0, 212.0]);
+    assert!(table.understood().contains("10000 Hz"), "{}", table.understood());
+    let table = read(Frequencies::Difference(1e5, 1e3)).unwrap();
+    assert_eq!((table.values(), table.imaginary().unwrap()), ([20.0; 6].as_slice(), [2.0; 6].as_slice()));
+    assert!(read(Frequencies::One(5e3)).is_err());
+    let cut = &text[..text.len() - 20];
+    assert!(
+        decode_with(
+            cut.as_bytes(),
+            Path::new("s.eit"),
+            &ReadOptions { frequencies_hz: Frequencies::One(1e3), ..ReadOptions::default() }
+        )
+        .is_err()
+    );
+}
+
+#[test]
+fn version_1_has_nine_lines_of_header() {
+    let text = swept("9\nmade\n2019.02.28. 12:00:00.5\n1000\n3000\n0\n3\n0.001\n10\n");
+    let options = ReadOptions { frequencies_hz: Frequencies::One(2000.0), ..ReadOptions::default() };
+    let table = decode_with(text.as_bytes(), Path::new("s_1.eit"), &options).unwrap();
+    assert_eq!(table.values(), [110.0, 111.0, 112.0, 210.0, 211.0, 212.0]);
+    assert_eq!(table.layout(), &Layout::SingleEnded { electrodes: 3, stimulations: vec![(0, 1), (1, 2)] });
 }

@@ -1,0 +1,55 @@
+//! How files of frames are read, where guessing is not enough: the same words in every command.
+
+use dermis_device::{Format, FrameSelect, Frequencies, ReadOptions};
+
+/// How files of frames are read.
+#[derive(clap::Args)]
+pub(super) struct ReadArguments {
+    /// Format of files of frames (csv, lines, columns, npy, npz, sciospec, ktc, golfball, pyeidors); recognised where left
+    /// out.
+    #[arg(long)]
+    format: Option<Format>,
+    /// Columns of tables that hold readings: names, indices from 0, ranges such as 1..209; the others are times, or left
+    /// out.
+    #[arg(long, value_name = "COLUMNS")]
+    columns: Option<FrameSelect>,
+    /// Lines at the beginning of text files that are passed over.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    skip_rows: usize,
+    /// Array of an archive (npz) with the frames.
+    #[arg(long, value_name = "NAME")]
+    array: Option<String>,
+    /// Topic of a ROS bag, or of an MCAP file of another program, with the frames.
+    #[arg(long, value_name = "TOPIC", conflicts_with = "array")]
+    topic: Option<String>,
+    /// Frames stand in columns.
+    #[arg(long)]
+    transpose: bool,
+    /// Frequency of a sweep, or two, A,B: then readings at A less those at B.
+    #[arg(long, value_name = "HZ[,HZ]", value_parser = frequencies)]
+    frequency_hz: Option<Frequencies>,
+}
+
+fn frequencies(text: &str) -> Result<Frequencies, String> {
+    let one = |text: &str| text.trim().parse::<f64>().ok().filter(|hz| *hz > 0.0 && hz.is_finite());
+    match text.split_once(',') {
+        None => one(text).map(Frequencies::One),
+        Some((a, b)) => one(a).zip(one(b)).map(|(a, b)| Frequencies::Difference(a, b)),
+    }
+    .ok_or_else(|| "expected a frequency in hertz, or two with a comma between".to_owned())
+}
+
+impl ReadArguments {
+    /// The same as options.
+    pub(super) fn options(&self) -> ReadOptions {
+        ReadOptions {
+            format: self.format,
+            columns: self.columns.clone().unwrap_or_default(),
+            skip_rows: self.skip_rows,
+            array: self.array.clone().or_else(|| self.topic.clone()),
+            transpose: self.transpose,
+            channels: Vec::new(),
+            frequencies_hz: self.frequency_hz.unwrap_or_default(),
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! What a text table is like, told from its first lines: separator, decimal mark, where rows begin, what the columns are
+//! called and what each holds.
+
+use super::cell::{Decimal, complex, number};
+use super::separator::Separator;
+use crate::instruments::times::stamp;
+
+/// Rows that are looked at.
+const MOST_LINES: usize = 200;
+/// Fewest rows that are looked at, however long.
+const FEWEST_LINES: usize = 8;
+/// Bytes that are looked at beyond these.
+const MOST_BYTES: usize = 1 << 18;
+/// Fewest consecutive whole numbers that are a header by themselves: no frame reads 0, 1, 2, ..., 7.
+const SURE_COUNT: usize = 8;
+/// Fewest consecutive whole numbers that are a header where all readings below have a broken part.
+const LIKELY_COUNT: usize = 3;
+
+/// What a column holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Numbers, missing or complex readings.
+    Number,
+    /// Dates or times of day.
+    Stamp,
+    /// Words.
+    Words,
+}
+
+/// What one cell looks like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Look {
+    Number,
+    Missing,
+    Complex,
+    Stamp,
+    Word,
+    /// A word with a number in it that belongs to another notation: `V1:0.2`, `(0.1`.
+    Tangled,
+}
+
+impl Look {
+    fn of(cell: &str, decimal: Decimal) -> Self {
+        match number(cell, decimal) {
+            Ok(value) if value.is_nan() => Self::Missing,
+            Ok(_) | Err("a finite number or nan") => Self::Number,
+            _ if complex(cell).is_some() => Self::Complex,
+            _ if stamp(cell).is_some() => Self::Stamp,
+            _ if cell.contains([':', '=', '(', ')', '[', ']', '{', '}', '>'])
+                && cell.contains(|c: char| c.is_ascii_digit()) =>
+            {
+                Self::Tangled
+            }
+            _ => Self::Word,
+        }
+    }
+
+    fn is_reading(self) -> bool {
+        matches!(self, Self::Number | Self::Complex)
+    }
+
+    fn is_word(self) -> bool {
+        matches!(self, Self::Word | Self::Tangled)
+    }
+}
+
+/// A line with cells, by its number from 1.
+pub(super) type Line<'a> = (usize, &'a str);
+
+/// What a text table is like.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Sketch {
+    pub separator: Separator,
+    pub decimal: Decimal,
+    /// Cells in every row, without the empty one behind a separator at the line's end.
+    pub columns: usize,
+    pub kinds: Vec<Kind>,
+    /// Names in the header, and its line.
+    pub header: Option<(usize, Vec<String>)>,
+    /// Units in a line of their own below the names.
+    pub units: Option<Vec<String>>,
+    /// Number of the first row's line.
+    pub first_line: usize,
+    /// Lines before the table that are no header.
+    pub passed_over: usize,
+    /// Lines end in a separator.
+    pub has_trailing: bool,
+}
+
+/// Why a text is no table that can be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum NoTable {
+    /// No line has a number.
+    NoNumbers,
+    /// Its lines are of another kind: words, labels or brackets around the numbers.
+    OtherLines,
+    /// The header has another number of names than the first row has cells.
+    Header { line: usize, names: usize, cells: usize },
+    /// A row before the others has another number of cells.
+    Row { line: usize, cells: usize, usual: usize },
+    /// Decimal commas between commas: the line, and a cell.
+    CommaBetweenCommas { line: usize, cell: String },
+}
+
+struct Candidate {
+    separator: Separator,
+    decimal: Decimal,
+    looks: Vec<Vec<Look>>,
+    /// Cells of most lines with numbers.
+    width: usize,
+    score: usize,
+}
+
+impl Candidate {
+    fn of(separator: Separator, decimal: Decimal, lines: &[Line]) -> Self {
+        let looks: Vec<Vec<Look>> =
+            lines.iter().map(|(_, line)| separator.cells(line).map(|cell| Look::of(cell, decimal)).collect()).collect();
+        let with_numbers = || looks.iter().filter(|cells| is_row(cells));
+        // Of equally frequent widths the first one's.
+        let widths: Vec<usize> = with_numbers().map(Vec::len).collect();
+        let frequency = |width: usize| widths.iter().filter(|other| **other == width).count();
+        let width = widths.iter().copied().rev().max_by_key(|width| frequency(*width)).unwrap_or(0);
+        let readings = |cells: &Vec<Look>| cells.iter().filter(|look| look.is_reading()).count();
+        let score = with_numbers().filter(|cells| cells.len() == width).map(readings).sum();
+        Self { separator, decimal, looks, width, score }
+    }
+}
+
+/// Cells of a row: some readings, and no more words than other cells.
+fn is_row(cells: &[Look]) -> bool {
+    let words = cells.iter().filter(|look| look.is_word()).count();
+    cells.iter().any(|look| look.is_reading()) && 2 * words <= cells.len()
+}
+
+impl Sketch {
+    /// Looks at the first `lines` with cells; `comment` is the last comment before them, `wanted` says how many
+    /// readings a frame has, where that is known.
+    pub(super) fn of<'a>(
+        lines: impl Iterator<Item = Line<'a>>,
+        comment: Option<Line<'a>>,
+        wanted: &[usize],
+    ) -> Result<Self, NoTable> {
+        let mut bytes = 0;
+        let lines: Vec<Line> = lines
+            .take(MOST_LINES)
+            .enumerate()
+            .take_while(|(index, (_, line))| {
+                bytes += line.len();
+                *index < FEWEST_LINES || bytes <= MOST_BYTES
+            })
+            .map(|(_, line)| line)
+            .collect();
+        let has_digits = lines.iter().any(|(_, line)| line.contains(|c: char| c.is_ascii_digit()));
+        let none = if has_digits { NoTable::OtherLines } else { NoTable::NoNumbers };
+        let best = best_candidate(&lines).ok_or(none)?;
+        let Candidate { separator, decimal, looks, width, .. } = best;
+        let full = |cells: &[Look]| is_row(cells) && cells.len() == width;
+        let last_empty = |index: usize| separator.cells(lines[index].1).last().is_some_and(str::is_empty);
+        let rows: Vec<usize> = (0..lines.len()).filter(|&index| full(&looks[index])).collect();
+        let tangled = rows.iter().filter(|&&row| looks[row].contains(&Look::Tangled)).count();
+        let wordy =
+            rows.iter().filter(|&&row| 2 * looks[row].iter().filter(|look| look.is_word()).count() > width).count();
+        if 2 * tangled.max(wordy) > rows.len() {
+            return Err(NoTable::OtherLines);
+        }
+        // A numeric header is a row by its looks.
+        let numeric_header = rows.first().copied().filter(|&first| {
+            // Below names it is a frame.
+            if first > 0 && looks[first - 1].len() == width && is_names(&looks[first - 1]) {
+                return false;
+            }
+            let below: Vec<&str> = rows.iter().skip(1).map(|&row| lines[row].1).collect();
+            is_numeric_header(lines[first].1, &below, separator, decimal)
+        });
+        let mut first = match numeric_header {
+            Some(header) => *rows.iter().find(|&&row| row > header).ok_or(NoTable::NoNumbers)?,
+            None => *rows.first().ok_or(NoTable::NoNumbers)?,
+        };
+        // Frames without a single reading before the first one with some.
+        while first > 0
+            && numeric_header.is_none_or(|header| first - 1 > header)
+            && looks[first - 1].len() == width
+            && looks[first - 1].iter().all(|look| *look == Look::Missing)
+        {
+            first -= 1;
+        }
+        // A row of another width before them is damaged; a few cells are a title.
+        let damaged = |index: &usize| is_row(&looks[*index]) && 2 * looks[*index].len() >= width;
+        if let Some(index) = (0..first).filter(|index| Some(*index) != numeric_header).find(damaged) {
+            return Err(NoTable::Row { line: lines[index].0, cells: looks[index].len(), usual: width });
+        }
+        let body: Vec<usize> = rows.iter().copied().filter(|&row| row >= first).collect();
+        let names_of = |line: &str| -> Vec<String> { separator.cells(line).map(str::to_owned).collect() };
+        let mut has_trailing = width > 1
+            && !wanted.contains(&width)
+            && separator != Separator::Spaces
+            && body.iter().all(|&row| last_empty(row));
+        let head = match numeric_header {
+            Some(header) => Some((header, names_of(lines[header].1))),
+            None => first.checked_sub(1).map(|above| (above, names_of(lines[above].1))),
+        };
+        // A name stands over the last cell: it is a channel without readings.
+        has_trailing &= !head.as_ref().is_some_and(|(_, names)| names.len() == width && !names[width - 1].is_empty());
+        let columns = width - usize::from(has_trailing);
+        let kinds: Vec<Kind> = (0..columns).map(|column| kind_of(body.iter().map(|&row| looks[row][column]))).collect();
+        let mut sketch = Self {
+            separator,
+            decimal,
+            columns,
+            kinds,
+            header: None,
+            units: None,
+            first_line: lines[first].0,
+            passed_over: first,
+            has_trailing,
+        };
+        if let Some(cell) = comma_between_commas(&sketch, body.iter().map(|&row| lines[row].1)) {
+            return Err(NoTable::CommaBetweenCommas { line: lines[first].0, cell });
+        }
+        if let Some((above, mut names)) = head {
+            let is_names = numeric_header.is_some() || is_names(&looks[above]);
+            let above_that = above.checked_sub(1).map(|index| names_of(lines[index].1));
+            match above_that {
+                Some(real) if is_names && are_units(&names) && real.len() == names.len() => {
+                    sketch.units = Some(std::mem::replace(&mut names, real));
+                    sketch.passed_over -= 1;
+                }
+                _ => {}
+            }
+            if is_names {
+                sketch.take_header(lines[above].0, names)?;
+            }
+        } else if let Some((line, text)) = comment {
+            let names = names_of(text.trim_start_matches(['#', '%', ' ']));
+            if columns > 1 && names.len() == columns && names.iter().all(|name| Look::of(name, decimal).is_word()) {
+                sketch.header = Some((line, names));
+            }
+        }
+        Ok(sketch)
+    }
+
+    /// Takes the line above the rows for a header if its names fit; a line of few cells is a title.
+    fn take_header(&mut self, line: usize, mut names: Vec<String>) -> Result<(), NoTable> {
+        let columns = self.columns;
+        if names.len() == columns + 1 && names.last().is_some_and(String::is_empty) {
+            names.pop();
+        }
+        // R names no column of row names.
+        let has_row_names = columns > 2 && names.len() + 1 == columns && self.kinds[0] != Kind::Number;
+        if has_row_names {
+            names.insert(0, String::new());
+            self.units.iter_mut().for_each(|units| units.insert(0, String::new()));
+        }
+        if names.len() == columns {
+            self.header = Some((line, names));
+            self.passed_over -= 1;
+        } else if names.len() > 1 && 2 * names.len() >= columns {
+            return Err(NoTable::Header { line, names: names.len(), cells: columns });
+        }
+        Ok(())
+    }
+}
+
+/// Separator and decimal mark that make the most numbers of the lines; of equal ones the first.
+fn best_candidate(lines: &[Line]) -> Option<Candidate> {
+    let is_quoted = lines.iter().any(|(_, line)| line.contains('"'));
+    let mut best: Option<Candidate> = None;
+    for separator in Separator::ALL {
+        for decimal in [Decimal::Point, Decimal::Comma] {
+            // A comma is a separator or a decimal mark, unless cells are quoted.
+            if separator == Separator::Mark(b',') && decimal == Decimal::Comma && !is_quoted {
+                continue;
+            }
+            let candidate = Candidate::of(separator, decimal, lines);
+            if candidate.score > best.as_ref().map_or(0, |best| best.score) {
+                best = Some(candidate);
+            }
+        }
+    }
+    best
+}
+
+/// Names: no cell is a reading, and one is a word.
+fn is_names(looks: &[Look]) -> bool {
+    !looks.iter().any(|look| look.is_reading()) && looks.iter().any(|look| look.is_word())
+}
+
+/// A line of units below the names: `s;V;V`, `(s),(mV)`.
+fn are_units(names: &[String]) -> bool {
+    let units =
+        ["s", "ms", "us", "µs", "ns", "v", "mv", "uv", "µv", "nv", "ohm", "kohm", "a", "ma", "hz", "deg", "rad", ""];
+    let bare = |name: &String| name.trim_matches(['(', ')', '[', ']', ' ']).to_lowercase();
+    names.iter().all(|name| units.contains(&bare(name).as_str())) && names.iter().any(|name| !name.is_empty())
+}
+
+fn kind_of(looks: impl Iterator<Item = Look>) -> Kind {
+    let (mut words, mut stamps, mut others) = (false, false, false);
+    for look in looks {
+        match look {
+            Look::Word | Look::Tangled => words = true,
+            Look::Stamp => stamps = true,
+            Look::Missing => {}
+            Look::Number | Look::Complex => others = true,
+        }
+    }
+    match (words, stamps, others) {
+        (true, false, false) => Kind::Words,
+        (false, true, false) => Kind::Stamp,
+        // What is no number in a column of numbers is an error that names its place.
+        _ => Kind::Number,
+    }
+}
+
+/// Whole numbers that count on from 0 or 1, behind at most three cells that are none: what pandas writes over columns
+/// without names.
+fn is_numeric_header(line: &str, below: &[&str], separator: Separator, decimal: Decimal) -> bool {
+    let cells: Vec<&str> = separator.cells(line).collect();
+    let lead = cells.iter().take(3).take_while(|cell| cell.parse::<u32>().is_err()).count();
+    let mut counted = &cells[lead..];
+    if let [rest @ .., ""] = counted {
+        counted = rest;
+    }
+    let first: Option<u32> = counted.first().and_then(|cell| cell.parse().ok()).filter(|first| *first <= 1);
+    let Some(first) = first else { return false };
+    let counts = counted.iter().zip(first..).all(|(cell, expected)| *cell == expected.to_string());
+    let broken =
+        |cell: &str| cell.contains([decimal.mark() as char, 'e', 'E']) || number(cell, decimal).is_ok_and(f64::is_nan);
+    let all_broken = || !below.is_empty() && below.iter().all(|line| separator.cells(line).skip(lead).all(broken));
+    counts && (counted.len() >= SURE_COUNT || (counted.len() >= LIKELY_COUNT && all_broken()))
+}
+
+/// A cell that shows that decimal commas stand between commas, which nobody can tell apart: whole numbers alone, of which
+/// every second one is a fraction cut off, by zeros before it or by one length that is longer than the others.
+fn comma_between_commas<'a>(sketch: &Sketch, rows: impl Iterator<Item = &'a str>) -> Option<String> {
+    if sketch.separator != Separator::Mark(b',') || sketch.decimal == Decimal::Comma || sketch.columns % 2 != 0 {
+        return None;
+    }
+    let cells: Vec<Vec<&str>> = rows.map(|row| sketch.separator.cells(row).take(sketch.columns).collect()).collect();
+    let all = || cells.iter().flatten();
+    let digits = |cell: &str| cell.trim_start_matches('-').bytes().all(|byte| byte.is_ascii_digit());
+    if !all().all(|cell| digits(cell)) {
+        return None;
+    }
+    let seconds = || cells.iter().flat_map(|row| row.iter().skip(1).step_by(2));
+    if let Some(cell) = seconds().find(|cell| cell.len() > 1 && cell.starts_with('0')) {
+        return Some((*cell).to_owned());
+    }
+    let firsts = || cells.iter().flat_map(|row| row.iter().step_by(2));
+    let length = seconds().next()?.len();
+    let is_fraction =
+        length >= 3 && seconds().all(|cell| cell.len() == length) && firsts().all(|cell| cell.len() < length);
+    (is_fraction && sketch.columns >= 4).then(|| seconds().next().map_or_else(String::new, |cell| (*cell).to_owned()))
+}

@@ -1,0 +1,252 @@
+//! Whether the positions of pokes belong to their frames: labels that lag by a row, mirrored or turned axes, and tables
+//! that have nothing to do with each other. All three occur in published data.
+//!
+//! Two measures. *Neighbours*: frames that look alike should be pokes that are near each other. Each poke's position is
+//! predicted from the pokes whose difference data, scaled to one, are nearest to its own; the median error is compared with
+//! that of shuffled labels (a permutation test). It needs no model, and cannot tell a mirrored table from the right one.
+//! *Signatures*: the cosine between a frame's difference and what the model says of a press at its label. It tells mirrored
+//! and turned axes apart where the model is about right.
+
+use crate::Error;
+use crate::calibration::{PokeFrames, Pokes, differences_of};
+use crate::prepare::Prepared;
+
+/// Fewest pokes that a permutation test says something of: with so few neighbours chance does as well.
+const FEWEST: usize = 12;
+/// Most pokes that are compared, evenly drawn: every pair is.
+const MOST: usize = 600;
+/// Neighbours that predict a position.
+const NEIGHBOURS: usize = 3;
+/// Shuffles of the labels: p-values down to 1/200.
+const SHUFFLES: usize = 199;
+/// Labels that do no better than this share of the shuffles do not belong to the frames.
+const LARGEST_P: f64 = 0.05;
+/// A shift of the labels is believed where it lowers the median error to this share.
+const SHIFT_GAIN: f64 = 0.7;
+/// Rows by which labels may lag or lead.
+const SHIFTS: [i64; 4] = [1, -1, 2, -2];
+/// Mirrored or turned labels are believed where they raise the mean cosine by this much.
+const TURN_GAIN: f64 = 0.2;
+/// The model is about right where labels reach this mean cosine.
+const TURN_LEAST: f64 = 0.4;
+
+/// What the labels of pokes look like.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LabelFindings {
+    /// Share of shuffled labels that fit the frames as well; none for fewer than 12 pokes.
+    pub p_value: Option<f64>,
+    /// Median error of positions predicted from frames that look alike, metres.
+    pub neighbour_error_m: f64,
+    /// Rows by which the labels lag behind the frames, where shifted labels fit far better; negative where they lead.
+    pub lag_rows: Option<i64>,
+    /// How the axes are mirrored or turned, where that fits the model far better.
+    pub turned: Option<Turn>,
+}
+
+impl LabelFindings {
+    /// Positions and frames have nothing to do with each other, not even shifted by a row.
+    pub fn is_unrelated(&self) -> bool {
+        self.lag_rows.is_none() && self.p_value.is_some_and(|p| p > LARGEST_P)
+    }
+}
+
+/// A symmetry of the axes about the middle of the skin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Turn {
+    /// In words: `y looks mirrored`.
+    pub words: &'static str,
+    matrix: [[i8; 2]; 2],
+}
+
+impl Turn {
+    const ALL: [Self; 7] = [
+        Self { words: "y looks mirrored", matrix: [[1, 0], [0, -1]] },
+        Self { words: "x looks mirrored", matrix: [[-1, 0], [0, 1]] },
+        Self { words: "positions look turned by 180 degrees", matrix: [[-1, 0], [0, -1]] },
+        Self { words: "x and y look exchanged", matrix: [[0, 1], [1, 0]] },
+        Self { words: "positions look turned by 90 degrees counter-clockwise", matrix: [[0, 1], [-1, 0]] },
+        Self { words: "positions look turned by 90 degrees clockwise", matrix: [[0, -1], [1, 0]] },
+        Self { words: "x and y look exchanged and mirrored", matrix: [[0, -1], [-1, 0]] },
+    ];
+
+    /// Where a label would be if this were undone.
+    pub fn undone(self, [x, y]: [f64; 2]) -> [f64; 2] {
+        self.matrix.map(|[a, b]| f64::from(a) * x + f64::from(b) * y)
+    }
+}
+
+/// Looks at the labels of pokes.
+///
+/// # Errors
+/// Frames that do not fit the skin.
+pub fn check_labels(prepared: &Prepared, measured: PokeFrames<'_>, pokes: &Pokes) -> Result<LabelFindings, Error> {
+    let (_, differences) = differences_of(prepared, measured)?;
+    let step = differences.len().div_ceil(MOST).max(1);
+    let count = differences.len().min(pokes.positions_m.len());
+    let unit: Vec<Vec<f64>> = (0..count).map(|poke| to_unit(&differences[poke])).collect();
+    // Shifts need every row: of many pokes the first are compared, and not each nth.
+    let first = count.min(MOST);
+    let (error_m, p_value) = permutation_test(&unit[..first], &pokes.positions_m[..first]);
+    let lag_rows = lag(&unit[..first], &pokes.positions_m[..first], error_m);
+    let turned = turn(prepared, &unit, &pokes.positions_m[..count], step);
+    Ok(LabelFindings { p_value, neighbour_error_m: error_m, lag_rows, turned })
+}
+
+/// Scaled to length one, missing channels as zero.
+fn to_unit(difference: &[f64]) -> Vec<f64> {
+    let finite = |value: &f64| if value.is_finite() { *value } else { 0.0 };
+    let length = difference.iter().map(finite).map(|value| value * value).sum::<f64>().sqrt();
+    difference.iter().map(|value| finite(value) / length.max(f64::MIN_POSITIVE)).collect()
+}
+
+fn cosine(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// The pokes whose frames look most alike, for each poke.
+fn neighbours(unit: &[Vec<f64>]) -> Vec<Vec<usize>> {
+    (0..unit.len())
+        .map(|poke| {
+            let mut others: Vec<(f64, usize)> = (0..unit.len())
+                .filter(|other| *other != poke)
+                .map(|other| (cosine(&unit[poke], &unit[other]), other))
+                .collect();
+            others.sort_by(|a, b| b.0.total_cmp(&a.0));
+            others.into_iter().take(NEIGHBOURS).map(|(_, other)| other).collect()
+        })
+        .collect()
+}
+
+/// Median distance between labels and their prediction from the neighbours' labels.
+fn error_m(neighbours: &[Vec<usize>], labels_m: &[[f64; 2]]) -> f64 {
+    let mut errors: Vec<f64> = neighbours
+        .iter()
+        .enumerate()
+        .filter(|(_, near)| !near.is_empty())
+        .map(|(poke, near)| {
+            let mean = |axis: usize| near.iter().map(|other| labels_m[*other][axis]).sum::<f64>() / near.len() as f64;
+            (mean(0) - labels_m[poke][0]).hypot(mean(1) - labels_m[poke][1])
+        })
+        .collect();
+    if errors.is_empty() {
+        return f64::NAN;
+    }
+    let middle = errors.len() / 2;
+    *errors.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+fn permutation_test(unit: &[Vec<f64>], labels_m: &[[f64; 2]]) -> (f64, Option<f64>) {
+    let near = neighbours(unit);
+    let found = error_m(&near, labels_m);
+    if unit.len() < FEWEST {
+        return (found, None);
+    }
+    let mut random = 1;
+    let mut shuffled = labels_m.to_vec();
+    let as_good = (0..SHUFFLES)
+        .filter(|_| {
+            shuffle(&mut shuffled, &mut random);
+            error_m(&near, &shuffled) <= found
+        })
+        .count();
+    (found, Some((as_good + 1) as f64 / (SHUFFLES + 1) as f64))
+}
+
+/// Fisher and Yates' shuffle by SplitMix64 numbers; the modulus prefers small ones by less than one part in 10^16.
+fn shuffle(labels: &mut [[f64; 2]], state: &mut u64) {
+    for last in (1..labels.len()).rev() {
+        *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut bits = *state;
+        bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        bits ^= bits >> 31;
+        labels.swap(last, (bits % (last as u64 + 1)) as usize);
+    }
+}
+
+/// Rows by which labels lag, where shifted ones fit far better and the shifted table passes the permutation test.
+fn lag(unit: &[Vec<f64>], labels_m: &[[f64; 2]], found_m: f64) -> Option<i64> {
+    if unit.len() < FEWEST + 2 {
+        return None;
+    }
+    let shifted = |rows: i64| {
+        // The label of frame k stands in row k + rows.
+        let ahead = rows.unsigned_abs() as usize;
+        let (unit, labels_m) = if rows > 0 {
+            (&unit[..unit.len() - ahead], &labels_m[ahead..])
+        } else {
+            (&unit[ahead..], &labels_m[..labels_m.len() - ahead])
+        };
+        permutation_test(unit, labels_m)
+    };
+    let (rows, (error_m, p_value)) =
+        SHIFTS.into_iter().map(|rows| (rows, shifted(rows))).min_by(|a, b| a.1.0.total_cmp(&b.1.0))?;
+    (error_m < SHIFT_GAIN * found_m && p_value.is_some_and(|p| p <= LARGEST_P)).then_some(rows)
+}
+
+/// The turn of the axes that fits the model far better than the labels as they are.
+fn turn(prepared: &Prepared, unit: &[Vec<f64>], labels_m: &[[f64; 2]], step: usize) -> Option<Turn> {
+    if !prepared.skin.backend.wiring.is_known() || unit.len() < 5 {
+        return None;
+    }
+    let taken: Vec<usize> = (0..unit.len()).step_by(step).collect();
+    let outline = prepared.skin.outline();
+    let fit = |undone: &dyn Fn([f64; 2]) -> [f64; 2]| {
+        let places: Vec<[f64; 2]> = taken.iter().map(|poke| undone(labels_m[*poke])).collect();
+        if places.iter().any(|place| !outline.contains(*place)) {
+            return f64::NEG_INFINITY;
+        }
+        let signatures = prepared.signatures(&places);
+        let channels = prepared.voltages.len();
+        let cosines = signatures
+            .chunks_exact(channels)
+            .zip(&taken)
+            .map(|(signature, poke)| cosine(&to_unit(signature), &unit[*poke]));
+        cosines.sum::<f64>() / taken.len() as f64
+    };
+    let as_is = fit(&|label| label);
+    let best = Turn::ALL
+        .into_iter()
+        .map(|turn| (fit(&|label| turn.undone(label)), turn))
+        .max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (best.0 > TURN_LEAST && best.0 > as_is + TURN_GAIN).then_some(best.1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dermis_skin::Skin;
+
+    /// Frames that the model reads of presses at these places.
+    fn pressed(prepared: &Prepared, positions_m: &[[f64; 2]]) -> Vec<Vec<f64>> {
+        let rest = &prepared.voltages;
+        let add = |signature: &[f64]| rest.iter().zip(signature).map(|(v, s)| v + 0.1 * s).collect();
+        prepared.signatures(positions_m).chunks_exact(rest.len()).map(add).collect()
+    }
+
+    #[test]
+    fn mirrored_shifted_and_unrelated_labels_are_told_apart() {
+        let prepared = Prepared::new(Skin::open("ionic-disc").unwrap()).unwrap();
+        // Not along a scan: neighbours in the table are no neighbours on the skin.
+        let place = |k: usize| [1e-3 * ((k * 37 % 83) as f64 - 40.0), 1e-3 * ((k * 53 % 71) as f64 - 30.0) * 0.8];
+        let places: Vec<[f64; 2]> = (0..60).map(place).collect();
+        let frames = pressed(&prepared, &places);
+        let rest = prepared.voltages.clone();
+        let check = |positions_m: Vec<[f64; 2]>| {
+            let measured = PokeFrames::Readings { baselines: std::slice::from_ref(&rest), frames: &frames };
+            check_labels(&prepared, measured, &Pokes { positions_m, loads: None }).unwrap()
+        };
+        let right = check(places.clone());
+        assert!(right.p_value.unwrap() <= 0.01 && right.lag_rows.is_none() && right.turned.is_none(), "{right:?}");
+        let mirrored = check(places.iter().map(|[x, y]| [*x, -y]).collect());
+        assert_eq!(mirrored.turned.unwrap().words, "y looks mirrored");
+        let turned = check(places.iter().map(|[x, y]| [-y, *x]).collect());
+        assert_eq!(turned.turned.unwrap().words, "positions look turned by 90 degrees counter-clockwise");
+        let mut lagging = places.clone();
+        lagging.rotate_right(1);
+        assert_eq!(check(lagging).lag_rows, Some(1));
+        let unrelated: Vec<[f64; 2]> = (0..60).map(|k| place(k * 11 + 7)).collect();
+        assert!(check(unrelated).is_unrelated());
+        assert!(!right.is_unrelated());
+    }
+}
