@@ -6,6 +6,7 @@ use std::path::Path;
 use dermis_device::instruments::MOST_BYTES;
 use dermis_device::{DeviceError, FileSpec, Format, Frame, FrameTable, open_regular};
 
+use super::reader::of_body;
 use crate::{Error, Recording};
 
 /// First bytes of every MCAP file.
@@ -14,9 +15,10 @@ const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// True of a file that is a recording, by its first bytes, or, where it cannot be read, by its name.
 pub fn is_recording(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
-    match open_regular(path).and_then(|mut file| file.read_exact(&mut first)) {
+    let place = of_body(path).map_or(path, |(place, _)| place);
+    match open_regular(place).and_then(|mut file| file.read_exact(&mut first)) {
         Ok(()) => first == MAGIC,
-        Err(_) => path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
+        Err(_) => place.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
     }
 }
 

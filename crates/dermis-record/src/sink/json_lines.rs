@@ -25,6 +25,20 @@ pub enum LinesFor {
     Touches,
 }
 
+/// Fields added to the objects of a line. Every method appends `,"name":value`, or nothing.
+pub trait LineExtras {
+    /// At the end of the line's object.
+    fn line(&self, _line: &mut String) {}
+
+    /// At the end of a touch's object.
+    fn touch(&self, _line: &mut String, _touch: &Touch) {}
+}
+
+/// Nothing is added.
+struct Plain;
+
+impl LineExtras for Plain {}
+
 /// Writes lines such as
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}]}`.
 ///
@@ -66,8 +80,12 @@ impl<W> JsonLines<W> {
     }
 }
 
-impl<W: Write + Send> Sink for JsonLines<W> {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+impl<W: Write + Send> JsonLines<W> {
+    /// As [`Sink::accept`], with what `extras` adds.
+    ///
+    /// # Errors
+    /// As [`Sink::accept`].
+    pub fn accept_with(&mut self, output: &Output<'_>, extras: &dyn LineExtras) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
         let silent = output.touches.is_empty() && ended(output.events).next().is_none() && quiet;
@@ -75,15 +93,22 @@ impl<W: Write + Send> Sink for JsonLines<W> {
             return Ok(());
         }
         self.line.clear();
-        push_open(&mut self.line, output.sequence, output.time_ns, output.touches, output.events);
+        push_open(&mut self.line, output, extras);
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
+        extras.line(&mut self.line);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;
         self.summary.written += 1;
         Ok(())
+    }
+}
+
+impl<W: Write + Send> Sink for JsonLines<W> {
+    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+        self.accept_with(output, &Plain)
     }
 
     fn finish(&mut self) -> Result<Summary, Error> {
@@ -98,7 +123,8 @@ fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
 }
 
 /// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
-fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], events: &[TouchEvent]) {
+fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
+    let Output { sequence, time_ns, touches, events, .. } = *output;
     let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     // Writing to a String cannot fail.
     let _ = write!(text, "{{\"sequence\":{sequence},\"time_s\":{seconds}.{nanoseconds:09},\"touches\":[");
@@ -107,6 +133,8 @@ fn push_open(text: &mut String, sequence: u64, time_ns: u64, touches: &[Touch], 
             text.push(',');
         }
         push_touch(text, touch);
+        extras.touch(text, touch);
+        text.push('}');
     }
     text.push(']');
 }
@@ -152,6 +180,7 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     );
 }
 
+/// Appends a touch's object, without the brace that closes it.
 fn push_touch(text: &mut String, touch: &Touch) {
     let phase = match touch.phase {
         TouchPhase::Begin => "begin",
@@ -188,7 +217,6 @@ fn push_touch(text: &mut String, touch: &Touch) {
             let _ = write!(text, ",\"{name}\":{}", Number(value));
         }
     }
-    text.push('}');
 }
 
 #[cfg(test)]
