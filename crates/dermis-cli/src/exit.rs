@@ -164,6 +164,7 @@ fn code_of_cause(cause: &(dyn std::error::Error + 'static)) -> Option<u8> {
     cause
         .downcast_ref()
         .map(code_of_dermis)
+        .or_else(|| cause.downcast_ref().map(code_of_body))
         .or_else(|| cause.downcast_ref().map(code_of_skin))
         .or_else(|| cause.downcast_ref().map(code_of_live))
         .or_else(|| cause.downcast_ref().map(code_of_record))
@@ -188,6 +189,14 @@ fn code_of_dermis(error: &dermis::Error) -> u8 {
         Error::Forward(error) => code_of_forward(error),
         Error::Inverse(error) => code_of_inverse(error),
         _ => FAILED,
+    }
+}
+
+fn code_of_body(error: &dermis::body::Error) -> u8 {
+    match error {
+        dermis::body::Error::Io { source, .. } => code_of_io(source),
+        dermis::body::Error::Skin { source, .. } => code_of_skin(source),
+        _ => BAD_INPUT,
     }
 }
 

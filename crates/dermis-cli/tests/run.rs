@@ -1,5 +1,8 @@
 //! `dermis run` as a script sees it: lines, recordings, replays, exit codes.
 
+#[path = "run/body.rs"]
+mod body;
+
 use std::io::{BufRead, BufReader};
 use std::net::TcpListener;
 use std::path::Path;

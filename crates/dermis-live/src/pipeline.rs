@@ -10,6 +10,7 @@ mod operators;
 mod stage_latencies;
 mod state;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use dermis_device::{Frame, Layout};
@@ -41,7 +42,7 @@ const LEAST_START: usize = 4;
 /// The stages of one skin with their memory.
 #[derive(Debug)]
 pub struct Pipeline {
-    prepared: Prepared,
+    prepared: Arc<Prepared>,
     choices: Choices,
     reader: ChannelReader,
     baseline: Baseline,
@@ -93,11 +94,17 @@ struct Seen {
 }
 
 impl Pipeline {
-    /// Sets up the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline.
+    /// Sets up the pipeline of a prepared skin for frames of a layout. The first 32 frames make the baseline. Pipelines
+    /// of skins that are alike may share what was prepared.
     ///
     /// # Errors
     /// A layout that does not hold the skin's channels; a circuit to be found that cannot be found beside a stream.
-    pub fn new(prepared: Prepared, layout: &Layout, calibration: Option<Calibration>) -> Result<Self, Error> {
+    pub fn new(
+        prepared: impl Into<Arc<Prepared>>,
+        layout: &Layout,
+        calibration: Option<Calibration>,
+    ) -> Result<Self, Error> {
+        let prepared = prepared.into();
         let reader = ChannelReader::new(layout, &prepared.protocol, prepared.skin.backend.reads, "the source")?;
         let drift = drift_compensation(&prepared);
         let baseline = Baseline::new(prepared.channels(), BaselineParams { startup_frames: TARE_FRAMES, drift })?;

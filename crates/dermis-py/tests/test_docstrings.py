@@ -6,7 +6,7 @@ import re
 import pytest
 
 import dermis
-from dermis import eit, mit, plot
+from dermis import eit, lerobot, mit, plot
 
 numpydoc = pytest.importorskip("numpydoc.validate", reason="numpydoc is not installed")
 
@@ -18,7 +18,7 @@ SHORT = 1
 
 def public():
     """Everything that people call, by the name that leads to it."""
-    for module in (dermis, eit, mit, plot):
+    for module in (dermis, eit, lerobot, mit, plot):
         for name in getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")]):
             value = getattr(module, name)
             if not callable(value) or inspect.ismodule(value) or getattr(value, "__module__", "").startswith(("numpy", "typing")):

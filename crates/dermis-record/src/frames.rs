@@ -9,6 +9,7 @@ use dermis_live::channels::{order_by_names, readings_of};
 use dermis_live::same_skin::check_frames;
 use dermis_skin::Skin;
 
+use super::reader::of_body;
 use crate::{Error, Recording, bag};
 
 /// First bytes of every MCAP file.
@@ -20,10 +21,11 @@ pub const UNDERSTOOD: &str = "understood";
 /// True of a file that is an MCAP file, by its first bytes, or, where it cannot be read, by its name.
 fn is_mcap(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
-    match open_regular(path).and_then(|mut file| file.read_exact(&mut first)) {
+    let place = of_body(path).map_or(path, |(place, _)| place);
+    match open_regular(place).and_then(|mut file| file.read_exact(&mut first)) {
         Ok(()) => first == MAGIC,
-        Err(_) if path.is_dir() => false,
-        Err(_) => path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
+        Err(_) if place.is_dir() => false,
+        Err(_) => place.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap")),
     }
 }
 

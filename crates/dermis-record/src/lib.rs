@@ -45,6 +45,10 @@
 //! | `/dermis/points` | `sensor_msgs/msg/PointCloud2` | the same on the skin's surface, a field `pressure` with the image's value |
 //! | `/dermis/touch_points` | `sensor_msgs/msg/PointCloud2` | touches in space |
 //!
+//! A recording of a body ([`BodyRecording`]) has the topics of each patch below its name, `/dermis/PATCH/frames`, the
+//! same of its metadata, `dermis.skin/PATCH`, and `/joint_states`. It opens like a folder: `arm.mcap/PATCH` is a
+//! recording of that patch alone, wherever a recording is read.
+//!
 //! The last three are there where a [`SkinView`] was given. Log times are the host's wall clock. Readings are 8 bytes
 //! each and exact, to the payload of a NaN.
 //!
@@ -60,6 +64,7 @@
 //! (a pipe, a terminal), it is written to directly.
 
 mod bag;
+mod body;
 mod cdr;
 mod error;
 mod export;
@@ -75,11 +80,13 @@ mod replay;
 mod rerun;
 mod scan;
 mod schema;
+mod shared_file;
 pub mod sink;
 mod sync;
 mod view;
 mod writer;
 
+pub use body::{BodyHead, BodyRecording};
 pub use error::Error;
 pub use export::{Exported, Table, TableFormat, export};
 pub use frames::{UNDERSTOOD, check_skin, is_recording, read_frames, read_frames_of};

@@ -52,13 +52,21 @@ impl LiveRecording {
     /// # Errors
     /// As [`Recorder::create`].
     pub fn start(path: &Path, head: &RecordingHead, pipeline: &Pipeline, images_per_s: f64) -> Result<Self, Error> {
-        let mut recorder = Recorder::create(path, head)?;
+        Self::start_with(Recorder::create(path, head)?, pipeline, images_per_s)
+    }
+
+    /// As [`LiveRecording::start`], with a recorder that is there already: that of a body's patch.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn start_with(mut recorder: Recorder, pipeline: &Pipeline, images_per_s: f64) -> Result<Self, Error> {
+        let path = recorder.path().to_owned();
         if images_per_s > 0.0 {
             recorder = recorder.with_view(SkinView::new(pipeline.prepared()).with_images_per_s(images_per_s))?;
         }
         let handle = RecorderHandle::spawn(recorder, QUEUE)?;
         let health = HealthWatch::new(&pipeline.prepared().skin);
-        let live = Self { path: path.to_owned(), handle, last_sequence: None, time_ns: 0, health, failure_told: false };
+        let live = Self { path, handle, last_sequence: None, time_ns: 0, health, failure_told: false };
         live.baseline(pipeline, HostStamp::now().wall_ns);
         Ok(live)
     }

@@ -11,8 +11,9 @@ use dermis_device::Frame;
 use dermis_touch::{ReferenceRecord, TouchEvent};
 
 use super::messages;
+use super::shared_file::FLUSH_INTERVAL;
 use super::view::SkinView;
-use super::writer::{FLUSH_INTERVAL, Recorder, RecordingSummary};
+use super::writer::{Recorder, RecordingSummary};
 use crate::Error;
 use dermis_live::output::Output;
 

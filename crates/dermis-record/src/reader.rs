@@ -13,7 +13,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 use super::head::{FINISHED, RecordingHead, STOPPED};
 use super::scan::{ChunkPlace, MOST_BYTES, Outline, PREFIX, announced_size};
-use super::writer::CHUNK_BYTES;
+use super::shared_file::CHUNK_BYTES;
 use super::{BaselineEntry, EventEntry, TouchesEntry, messages, schema};
 use crate::Error;
 
@@ -117,6 +117,8 @@ pub struct Recording<R = BufReader<File>> {
     input: R,
     path: PathBuf,
     head: RecordingHead,
+    /// The patch that is read of a body's recording.
+    patch: Option<String>,
     outline: Outline,
     topics: BTreeMap<u16, String>,
     next_chunk: usize,
@@ -179,8 +181,9 @@ impl Recording {
     /// [`Error::Io`]; [`Error::Content`] if the file is no MCAP, or none of dermis, or cut off so early that it lacks
     /// its skin.
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let file = open_regular(path).map_err(Error::io(path))?;
-        Recording::from_reader(BufReader::new(file), path)
+        let (place, patch) = of_body(path).map_or((path, None), |(place, patch)| (place, Some(patch)));
+        let file = open_regular(place).map_err(Error::io(path))?;
+        Recording::read_head(BufReader::new(file), path.to_path_buf(), patch)
     }
 }
 
@@ -189,19 +192,24 @@ impl<R: Read + Seek> Recording<R> {
     ///
     /// # Errors
     /// As [`Recording::open`].
-    pub fn from_reader(mut input: R, name: impl Into<PathBuf>) -> Result<Self, Error> {
-        let path = name.into();
+    pub fn from_reader(input: R, name: impl Into<PathBuf>) -> Result<Self, Error> {
+        Self::read_head(input, name.into(), None)
+    }
+
+    fn read_head(mut input: R, path: PathBuf, patch: Option<String>) -> Result<Self, Error> {
         let content = |field: String, reason: String| Error::Content { file: path.clone(), field, reason };
         let outline = Outline::read(&mut input).map_err(Error::io(&path))?;
         let outline = outline.ok_or_else(|| {
             content("byte 0".to_owned(), "expected an MCAP recording, found another beginning".to_owned())
         })?;
+        let outline = outline.of_patch(patch.as_deref()).map_err(|reason| content("metadata".to_owned(), reason))?;
         let head = RecordingHead::from_metadata(&outline.metadata);
         let head = head.map_err(|(field, reason)| content(field, reason))?;
         Ok(Self {
             input,
             path,
             head,
+            patch,
             topics: outline.topics.clone(),
             outline,
             next_chunk: 0,
@@ -397,7 +405,10 @@ impl<R: Read + Seek> Recording<R> {
         };
         match opcode {
             op::CHANNEL => match mcap::parse_record(opcode, data) {
-                Ok(Record::Channel(channel)) => drop(self.topics.insert(channel.id, channel.topic)),
+                Ok(Record::Channel(channel)) => {
+                    let topic = schema::topic_alone(&channel.topic, self.patch.as_deref());
+                    self.topics.insert(channel.id, topic);
+                }
                 _ => self.tally.messages += 1,
             },
             op::MESSAGE => {
@@ -422,6 +433,12 @@ impl<R: Read + Seek> Recording<R> {
         }
         Step::Skipped
     }
+}
+
+/// The recording of a body and the name of a patch in it, where a path goes on beyond a file: `arm.mcap/PATCH`.
+pub(super) fn of_body(path: &Path) -> Option<(&Path, String)> {
+    let place = path.parent().filter(|place| place.is_file())?;
+    Some((place, path.file_name()?.to_str()?.to_owned()))
 }
 
 /// A reader that has all of a chunk, and the chunk's size once decompressed, as it announces it; none if the chunk is

@@ -13,7 +13,8 @@ use mcap::sans_io::linear_reader::LinearReadEvent;
 use super::file::whole_file;
 use super::head::{FINISHED, record};
 use super::scan::Outline;
-use super::writer::{FileWriter, attach_all, mcap_error, new_writer};
+use super::shared_file::{FileWriter, mcap_error, new_writer};
+use super::writer::attach_all;
 use super::{Damage, Recording, reader};
 use crate::Error;
 
@@ -84,7 +85,7 @@ impl Copy<'_> {
         for (name, metadata) in self.outline.metadata.iter().filter(|(name, _)| name.as_str() != FINISHED) {
             self.writer.write_metadata(&Metadata { name: name.clone(), metadata: metadata.clone() })?;
         }
-        attach_all(&mut self.writer, recording.head())?;
+        attach_all(&mut self.writer, recording.head(), None)?;
         let outline = self.outline;
         for (kind, bytes) in &outline.descriptions {
             self.describe(*kind, bytes)?;

@@ -9,6 +9,9 @@ use std::io::{self, Read, Seek, SeekFrom};
 use mcap::MAGIC;
 use mcap::records::{Record, Statistics, op};
 
+use super::head::RECORDING;
+use super::schema;
+
 /// Longest record, and longest chunk once decompressed, that is read into memory.
 pub(super) const MOST_BYTES: usize = 64 << 20;
 
@@ -71,6 +74,40 @@ impl Outline {
             at += length;
         }
         Ok(Some(outline))
+    }
+
+    /// The outline of one patch of a body, as if it had been recorded alone. Without a patch nothing changes.
+    ///
+    /// # Errors
+    /// A recording of a body of which no patch is named, a patch that it does not have, or one of something that is no
+    /// body.
+    pub(super) fn of_patch(mut self, patch: Option<&str>) -> Result<Self, String> {
+        let prefix = schema::name_of(RECORDING, Some(""));
+        let patches: Vec<&str> = self.metadata.keys().filter_map(|name| name.strip_prefix(&prefix)).collect();
+        let (is_body, known) = (!patches.is_empty(), patches.join(", "));
+        let Some(patch) = patch else {
+            let expected = || format!("the recording of a body: expected a patch of it, FILE/PATCH: {known}");
+            return if is_body { Err(expected()) } else { Ok(self) };
+        };
+        if !patches.contains(&patch) {
+            let has = if is_body {
+                format!("a patch of the recording: {known}")
+            } else {
+                "no patch: it is of one skin".into()
+            };
+            return Err(format!("patch {patch:?}: expected {has}"));
+        }
+        let suffix = format!("/{patch}");
+        let own = |(name, content): (String, BTreeMap<String, String>)| {
+            let alone = name.strip_suffix(&suffix).map(str::to_owned);
+            // Records about the whole file belong to every patch; those about other patches are dropped.
+            alone.or_else(|| (!name.contains('/')).then_some(name)).map(|name| (name, content))
+        };
+        self.metadata = self.metadata.into_iter().filter_map(own).collect();
+        for topic in self.topics.values_mut() {
+            *topic = schema::topic_alone(topic, Some(patch));
+        }
+        Ok(self)
     }
 
     /// Takes in the record at `at`, of which `left` bytes may be there, and returns its length; none if it is cut off.

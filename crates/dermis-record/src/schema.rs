@@ -1,5 +1,5 @@
 //! Topics of a recording and the ROS 2 definitions (`ros2msg`) of what stands at them. With these in the file, readers
-//! that have never heard of dermis decode every message.
+//! that have never heard of dermis decode every message. Our own are the files of the ROS package in `dermis_msgs`.
 
 /// Topics.
 pub(super) const FRAMES: &str = "/dermis/frames";
@@ -9,6 +9,32 @@ pub(super) const EVENTS: &str = "/dermis/events";
 pub(super) const IMAGE: &str = "/dermis/image";
 pub(super) const POINTS: &str = "/dermis/points";
 pub(super) const TOUCH_POINTS: &str = "/dermis/touch_points";
+
+/// Joint values, in recordings of bodies.
+pub(super) const JOINTS: Schema =
+    Schema { topic: "/joint_states", name: "sensor_msgs/msg/JointState", parts: &[JOINT_STATE, HEADER, TIME] };
+
+/// Prefix of every topic of dermis.
+const DERMIS: &str = "/dermis/";
+
+/// A topic of one patch, where the recording is of a body: `/dermis/PATCH/frames`.
+pub(super) fn topic_of(topic: &str, patch: Option<&str>) -> String {
+    match (patch, topic.strip_prefix(DERMIS)) {
+        (Some(patch), Some(rest)) => format!("{DERMIS}{patch}/{rest}"),
+        _ => topic.to_owned(),
+    }
+}
+
+/// A topic as it would be called if the patch were recorded alone. Those of other patches keep their names.
+pub(super) fn topic_alone(topic: &str, patch: Option<&str>) -> String {
+    let rest = patch.and_then(|patch| topic.strip_prefix(DERMIS)?.strip_prefix(patch)?.strip_prefix('/'));
+    rest.map_or_else(|| topic.to_owned(), |rest| format!("{DERMIS}{rest}"))
+}
+
+/// Name of a metadata record of one patch, where the recording is of a body: `dermis.skin/PATCH`.
+pub(super) fn name_of(name: &str, patch: Option<&str>) -> String {
+    patch.map_or_else(|| name.to_owned(), |patch| format!("{name}/{patch}"))
+}
 
 /// A type of messages.
 pub(super) struct Schema {
@@ -45,68 +71,24 @@ impl Schema {
     }
 }
 
-const FRAME: &str = "\
-# One frame as the instrument sent it, before any processing.
-uint64 sequence  # the device's number of the frame; gaps are lost frames
-bool has_device_time
-uint64 device_time_ns  # the device's clock, 0 without one
-uint64 host_monotonic_ns  # first byte, the host's monotonic clock
-uint64 host_wall_ns  # first byte, since 1970-01-01 UTC
-float64[] values  # readings in the order and unit of the instrument, NaN where missing
-float64[] imaginary  # imaginary parts, empty for instruments without
-uint32 status  # flags of the wire, 0 for instruments that state none
-int32 gain  # the instrument's own code, -1 where it states none
-uint64[] channel_times_ns  # of each reading after device_time_ns, empty for instruments that state none
-";
+const FRAME: &str = include_str!("../dermis_msgs/msg/Frame.msg");
 
-const BASELINE: &str = "\
-# What frames are compared with from here on.
-uint64 time_ns  # of the frame that completed it, the device's clock where it has one
-uint64 frames  # averaged; 0 when given
-string origin  # startup, tare, forced-tare, given
-string reason
-float64[] values  # one a channel of the protocol
-float64[] noise_std  # standard deviation of each channel at rest
-";
+const BASELINE: &str = include_str!("../dermis_msgs/msg/Baseline.msg");
 
-const TOUCHES_OF_A_FRAME: &str = "\
-# The touches of a frame, those that ended in it included.
-uint64 sequence  # the frame
-uint64 host_monotonic_ns  # of the frame
-dermis_msgs/Touch[] touches
-dermis_msgs/OtherPlace[] other_places  # of touches whose place is in doubt
-";
+const TOUCHES_OF_A_FRAME: &str = include_str!("../dermis_msgs/msg/Touches.msg");
 
-const TOUCH: &str = "\
-MSG: dermis_msgs/Touch
-uint64 id
-string phase  # begin, move, end
-float64 x_m
-float64 y_m
-float64 amplitude  # of the image
-float64 area_m2
-float64 sigma_x_m
-float64 sigma_y_m
-float64 force_n  # NaN without calibration
-string force_range  # within, below, above, saturated, none; empty without calibration
-float64 radius_m  # NaN where none was fitted
-";
+const TOUCH: &str = concat!("MSG: dermis_msgs/Touch\n", include_str!("../dermis_msgs/msg/Touch.msg"));
 
-const OTHER_PLACE: &str = "\
-MSG: dermis_msgs/OtherPlace
-uint64 id  # of the touch
-float64 x_m
-float64 y_m
-float64 sigma_x_m  # if it is there
-float64 sigma_y_m
-float64 probability  # that it is
-";
+const OTHER_PLACE: &str = concat!("MSG: dermis_msgs/OtherPlace\n", include_str!("../dermis_msgs/msg/OtherPlace.msg"));
 
-const EVENT: &str = "\
-# Something that happened before the next frame.
-string event
-string detail
-float64[] values
+const EVENT: &str = include_str!("../dermis_msgs/msg/Event.msg");
+
+const JOINT_STATE: &str = "\
+std_msgs/Header header
+string[] name
+float64[] position  # radians, of sliding joints metres
+float64[] velocity
+float64[] effort
 ";
 
 const IMAGE_OF_ROS: &str = "\

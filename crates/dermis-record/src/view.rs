@@ -35,6 +35,12 @@ impl SkinView {
         Self { frame_id, rows, columns, points, bend_radius_m, period_ns: 0 }.with_images_per_s(Self::IMAGES_PER_S)
     }
 
+    /// In the frame of this name, in place of the skin's.
+    #[must_use]
+    pub fn with_frame_id(self, frame_id: &str) -> Self {
+        Self { frame_id: frame_id.to_owned(), ..self }
+    }
+
     /// At most so many images and point clouds a second; from 1e9 on, and for what is no number, every frame has one.
     #[must_use]
     pub fn with_images_per_s(self, images_per_s: f64) -> Self {

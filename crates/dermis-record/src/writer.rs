@@ -2,27 +2,20 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex};
 
 use dermis_device::{Frame, HostStamp};
 use dermis_touch::{ReferenceRecord, Touch, TouchEvent};
-use mcap::records::{MessageHeader, op};
-use mcap::write::NoSeek;
-use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+use mcap::{Attachment, McapError};
 
 use super::file::{Destination, destination};
-use super::head::{FINISHED, RecordingHead, STOPPED, record};
+use super::head::{FINISHED, RecordingHead, record};
+use super::schema::Schema;
+use super::shared_file::{FileWriter, SharedFile, lock, mcap_error, new_writer};
 use super::view::SkinView;
 use super::{messages, schema};
 use crate::Error;
-
-/// Everything is handed to the operating system this often.
-pub(super) const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-
-/// The same once so much has come together; large enough to compress well.
-pub(super) const CHUNK_BYTES: usize = 1 << 20;
 
 /// What a finished recording holds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -32,9 +25,6 @@ pub struct RecordingSummary {
     /// Frames that were offered and did not fit the queue.
     pub dropped: u64,
 }
-
-/// The format's writer to wherever the bytes go.
-pub(super) type FileWriter = Writer<NoSeek<Box<dyn Destination>>>;
 
 /// Numbers of the channels in the file.
 #[derive(Clone, Copy)]
@@ -58,19 +48,19 @@ struct Drawn {
 /// A recorder dropped before [`Recorder::finish`] leaves a readable file under its partial name.
 pub struct Recorder {
     name: PathBuf,
-    /// None after a failure.
-    writer: Option<FileWriter>,
+    /// The recorders of a body's patches share one.
+    file: Arc<Mutex<SharedFile>>,
+    /// Name of the patch, where the recording is of a body.
+    patch: Option<String>,
     channels: Channels,
     readings: usize,
     drawn: Option<Drawn>,
     bytes: Vec<u8>,
-    message: u32,
     frames: u64,
     /// Of them, those that the operating system has.
     safe_frames: u64,
-    flushed: Instant,
-    /// Bytes of messages that it does not have yet.
-    pending: usize,
+    /// How often the file had been handed out when that was last counted.
+    handed_out: u64,
 }
 
 impl std::fmt::Debug for Recorder {
@@ -93,22 +83,23 @@ impl Recorder {
 
     pub(super) fn new(out: Box<dyn Destination>, name: PathBuf, head: &RecordingHead) -> Result<Self, Error> {
         head.validate()?;
-        let failed = |error| mcap_error(&name, error);
-        let mut writer = new_writer(out).map_err(failed)?;
-        let channels = write_head(&mut writer, head).map_err(failed)?;
-        Ok(Self {
-            name,
-            writer: Some(writer),
-            channels,
-            readings: head.layout.channels(),
-            drawn: None,
-            bytes: Vec::new(),
-            message: 0,
-            frames: 0,
-            safe_frames: 0,
-            flushed: Instant::now(),
-            pending: 0,
-        })
+        let mut writer = new_writer(out).map_err(|error| mcap_error(&name, error))?;
+        let channels = write_head(&mut writer, head, None).map_err(|error| mcap_error(&name, error))?;
+        Ok(Self::of(Arc::new(Mutex::new(SharedFile::new(name, writer))), None, channels, head.layout.channels()))
+    }
+
+    /// A recorder for one patch of a body, which writes into the body's file.
+    pub(super) fn of_patch(file: Arc<Mutex<SharedFile>>, patch: &str, head: &RecordingHead) -> Result<Self, Error> {
+        head.validate()?;
+        let channels = lock(&file).attempt(|writer| write_head(writer, head, Some(patch)))?;
+        lock(&file).join();
+        Ok(Self::of(file, Some(patch.to_owned()), channels, head.layout.channels()))
+    }
+
+    fn of(file: Arc<Mutex<SharedFile>>, patch: Option<String>, channels: Channels, readings: usize) -> Self {
+        let name = lock(&file).name().to_owned();
+        let (drawn, bytes) = (None, Vec::new());
+        Self { name, file, patch, channels, readings, drawn, bytes, frames: 0, safe_frames: 0, handed_out: 0 }
     }
 
     /// Also takes images, point clouds and touches as viewers draw them.
@@ -117,13 +108,18 @@ impl Recorder {
     /// [`Error::Io`].
     pub fn with_view(mut self, view: SkinView) -> Result<Self, Error> {
         let mut channels = [0; 3];
-        self.attempt(|writer| {
+        let patch = self.patch.as_deref();
+        lock(&self.file).attempt(|writer| {
             for (schema, id) in schema::STANDARD.iter().zip(&mut channels) {
-                *id = add_channel(writer, schema)?;
+                *id = add_channel(writer, schema, patch)?;
             }
             writer.flush()
         })?;
         let [image, points, touch_points] = channels;
+        let view = match patch {
+            Some(patch) => view.with_frame_id(patch),
+            None => view,
+        };
         self.drawn = Some(Drawn { view, image, points, touch_points });
         Ok(self)
     }
@@ -167,6 +163,7 @@ impl Recorder {
             });
         }
         messages::write_frame(&mut self.bytes, frame);
+        self.count_safe();
         // Counted first, for writing may hand it out at once.
         self.frames += 1;
         self.write(self.channels.frames, frame.host_wall_ns)
@@ -260,19 +257,22 @@ impl Recorder {
     /// # Errors
     /// [`Error::Io`].
     pub fn flush_if_due(&mut self) -> Result<(), Error> {
-        let due = self.pending >= CHUNK_BYTES || self.flushed.elapsed() >= FLUSH_INTERVAL;
-        if self.pending > 0 && due {
-            self.flush()?;
+        if lock(&self.file).flush_if_due()? {
+            self.all_safe();
         }
         Ok(())
     }
 
-    fn flush(&mut self) -> Result<(), Error> {
-        self.attempt(|writer| writer.flush())?;
-        self.flushed = Instant::now();
-        self.pending = 0;
+    /// Frames written before the last flush are safe, even if another recorder flushed the file.
+    fn count_safe(&mut self) {
+        if lock(&self.file).handed_out() != self.handed_out {
+            self.all_safe();
+        }
+    }
+
+    fn all_safe(&mut self) {
+        self.handed_out = lock(&self.file).handed_out();
         self.safe_frames = self.frames;
-        Ok(())
     }
 
     /// Ends the recording and gives it its final name. `dropped` frames are noted in it as missing.
@@ -281,13 +281,11 @@ impl Recorder {
     /// [`Error::Io`]; what was written so far stays under the partial name.
     pub fn finish(mut self, dropped: u64) -> Result<RecordingSummary, Error> {
         let summary = RecordingSummary { frames: self.frames, dropped };
-        let end = record(FINISHED, [("frames", self.frames.to_string()), ("dropped", dropped.to_string())]);
-        self.attempt(|writer| {
-            writer.write_metadata(&end)?;
-            writer.finish().map(|_| ())
-        })?;
-        let Some(writer) = self.writer.take() else { return Ok(summary) };
-        writer.into_inner().into_inner().complete().map_err(Error::io(self.name))?;
+        let entries = [("frames", self.frames.to_string()), ("dropped", dropped.to_string())];
+        let end = record(&schema::name_of(FINISHED, self.patch.as_deref()), entries);
+        let finished = lock(&self.file).finish(&end)?;
+        finished.map_or(Ok(()), |out| out.complete().map_err(Error::io(&self.name)))?;
+        self.all_safe();
         Ok(summary)
     }
 
@@ -300,67 +298,40 @@ impl Recorder {
     }
 
     fn write_message(&mut self, channel_id: u16, wall_ns: u64, message: &[u8]) -> Result<(), Error> {
-        let header = MessageHeader { channel_id, sequence: self.message, log_time: wall_ns, publish_time: wall_ns };
-        self.message = self.message.wrapping_add(1);
-        self.attempt(|writer| writer.write_to_known_channel(&header, message))?;
-        self.pending += message.len();
-        self.flush_if_due()
+        let is_handed_out = lock(&self.file).write(channel_id, wall_ns, message)?;
+        if is_handed_out {
+            self.all_safe();
+        }
+        Ok(())
     }
-
-    /// Runs a step; after a failure the writer is put out of use without writing anything more.
-    fn attempt(&mut self, step: impl FnOnce(&mut FileWriter) -> Result<(), McapError>) -> Result<(), Error> {
-        let stopped = || Error::io(&self.name)(io::Error::other("the recording has stopped after an earlier error"));
-        let writer = self.writer.as_mut().ok_or_else(stopped)?;
-        step(writer).map_err(|error| {
-            let error = mcap_error(&self.name, error);
-            if let Some(writer) = self.writer.take() {
-                writer.into_inner().into_inner().abandon(&stopped_note(&error.to_string()));
-            }
-            error
-        })
-    }
-}
-
-/// A writer of recordings. Chunks are built in memory and written whole, so that a killed writer leaves no half chunk
-/// but the last. They are ended by whoever writes and not by size, so that it is known which messages are out of this
-/// process's hands.
-pub(super) fn new_writer(out: Box<dyn Destination>) -> Result<FileWriter, McapError> {
-    let options = WriteOptions::new()
-        .profile("ros2")
-        .library(concat!("dermis ", env!("CARGO_PKG_VERSION")))
-        .disable_seeking(true)
-        .chunk_size(None)
-        .compression(Some(Compression::Zstd))
-        .compression_level(1)
-        .compression_threads(0);
-    options.create(NoSeek::new(out))
 }
 
 /// Writes metadata, the skin and the channels, and hands them out at once: they are what a reader needs most.
-fn write_head(writer: &mut FileWriter, head: &RecordingHead) -> Result<Channels, McapError> {
-    for record in head.metadata() {
+fn write_head(writer: &mut FileWriter, head: &RecordingHead, patch: Option<&str>) -> Result<Channels, McapError> {
+    for mut record in head.metadata() {
+        record.name = schema::name_of(&record.name, patch);
         writer.write_metadata(&record)?;
     }
-    attach_all(writer, head)?;
+    attach_all(writer, head, patch)?;
     let [frames, baselines, touches, events] = &schema::OWN;
     let channels = Channels {
-        frames: add_channel(writer, frames)?,
-        baselines: add_channel(writer, baselines)?,
-        touches: add_channel(writer, touches)?,
-        events: add_channel(writer, events)?,
+        frames: add_channel(writer, frames, patch)?,
+        baselines: add_channel(writer, baselines, patch)?,
+        touches: add_channel(writer, touches, patch)?,
+        events: add_channel(writer, events, patch)?,
     };
     writer.flush()?;
     Ok(channels)
 }
 
 /// Attaches the skin file and the calibrations.
-pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead) -> Result<(), McapError> {
+pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead, patch: Option<&str>) -> Result<(), McapError> {
     let now_ns = HostStamp::now().wall_ns;
     for (name, media_type, text) in head.attachments() {
         writer.attach(&Attachment {
             log_time: now_ns,
             create_time: now_ns,
-            name: name.to_owned(),
+            name: patch.map_or_else(|| name.to_owned(), |patch| format!("{patch}/{name}")),
             media_type: media_type.to_owned(),
             data: Cow::Borrowed(text.as_bytes()),
         })?;
@@ -368,32 +339,7 @@ pub(super) fn attach_all(writer: &mut FileWriter, head: &RecordingHead) -> Resul
     Ok(())
 }
 
-fn add_channel(writer: &mut FileWriter, schema: &schema::Schema) -> Result<u16, McapError> {
+pub(super) fn add_channel(writer: &mut FileWriter, schema: &Schema, patch: Option<&str>) -> Result<u16, McapError> {
     let id = writer.add_schema(schema.name, "ros2msg", schema.text().as_bytes())?;
-    writer.add_channel(id, schema.topic, "cdr", &BTreeMap::new())
-}
-
-/// A metadata record that says why a recording stopped, as bytes: the format's own writer is of no use after an error.
-fn stopped_note(reason: &str) -> Vec<u8> {
-    let text = |out: &mut Vec<u8>, text: &str| {
-        out.extend_from_slice(&(text.len() as u32).to_le_bytes());
-        out.extend_from_slice(text.as_bytes());
-    };
-    let (mut content, mut entries) = (Vec::new(), Vec::new());
-    text(&mut entries, "reason");
-    text(&mut entries, reason);
-    text(&mut content, STOPPED);
-    content.extend_from_slice(&(entries.len() as u32).to_le_bytes());
-    content.extend_from_slice(&entries);
-    let mut note = vec![op::METADATA];
-    note.extend_from_slice(&(content.len() as u64).to_le_bytes());
-    note.extend_from_slice(&content);
-    note
-}
-
-pub(super) fn mcap_error(name: &Path, error: McapError) -> Error {
-    match error {
-        McapError::Io(error) => Error::io(name)(error),
-        other => Error::io(name)(io::Error::other(other)),
-    }
+    writer.add_channel(id, &schema::topic_of(schema.topic, patch), "cdr", &BTreeMap::new())
 }

@@ -74,6 +74,7 @@ impl Skin {
             health: HealthSettings::default(),
             damage: DamageSettings::default(),
             twin: TwinSettings::default(),
+            mount: None,
         };
         let width_mm = 0.4e3 * skin.frontend.shape.outline().perimeter_m() / 16.0;
         skin.with_rim_electrodes(16, width_mm.min(10.0))

@@ -32,6 +32,7 @@ mod imaging;
 mod layer;
 mod magnetic;
 mod mesh_file;
+mod mount;
 mod pair;
 mod parts;
 mod refinement;
@@ -58,6 +59,7 @@ pub use imaging::{GainMatch, HyperparameterChoice, Imaging, MixturePart, Polarit
 pub use layer::{ContactLaw, ElementsLayer, Layer, LiquidLayer, Memory, PatchesLayer, SandwichLayer, SheetLayer};
 pub use magnetic::{CoilConductor, CoilPlaces, Coils, ElementPlaces, Elements, Winding};
 pub use mesh_file::{LengthUnit, MeshFile};
+pub use mount::Mount;
 pub use pair::Pair;
 pub use refinement::Refinement;
 pub use schema::json_schema;

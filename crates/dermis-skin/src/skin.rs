@@ -14,6 +14,7 @@ use crate::frontend::Frontend;
 use crate::health::HealthSettings;
 use crate::imaging::Imaging;
 use crate::layer::Layer;
+use crate::mount::Mount;
 use crate::parts::{Part, read_skin_text};
 use crate::touch::TouchSettings;
 use crate::twin::{Parts, TwinSettings};
@@ -49,6 +50,9 @@ pub struct Skin {
     /// Its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
+    /// Its place on a robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mount: Option<Mount>,
 }
 
 fn is_default(twin: &TwinSettings) -> bool {
@@ -219,7 +223,8 @@ impl Skin {
         self.health.check(checker)?;
         self.damage.check(checker)?;
         self.imaging.check(elements, self.backend.circuit.is_some(), checker)?;
-        self.touch.check(checker)
+        self.touch.check(checker)?;
+        self.mount.as_ref().map_or(Ok(()), |mount| mount.check(checker))
     }
 }
 
@@ -243,6 +248,7 @@ struct Written {
     damage: DamageSettings,
     #[serde(default)]
     twin: TwinSettings,
+    mount: Option<Mount>,
 }
 
 impl Written {
@@ -265,6 +271,7 @@ impl Written {
             health: self.health,
             damage: self.damage,
             twin: self.twin,
+            mount: self.mount,
         })
     }
 }

@@ -30,6 +30,7 @@
 //! |---|---|
 //! | [`Skin`], [`skin`] | what a skin is: outline, layer, electrodes, instrument; its file |
 //! | [`Session`], [`source`] | frames with touches, from a twin, a file, a recording, an instrument |
+//! | [`body`], [`body_run`] | skins on a robot: its URDF, touches and wrenches in every frame; all of them running |
 //! | [`Pipeline`], [`live`] | a skin becomes an operator, frames become touches; calibrations |
 //! | [`Touch`], [`touch`] | contacts, tracks, baselines, noise, forces |
 //! | [`Twin`], [`twin`] | what a skin would read: mechanics, fields, instrument |
@@ -42,9 +43,11 @@
 //! `examples/` has a program of less than 60 lines for each way in: `first_touch`, `own_skin`, `own_instrument`,
 //! `offline_images`, `train_and_use`.
 
+pub mod body_run;
 mod session;
 pub mod source;
 
+pub use dermis_body as body;
 pub use dermis_device as device;
 pub use dermis_lab as lab;
 pub use dermis_learn as learn;

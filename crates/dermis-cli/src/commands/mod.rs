@@ -2,6 +2,7 @@
 
 mod acquired;
 mod bench;
+mod body;
 mod calibrate;
 mod circuit;
 mod completions;
@@ -56,6 +57,8 @@ pub use skins::skin_svg;
 pub enum Command {
     /// Run a skin live: acquire, reconstruct, show a page in the browser.
     Run(run::Arguments),
+    /// Check or draw the skins on a robot, or write a demonstration.
+    Body(body::Arguments),
     /// Record a skin into a file.
     Record(record::Arguments),
     /// Run a recording through the pipeline again, as it was or with another prior.
@@ -113,6 +116,7 @@ impl Command {
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
         match self {
             Command::Run(arguments) => arguments.run(out),
+            Command::Body(arguments) => arguments.run(out),
             Command::Record(arguments) => arguments.run(out),
             Command::Replay(arguments) => arguments.run(out),
             Command::Info(arguments) => arguments.run(out),

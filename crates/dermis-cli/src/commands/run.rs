@@ -1,18 +1,20 @@
 //! `dermis run`: acquire, reconstruct, show. One thread reads the source, this one runs the pipeline, the page's server
 //! has its own; whatever is lost on the way is counted, shown, and tells in the exit code.
 
+mod on_body;
 mod running;
 pub mod source;
 
 use std::io::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crate::page::{PageOptions, Request, Token};
 use crossbeam_channel::Receiver;
+use dermis::body_run::BodyRunOptions;
 use dermis::device::acquire::Acquisition;
 use dermis::live::driver::{Driver, Observer};
 use dermis::live::network::built_in;
@@ -24,7 +26,7 @@ use dermis_device::Frame;
 use dermis_learn::Model;
 
 use super::acquired::AcquiredFrames;
-use crate::exit::Outcome;
+use crate::exit::{Outcome, UsageError};
 use crate::interrupt;
 pub(super) use running::Running;
 
@@ -34,6 +36,11 @@ Examples:
   dermis run healing-square --no-open --port 8080
   dermis run healing-square --headless --frames 100
   dermis run --source recording.mcap --speed 0
+  dermis run arm/arm.toml --headless --frames 50
+
+In place of a skin a body file runs all skins of a robot (`dermis body demo arm` writes one): every patch by the source
+that the file names, as JSON lines, with touches in the frames of patch, link and root, net wrenches, and once a second a
+line of health.
 
 Without a source, the skin's digital twin runs; press on it in the page with the mouse. The address of the page is printed
 as `page: http://...`. Pages on other addresses than this machine's own need the token that is part of that address.";
@@ -75,14 +82,28 @@ pub struct Arguments {
     /// Further names under which browsers may ask for the page.
     #[arg(long, value_name = "NAME")]
     allow_host: Vec<String>,
-    /// Stop after so many frames.
+    /// Stop after so many frames, of a body each patch.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
+    /// Source of a body's joint values: - (JSON lines on standard input), tcp:HOST:PORT, a file of such lines, or sweep
+    /// (a demonstration).
+    #[arg(long, value_name = "SOURCE")]
+    joints: Option<String>,
+    /// Run the other patches of a body if one can't be started.
+    #[arg(long)]
+    keep_going: bool,
 }
 
 impl Arguments {
     /// Runs until the source ends, the frames asked for are done, or the user interrupts.
     pub fn run(self, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        if let Some(file) = self.input.body_file()? {
+            return self.run_body(&file, out);
+        }
+        if self.joints.is_some() || self.keep_going {
+            let text = "--joints and --keep-going: expected a body file, as `dermis body demo arm` writes one";
+            return Err(UsageError(text.into()).into());
+        }
         let (opened, mut pipeline, head) = self.input.open()?;
         self.classify_by_network(&mut pipeline)?;
         let is_twin = opened.twin.is_some();
@@ -128,6 +149,25 @@ impl Arguments {
         }
         let counters = if is_twin { Outcome::without_twins_frames(counters) } else { counters };
         Ok(run.outcome(counters, incomplete.as_deref()))
+    }
+
+    fn run_body(&self, file: &Path, out: &mut dyn Write) -> anyhow::Result<Outcome> {
+        let given = [("--model", self.model.is_some()), ("--allow-host", !self.allow_host.is_empty())];
+        if let Some((option, _)) = given.into_iter().find(|(_, is_given)| *is_given) {
+            return Err(UsageError(format!("{option}: of single skins; expected none with a body file")).into());
+        }
+        if !self.headless {
+            super::hint("bodies have no page: JSON lines follow, as with --headless");
+        }
+        let options = BodyRunOptions {
+            source: self.input.source_options()?,
+            joints: self.joints.clone(),
+            keep_going: self.keep_going,
+            record: self.record.clone(),
+            lines: true,
+            most_frames: self.frames,
+        };
+        on_body::run(file, &options, self.only_touches, out)
     }
 
     /// The network asked for, or the one that ships with the skin as long as the skin is what it was trained on.

@@ -215,9 +215,13 @@ pub fn skin_svg(skin: &Skin) -> anyhow::Result<String> {
     Ok(draw::svg(&SkinDrawing { body: &body.mesh, title, width_px: 640, mesh: false }.picture()))
 }
 
-type Encoder = fn(&Picture) -> anyhow::Result<Vec<u8>>;
+pub(super) type Encoder = fn(&Picture) -> anyhow::Result<Vec<u8>>;
 
-fn encoder(path: &Path) -> Result<Encoder, UsageError> {
+/// The picture format that a file's ending names.
+///
+/// # Errors
+/// Another ending.
+pub(super) fn encoder(path: &Path) -> Result<Encoder, UsageError> {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
     match extension.as_deref() {
         Some("svg") => Ok(|picture| Ok(draw::svg(picture).into_bytes())),

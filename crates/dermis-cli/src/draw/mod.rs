@@ -8,6 +8,7 @@
 //! adds 0.07 MB.
 
 mod axis;
+mod body;
 mod chart;
 mod colour_bar;
 mod colours;
@@ -21,6 +22,7 @@ mod skin;
 mod svg;
 mod text;
 
+pub use body::BodyDrawing;
 pub use chart::{Chart, Mark, Series};
 pub use dot_plot::{Dot, DotPlot};
 pub use heatmap::{Heatmap, Panel};

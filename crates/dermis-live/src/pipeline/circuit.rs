@@ -25,7 +25,7 @@ impl Pipeline {
             return Ok(());
         };
         let State::Running(running) = &mut self.state else { return Ok(()) };
-        self.prepared = prepared;
+        self.prepared = prepared.into();
         let SelfCalibrated { imager, finder, .. } = calibrated;
         // Channels are weighed otherwise now: a lambda that was asked for stays as many times what the rule gives.
         let times = imager.rule_hyperparameter() / running.reconstructor.imager.rule_hyperparameter();

@@ -51,7 +51,7 @@ from .errors import (
 )
 
 if _TYPE_CHECKING:
-    from . import eit, jax, mit, plot, ray, torch
+    from . import eit, jax, lerobot, mit, plot, ray, torch
 
 __all__ = [
     "Calibration",
@@ -87,7 +87,7 @@ __all__ = [
     "touch_dtype",
 ]
 
-_SUBMODULES = ("eit", "jax", "mit", "plot", "ray", "torch")
+_SUBMODULES = ("eit", "jax", "lerobot", "mit", "plot", "ray", "torch")
 
 
 def __getattr__(name: str):

@@ -26,6 +26,20 @@ pub enum LinesFor {
     Touches,
 }
 
+/// Fields added to the objects of a line. Every method appends `,"name":value`, or nothing.
+pub trait LineExtras {
+    /// At the end of the line's object.
+    fn line(&self, _line: &mut String) {}
+
+    /// At the end of a touch's object.
+    fn touch(&self, _line: &mut String, _touch: &Touch) {}
+}
+
+/// Nothing is added.
+struct Plain;
+
+impl LineExtras for Plain {}
+
 /// Writes lines such as
 /// `{"sequence":7,"time_s":12.000000345,"touches":[{"id":1,"phase":"begin","x_mm":12.5,...}],"clocks":{...}}`.
 ///
@@ -72,8 +86,12 @@ impl<W> JsonLines<W> {
     }
 }
 
-impl<W: Write + Send> Sink for JsonLines<W> {
-    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+impl<W: Write + Send> JsonLines<W> {
+    /// As [`Sink::accept`], with what `extras` adds.
+    ///
+    /// # Errors
+    /// As [`Sink::accept`].
+    pub fn accept_with(&mut self, output: &Output<'_>, extras: &dyn LineExtras) -> Result<(), Error> {
         self.summary.frames += 1;
         let quiet = output.damage.events.is_empty();
         let silent = output.touches.is_empty() && ended(output.events).next().is_none() && quiet;
@@ -81,16 +99,23 @@ impl<W: Write + Send> Sink for JsonLines<W> {
             return Ok(());
         }
         self.line.clear();
-        push_open(&mut self.line, output);
+        push_open(&mut self.line, output, extras);
         push_health(&mut self.line, output.health);
         push_anomalies(&mut self.line, output.anomalies);
         damage::push_damage(&mut self.line, &output.damage);
         push_clocks(&mut self.line, output);
+        extras.line(&mut self.line);
         self.line.push_str("}\n");
         let written = self.out.write_all(self.line.as_bytes()).and_then(|()| self.out.flush());
         written.map_err(Error::io(&self.name))?;
         self.summary.written += 1;
         Ok(())
+    }
+}
+
+impl<W: Write + Send> Sink for JsonLines<W> {
+    fn accept(&mut self, output: &Output<'_>) -> Result<(), Error> {
+        self.accept_with(output, &Plain)
     }
 
     fn finish(&mut self) -> Result<Summary, Error> {
@@ -105,8 +130,8 @@ fn ended(events: &[TouchEvent]) -> impl Iterator<Item = &Touch> {
 }
 
 /// Appends the object for one frame, without the brace that closes it: its touches, then those that ended in it.
-fn push_open(text: &mut String, output: &Output<'_>) {
-    let Output { sequence, time_ns, touches, events, .. } = output;
+fn push_open(text: &mut String, output: &Output<'_>, extras: &dyn LineExtras) {
+    let Output { sequence, time_ns, touches, events, .. } = *output;
     let is_known = output.health.frame.is_none();
     let (seconds, nanoseconds) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
     // Writing to a String cannot fail.
@@ -116,6 +141,8 @@ fn push_open(text: &mut String, output: &Output<'_>) {
             text.push(',');
         }
         push_touch(text, touch, is_known);
+        extras.touch(text, touch);
+        text.push('}');
     }
     text.push(']');
     if !is_known {
@@ -180,6 +207,7 @@ fn push_anomalies(text: &mut String, anomalies: FrameAnomalies) {
     );
 }
 
+/// Appends a touch's object, without the brace that closes it.
 fn push_touch(text: &mut String, touch: &Touch, is_known: bool) {
     let phase = match touch.phase {
         TouchPhase::Begin => "begin",
@@ -222,7 +250,6 @@ fn push_touch(text: &mut String, touch: &Touch, is_known: bool) {
             let _ = write!(text, ",\"{name}\":{}", Number(value));
         }
     }
-    text.push('}');
 }
 
 #[cfg(test)]
@@ -261,7 +288,9 @@ mod tests {
                 }
             }
         }
-        assert_eq!(found[1], json!({"sequence": 8, "time_s": 12.000000353, "touches": []}));
+        assert_eq!(found[1]["clocks"]["device_ns"], Value::Null);
+        let rest: Vec<_> = found[1].as_object().unwrap().iter().filter(|(key, _)| *key != "clocks").collect();
+        assert_eq!(json!(rest), json!([["sequence", 8], ["time_s", 12.000000353], ["touches", []]]));
     }
 
     #[test]

@@ -26,8 +26,8 @@ mod mesh_files;
 #[path = "../../../dermis-device/tests/own_clock/mod.rs"]
 mod own_clock;
 mod piezo;
-mod random_skins;
 mod protocol_lists;
+mod random_skins;
 mod recording;
 mod reliability;
 mod reproduce;

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::Context;
+use dermis::body::is_body_file;
 use dermis::live::calibration::Calibration;
 use dermis::live::forces::{parse_forces, parse_forces_as};
 use dermis::live::pipeline::{Pipeline, TARE_FRAMES};
@@ -52,6 +53,33 @@ pub struct InputArguments {
 }
 
 impl InputArguments {
+    /// The body file that stands in place of a skin, if one does.
+    ///
+    /// # Errors
+    /// Two skins.
+    pub fn body_file(&self) -> Result<Option<PathBuf>, UsageError> {
+        let given = self.skin.given()?.map(PathBuf::from);
+        Ok(given.filter(|path| is_body_file(path)))
+    }
+
+    /// How the sources of a body's patches are opened; what the body file says of each patch is no option here.
+    ///
+    /// # Errors
+    /// Options of a single skin, and a pace that is none.
+    pub fn source_options(&self) -> Result<SourceOptions, UsageError> {
+        let given = [
+            ("--source", "source", self.source != "twin"),
+            ("--baseline", "baseline", self.baseline.is_some()),
+            ("--calibration", "calibration", self.calibration.is_some()),
+            ("--forces", "forces", self.forces.is_some()),
+        ];
+        if let Some((option, key, _)) = given.into_iter().find(|(_, _, is_given)| *is_given) {
+            return Err(UsageError(format!("{option}: expected {key} = \"...\" in a [[patch]] of the body file")));
+        }
+        check_speed(self.speed)?;
+        Ok(SourceOptions { speed: self.speed, as_set: self.as_set, format: self.format })
+    }
+
     /// Opens the source, its pipeline, and what a recording of it says at its beginning.
     pub fn open(&self) -> anyhow::Result<(Opened, Pipeline, RecordingHead)> {
         let given = self.skin.given()?;
@@ -175,11 +203,7 @@ pub fn open_of(
     named: Option<&Skin>,
     options: &SourceOptions,
 ) -> anyhow::Result<Opened> {
-    let speed = options.speed;
-    if !(speed >= 0.0 && speed.is_finite()) {
-        let text = format!("--speed {speed}: expected 0 (as fast as possible) or a positive number");
-        return Err(UsageError(text).into());
-    }
+    check_speed(options.speed)?;
     let selector = selector.parse::<SourceSelector>().map_err(dermis::Error::from)?;
     let skin = match &selector {
         SourceSelector::Twin { name } => find(name.as_deref())?,
@@ -200,6 +224,13 @@ pub fn open_of(
     };
     let OpenedSource { source, twin, waits: wait, is_file } = opened?;
     Ok(Opened { source, twin, wait, is_file, as_skin: options.as_skin, prepared: prepared?, skin })
+}
+
+fn check_speed(speed: f64) -> Result<(), UsageError> {
+    if speed >= 0.0 && speed.is_finite() {
+        return Ok(());
+    }
+    Err(UsageError(format!("--speed {speed}: expected 0 (as fast as possible) or a positive number")))
 }
 
 /// Asks the desktop to show the page; without a desktop nothing happens.

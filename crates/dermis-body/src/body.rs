@@ -1,0 +1,320 @@
+//! A body: a robot, and the skins mounted on its links.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use dermis_skin::{Skin, builtin_text};
+use dermis_tomo::mesh::Surface;
+use toml::Spanned;
+
+use crate::body_file::{BodyText, PatchText, Source};
+use crate::error::{Error, listed};
+use crate::files;
+use crate::kinematics::{JointValues, Kinematics};
+use crate::transform::{Transform, Vector};
+use crate::urdf::{Geometry, Urdf};
+
+/// Name of the only link of a body without a URDF file.
+pub const ONLY_LINK: &str = "body";
+/// Most patches on one body.
+pub const MOST_PATCHES: usize = 256;
+/// Joint values older than this are stale unless the body file says otherwise, milliseconds: ten periods of a robot
+/// that publishes at 50 Hz, the slowest in common use.
+const STALE_AFTER_MS: f64 = 200.0;
+/// Longest offset of a patch on its link, mm.
+const MOST_MM: f64 = 1e5;
+
+/// A robot and the skins on it.
+#[derive(Clone, Debug)]
+pub struct Body {
+    /// Its name.
+    pub name: String,
+    /// The body file.
+    pub file: PathBuf,
+    /// The robot's URDF file, where it has one, and what it says.
+    pub urdf: Option<(PathBuf, Urdf)>,
+    /// Its links and joints.
+    pub kinematics: Kinematics,
+    /// Source of joint values named in the body file.
+    pub joint_source: Option<String>,
+    /// Joint values older than this are stale, seconds.
+    pub joints_stale_after_s: f64,
+    /// Joint values until others come: those of `joints.at`.
+    pub first_joints: JointValues,
+    /// The skins, in the order of the file.
+    pub patches: Vec<Patch>,
+}
+
+/// A skin on a link.
+#[derive(Clone, Debug)]
+pub struct Patch {
+    /// Its name, unlike any other on the body.
+    pub name: String,
+    /// The skin.
+    pub skin: Skin,
+    /// Source of its frames, as for `dermis run --source`.
+    pub source: String,
+    /// Number of the link that carries it.
+    pub link: usize,
+    /// Its place on the link.
+    pub link_from_patch: Transform,
+    /// Frames of the untouched skin, `FILE[#FRAMES]`.
+    pub baseline: Option<String>,
+    /// A calibration made by `dermis calibrate`.
+    pub calibration: Option<PathBuf>,
+    /// A force calibration.
+    pub forces: Option<PathBuf>,
+}
+
+/// Something wrong with a body.
+#[derive(Debug)]
+pub struct Problem {
+    /// The problem, with its file and line.
+    pub error: Error,
+    /// It affects drawings only.
+    pub only_drawn: bool,
+}
+
+impl Patch {
+    /// How the skin lies in the patch's frame.
+    pub fn surface(&self) -> Surface {
+        self.skin.surface()
+    }
+}
+
+impl Body {
+    /// Reads a body file, its URDF file and its skins.
+    ///
+    /// # Errors
+    /// The first thing that is wrong; meshes that cannot be read are passed over.
+    pub fn open(file: &Path) -> Result<Self, Error> {
+        let (body, problems) = Self::examine(file)?;
+        problems.into_iter().find(|problem| !problem.only_drawn).map_or(Ok(body), |problem| Err(problem.error))
+    }
+
+    /// Reads a body file and leaves out the patches that cannot be used; also everything that is wrong.
+    ///
+    /// # Errors
+    /// Files that cannot be read or parsed, and joints that make no tree: there is no body then.
+    pub fn examine(file: &Path) -> Result<(Self, Vec<Problem>), Error> {
+        let (source, text) = Source::open(file)?;
+        Builder { source, problems: Vec::new() }.build(text)
+    }
+
+    /// Pose of a patch; `None` if a joint on the way has no value.
+    pub fn root_from_patch(&self, patch: usize, joints: &JointValues) -> Option<Transform> {
+        let Patch { link, link_from_patch, .. } = &self.patches[patch];
+        Some(self.kinematics.root_from_link(*link, joints)? * *link_from_patch)
+    }
+
+    /// Names of the joints that patches depend on.
+    pub fn needed_joints(&self) -> BTreeSet<&str> {
+        let of = |patch: &Patch| self.kinematics.joints_of(patch.link).unwrap_or_default();
+        self.patches.iter().flat_map(of).collect()
+    }
+
+    /// Name of the frame that results are given in: the link that no joint carries.
+    pub fn root(&self) -> &str {
+        self.kinematics.link_name(self.kinematics.root())
+    }
+}
+
+/// A body being read.
+struct Builder {
+    source: Source,
+    problems: Vec<Problem>,
+}
+
+impl Builder {
+    fn build(mut self, text: BodyText) -> Result<(Body, Vec<Problem>), Error> {
+        let urdf = match &text.urdf {
+            Some(path) => Some(self.urdf(path, &text)?),
+            None => None,
+        };
+        let kinematics = match &urdf {
+            Some((file, urdf)) => Kinematics::new(urdf, file)?,
+            None => Kinematics::of_one_link(ONLY_LINK),
+        };
+        let mut first_joints = kinematics.unknown();
+        for (name, value) in &text.joints.at {
+            self.take_joint(&kinematics, &mut first_joints, name, value)?;
+        }
+        let stale_after_ms = match &text.joints.stale_after_ms {
+            None => STALE_AFTER_MS,
+            Some(value) if *value.get_ref() > 0.0 && *value.get_ref() <= 1e6 => *value.get_ref(),
+            Some(value) => {
+                let expected = "milliseconds above 0, at most 1e6";
+                return Err(self.source.refused(value, "joints.stale_after_ms", value.get_ref(), expected));
+            }
+        };
+        let stem = || self.source.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let mut body = Body {
+            name: text.name.or_else(stem).unwrap_or_default(),
+            file: self.source.file.clone(),
+            urdf,
+            kinematics,
+            joint_source: text.joints.source.map(Spanned::into_inner),
+            joints_stale_after_s: 1e-3 * stale_after_ms,
+            first_joints,
+            patches: Vec::new(),
+        };
+        if text.patch.is_empty() {
+            let message = "no [[patch]]: expected at least one, with name, skin and link".to_owned();
+            return Err(Error::BodyFile { file: self.source.file, message });
+        }
+        if let Some(first) = text.patch.get(MOST_PATCHES) {
+            let expected = format!("at most {MOST_PATCHES} patches");
+            return Err(self.source.refused(&first.name, "patch", text.patch.len(), expected));
+        }
+        let mut lines = Vec::new();
+        for patch in &text.patch {
+            match self.patch(patch, &body, &lines) {
+                Ok(good) => {
+                    lines.push(self.source.line_of(&patch.name));
+                    body.patches.push(good);
+                }
+                Err(error) => self.problems.push(Problem { error, only_drawn: false }),
+            }
+        }
+        Ok((body, self.problems))
+    }
+
+    fn urdf(&mut self, path: &Spanned<PathBuf>, text: &BodyText) -> Result<(PathBuf, Urdf), Error> {
+        let folder = self.source.folder();
+        let file = folder.join(path.get_ref());
+        if !file.is_file() {
+            let expected = "a URDF file, its path relative to the body file";
+            return Err(self.source.refused(path, "urdf", path.get_ref().display(), expected));
+        }
+        let urdf = Urdf::open(&file)?;
+        let packages: Vec<(String, PathBuf)> =
+            text.packages.iter().map(|(name, place)| (name.clone(), folder.join(place))).collect();
+        let mut seen = BTreeSet::new();
+        for shape in urdf.links.iter().flat_map(|link| &link.shapes) {
+            let Geometry::Mesh { filename } = &shape.geometry else { continue };
+            if !seen.insert(filename) {
+                continue;
+            }
+            let found = files::resolve(filename, &file, &packages);
+            let checked = found
+                .and_then(|place| files::check_mesh(&place).map_err(|reason| format!("{}: {reason}", place.display())));
+            if let Err(reason) = checked {
+                let message = format!("mesh {filename:?}: {reason}");
+                let error = Error::Urdf { file: file.clone(), line: shape.line, message };
+                self.problems.push(Problem { error, only_drawn: true });
+            }
+        }
+        Ok((file, urdf))
+    }
+
+    fn take_joint(
+        &self,
+        kinematics: &Kinematics,
+        joints: &mut JointValues,
+        name: &str,
+        value: &Spanned<f64>,
+    ) -> Result<(), Error> {
+        use crate::kinematics::Assigned::Taken;
+        let field = format!("joints.at.{name}");
+        if !value.get_ref().is_finite() {
+            return Err(self.source.refused(value, field, value.get_ref(), "a finite number, radians or metres"));
+        }
+        if kinematics.assign(joints, name, *value.get_ref())? == Taken {
+            return Ok(());
+        }
+        let known = listed(kinematics.moving_joints());
+        Err(self.source.refused(value, field, value.get_ref(), format!("a joint that moves by itself: {known}")))
+    }
+
+    fn patch(&self, text: &PatchText, body: &Body, lines: &[usize]) -> Result<Patch, Error> {
+        let name = text.name.get_ref();
+        let is_plain = |c: char| c.is_alphanumeric() || "_-.".contains(c);
+        if name.is_empty() || name.len() > 100 || !name.chars().all(is_plain) {
+            let expected = "a name of 1 to 100 letters, digits, _, - and .";
+            return Err(self.source.refused(&text.name, "patch.name", name.escape_debug(), expected));
+        }
+        if let Some(first) = body.patches.iter().position(|patch| patch.name == *name) {
+            let expected = format!("a name that no other patch has, unlike line {}", lines[first]);
+            return Err(self.source.refused(&text.name, "patch.name", name, expected));
+        }
+        let skin = self.skin(text)?;
+        let (link, link_from_patch) = self.mount(text, &skin, &body.kinematics)?;
+        let folder = self.source.folder();
+        Ok(Patch {
+            name: name.clone(),
+            skin,
+            source: text.source.as_ref().map_or_else(|| "twin".to_owned(), |source| source.get_ref().clone()),
+            link,
+            link_from_patch,
+            baseline: text.baseline.clone(),
+            calibration: text.calibration.as_ref().map(|path| folder.join(path)),
+            forces: text.forces.as_ref().map(|path| folder.join(path)),
+        })
+    }
+
+    fn skin(&self, text: &PatchText) -> Result<Skin, Error> {
+        let name = text.skin.get_ref();
+        let opened = match builtin_text(name) {
+            Some(_) => Skin::open(name),
+            None => Skin::open(&self.source.folder().join(name).display().to_string()),
+        };
+        opened.map_err(|source| Error::Skin {
+            file: self.source.file.clone(),
+            line: self.source.line_of(&text.skin),
+            patch: text.name.get_ref().clone(),
+            source,
+        })
+    }
+
+    /// The link and the place on it: those of the patch, or else those of its skin file.
+    fn mount(&self, text: &PatchText, skin: &Skin, kinematics: &Kinematics) -> Result<(usize, Transform), Error> {
+        let name = text.name.get_ref();
+        for (field, place, most) in [("xyz_mm", &text.xyz_mm, MOST_MM), ("rpy_deg", &text.rpy_deg, 360.0)] {
+            if let Some(place) = place
+                && let Some(value) = place.get_ref().iter().find(|v| v.is_nan() || v.abs() > most)
+            {
+                let expected = format!("three numbers from -{most} to {most}");
+                return Err(self.source.refused(place, format!("patch {name}: {field}"), value, expected));
+            }
+        }
+        let given = |place: &Option<Spanned<[f64; 3]>>| place.as_ref().map(|place| *place.get_ref());
+        let (xyz_mm, rpy_deg) = (given(&text.xyz_mm), given(&text.rpy_deg));
+        let has_links = kinematics.link_names().nth(1).is_some();
+        let (link, at, xyz_mm, rpy_deg) = match (&text.link, &skin.mount) {
+            (Some(link), _) => (link.get_ref().as_str(), link, xyz_mm.unwrap_or_default(), rpy_deg.unwrap_or_default()),
+            // A skin file's mount doesn't apply to a body without links.
+            (None, Some(mount)) if has_links && xyz_mm.is_none() && rpy_deg.is_none() => {
+                (mount.link.as_str(), &text.skin, mount.xyz_mm, mount.rpy_deg)
+            }
+            (None, _) if !has_links => {
+                let root = kinematics.link_name(kinematics.root());
+                (root, &text.name, xyz_mm.unwrap_or_default(), rpy_deg.unwrap_or_default())
+            }
+            (None, _) => {
+                let known = listed(kinematics.link_names());
+                let expected = format!("a link of the robot: {known}");
+                return Err(self.source.refused(&text.name, format!("patch {name}: link"), "left out", expected));
+            }
+        };
+        let number = kinematics.link(link).ok_or_else(|| {
+            let known = listed(kinematics.link_names());
+            let without = if has_links { "" } else { " (there is no urdf)" };
+            self.source.refused(
+                at,
+                format!("patch {name}: link"),
+                link,
+                format!("a link of the robot: {known}{without}"),
+            )
+        })?;
+        if let Err(joint) = kinematics.joints_of(number) {
+            let expected = format!("a link that is reached by joints of one value each, and {joint} has several");
+            return Err(self.source.refused(at, format!("patch {name}: link"), link, expected));
+        }
+        Ok((number, mount_transform(xyz_mm, rpy_deg)))
+    }
+}
+
+/// Pose of a patch on its link, from a place in millimetres and angles in degrees.
+pub fn mount_transform(xyz_mm: Vector, rpy_deg: Vector) -> Transform {
+    Transform::from_xyz_rpy(xyz_mm.map(|mm| 1e-3 * mm), rpy_deg.map(f64::to_radians))
+}

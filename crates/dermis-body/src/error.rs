@@ -1,0 +1,81 @@
+//! Errors of bodies: file, line, value and expected value.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+/// Errors of bodies.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file that could not be read.
+    #[error("{}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The system's message.
+        source: std::io::Error,
+    },
+    /// A body file that is no TOML, or has unknown or missing keys; the message shows the place.
+    #[error("{}: {message}", file.display())]
+    BodyFile {
+        /// The file.
+        file: PathBuf,
+        /// The problem, with line and column.
+        message: String,
+    },
+    /// A key of a body file holds a value that makes no sense.
+    #[error("{}, line {line}: {field} = {value}: expected {expected}", file.display())]
+    BodyField {
+        /// The file.
+        file: PathBuf,
+        /// Its line, from 1.
+        line: usize,
+        /// Dotted name of the key.
+        field: String,
+        /// Its value.
+        value: String,
+        /// The expected value.
+        expected: String,
+    },
+    /// Something in a URDF file that is no robot.
+    #[error("{}, line {line}: {message}", file.display())]
+    Urdf {
+        /// The file.
+        file: PathBuf,
+        /// Its line, from 1.
+        line: usize,
+        /// The problem and the expected content.
+        message: String,
+    },
+    /// The skin of a patch.
+    #[error("{}, line {line}: patch {patch}: {source}", file.display())]
+    Skin {
+        /// The body file.
+        file: PathBuf,
+        /// Its line, from 1.
+        line: usize,
+        /// Name of the patch.
+        patch: String,
+        /// The problem.
+        source: dermis_skin::Error,
+    },
+    /// Joint values that cannot be used.
+    #[error("joint values: {message}")]
+    Joints {
+        /// The problem and the expected content.
+        message: String,
+    },
+}
+
+/// Names for people; after the twelfth their number.
+pub(crate) fn listed<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    const MOST: usize = 12;
+    let all: Vec<&str> = names.collect();
+    let shown = all[..all.len().min(MOST)].join(", ");
+    match all.len().saturating_sub(MOST) {
+        0 if all.is_empty() => "there is none".to_owned(),
+        0 => shown,
+        more => format!("{shown} and {more} more"),
+    }
+}

@@ -1,0 +1,95 @@
+//! Files that a body names: bounded reads, `package://` paths, checks of meshes.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use crate::error::Error;
+
+/// Bytes of a mesh that are looked at: beginnings of every format lie within, and all of a text file's first vertex.
+const LOOKED_AT: u64 = 64 << 10;
+
+/// A text of at most `most` bytes.
+pub(crate) fn read_text(file: &Path, most: u64) -> Result<String, Error> {
+    let io = |source| Error::Io { file: file.to_path_buf(), source };
+    let metadata = std::fs::metadata(file).map_err(io)?;
+    let bad = |message: String| io(std::io::Error::new(std::io::ErrorKind::InvalidData, message));
+    if !metadata.is_file() {
+        return Err(bad("not a file: expected a text file".to_owned()));
+    }
+    let mut text = String::new();
+    let read = File::open(file).and_then(|opened| opened.take(most + 1).read_to_string(&mut text)).map_err(io)?;
+    if read as u64 > most {
+        return Err(bad(format!("larger than {most} bytes, which is the most that is read")));
+    }
+    Ok(text)
+}
+
+/// Path of the file that a `filename` in URDF names: a path beside the URDF file, `file://PATH`, or `package://NAME/PATH`.
+/// Packages are those given, or else folders of that name in a folder that the URDF file is in, or above it, or in
+/// `ROS_PACKAGE_PATH` or below `share` in `AMENT_PREFIX_PATH`.
+///
+/// # Errors
+/// The reason why there is no such file, and the expected content.
+pub(crate) fn resolve(filename: &str, urdf: &Path, packages: &[(String, PathBuf)]) -> Result<PathBuf, String> {
+    let folder = urdf.parent().unwrap_or(Path::new(""));
+    if let Some(path) = filename.strip_prefix("file://") {
+        return Ok(folder.join(path));
+    }
+    let Some(rest) = filename.strip_prefix("package://") else {
+        if filename.contains("://") {
+            return Err("expected a path, file:// or package://".to_owned());
+        }
+        return Ok(folder.join(filename));
+    };
+    let (package, path) = rest.split_once('/').ok_or("expected package://NAME/PATH")?;
+    if let Some((_, place)) = packages.iter().find(|(name, _)| name == package) {
+        return Ok(place.join(path));
+    }
+    let absolute = std::path::absolute(urdf).unwrap_or_else(|_| urdf.to_path_buf());
+    let above = absolute.ancestors().skip(1).flat_map(|folder| {
+        let is_it = folder.file_name().is_some_and(|name| name == package);
+        is_it.then(|| folder.to_path_buf()).into_iter().chain([folder.join(package)])
+    });
+    let listed = |variable: &str| {
+        let text = std::env::var_os(variable).unwrap_or_default();
+        std::env::split_paths(&text).collect::<Vec<_>>()
+    };
+    let ros = listed("ROS_PACKAGE_PATH").into_iter().map(|folder| folder.join(package));
+    let ament = listed("AMENT_PREFIX_PATH").into_iter().map(|folder| folder.join("share").join(package));
+    let place = above.chain(ros).chain(ament).find(|place| place.is_dir());
+    let unknown =
+        || format!("package {package} is not found: expected packages.{package} = \"FOLDER\" in the body file");
+    Ok(place.ok_or_else(unknown)?.join(path))
+}
+
+/// Checks that the content of a file fits its ending: STL, OBJ, COLLADA, PLY, glTF. Other endings pass.
+///
+/// # Errors
+/// The problem and the expected content.
+pub(crate) fn check_mesh(file: &Path) -> Result<(), String> {
+    let mut start = Vec::new();
+    let opened = File::open(file).map_err(|error| error.to_string())?;
+    let length = opened.metadata().map_err(|error| error.to_string())?.len();
+    opened.take(LOOKED_AT).read_to_end(&mut start).map_err(|error| error.to_string())?;
+    if start.is_empty() {
+        return Err("empty: expected a mesh".to_owned());
+    }
+    let ending = file.extension().map(|ending| ending.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let text = String::from_utf8_lossy(&start);
+    let is_it = match ending.as_str() {
+        "stl" => {
+            let counted = start.get(80..84).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
+            // Text begins with "solid", but so do binary files of some programs.
+            counted.is_some_and(|count| length == 84 + 50 * u64::from(count))
+                || (text.trim_start().starts_with("solid") && text.contains("facet"))
+        }
+        "obj" => text.lines().any(|line| line.starts_with("v ")),
+        "dae" => text.contains("<COLLADA"),
+        "ply" => text.starts_with("ply"),
+        "glb" => start.starts_with(b"glTF"),
+        "gltf" => text.trim_start().starts_with('{'),
+        _ => true,
+    };
+    if is_it { Ok(()) } else { Err(format!("no {} file, or cut off: expected one whole", ending.to_uppercase())) }
+}

@@ -1,0 +1,60 @@
+//! Skins mounted on a robot: where its links are, and what touches them, in every frame.
+//!
+//! A body file names a robot's URDF file and mounts skins on its links. [`Body`] reads it, [`Kinematics`] says where the
+//! links are for given joint values, [`SpatialTouch`] puts a touch into any frame, and [`Wrench`] adds touches up to a
+//! force and a torque with their covariance.
+//!
+//! ```
+//! use dermis_body::{Body, SpatialTouch, Taxels};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # let file = folder.path().join("arm.toml");
+//! # std::fs::write(folder.path().join("arm.urdf"), r#"<robot name="arm"><link name="base"/><link name="forearm"/>
+//! #   <joint name="elbow" type="revolute"><parent link="base"/><child link="forearm"/><origin xyz="0 0 0.3"/>
+//! #   <axis xyz="0 1 0"/></joint></robot>"#)?;
+//! # std::fs::write(&file, r#"
+//! urdf = "arm.urdf"
+//!
+//! [[patch]]
+//! name = "outer"
+//! skin = "healing-square"
+//! link = "forearm"
+//! xyz_mm = [100, 0, 30]
+//! rpy_deg = [0, 0, 90]
+//! # "#.replace("//! ", ""))?;
+//! let body = Body::open(&file)?;
+//! let mut joints = body.kinematics.unknown();
+//! assert!(body.root_from_patch(0, &joints).is_none(), "nobody has said where the elbow stands");
+//! body.kinematics.assign(&mut joints, "elbow", 0.0)?;
+//! let root_from_patch = body.root_from_patch(0, &joints).expect("now it is known");
+//! let position_m = root_from_patch.point_m([0.010, -0.005, 0.0]);
+//! assert!((position_m[0] - 0.105).abs() < 1e-12 && (position_m[2] - 0.33).abs() < 1e-12);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Frames
+//! The *patch's* frame is the skin's: x right, y up, z out of the skin toward whatever touches, origin at the middle of
+//! the sheet. The *link's* frame is that of the URDF file, and the *root's* that of the link which no joint carries.
+//! `a_from_b` takes coordinates in b to coordinates in a. Lengths are metres, angles radians. Forces and wrenches act on
+//! the sensor: a press pushes against the outward normal.
+
+mod body;
+mod body_file;
+mod demo;
+mod error;
+mod files;
+pub mod joint_lines;
+mod kinematics;
+mod space;
+mod transform;
+pub mod urdf;
+mod wrench;
+
+pub use body::{Body, MOST_PATCHES, ONLY_LINK, Patch, Problem, mount_transform};
+pub use body_file::is_body_file;
+pub use demo::DEMO_FILES;
+pub use error::Error;
+pub use kinematics::{Assigned, JointValues, Kinematics};
+pub use space::{ForceEstimate, SpatialTouch, Taxels, trusted_force};
+pub use transform::{Matrix, Transform, Vector};
+pub use wrench::{Matrix6, Press, Wrench};

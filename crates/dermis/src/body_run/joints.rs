@@ -1,0 +1,235 @@
+//! Joint values of a running body: from JSON lines on standard input, in a file or on a socket, from a demonstration,
+//! or from the body file.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use dermis_body::joint_lines::{MOST_LINE_BYTES, take_line};
+use dermis_body::{Body, JointValues};
+use dermis_device::HostStamp;
+
+use super::error::BodyRunError;
+
+/// Period of the demonstration's slowest joint, seconds.
+const SWEEP_S: f64 = 12.0;
+/// Reach of the demonstration where a joint has no limits, radians or metres.
+const SWEEP_REACH: f64 = 1.0;
+/// A socket that is lost is asked for again after this.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// The newest joint values.
+#[derive(Clone, Debug)]
+pub struct JointSnapshot {
+    /// Their values.
+    pub values: JointValues,
+    /// Their state.
+    pub state: JointsState,
+    /// Age of the values, seconds; `None` if there is no source.
+    pub age_s: Option<f64>,
+}
+
+/// State of joint values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JointsState {
+    /// Values of the body file; there is no source.
+    Fixed,
+    /// Values of a source, not too old.
+    Fresh,
+    /// The source has sent nothing for longer than the body file allows, or nothing yet.
+    Stale,
+}
+
+impl JointsState {
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fixed => "fixed",
+            Self::Fresh => "fresh",
+            Self::Stale => "stale",
+        }
+    }
+}
+
+/// State shared by the reading thread and its readers.
+#[derive(Debug)]
+struct Told {
+    values: JointValues,
+    at_ns: Option<u64>,
+    /// Reason why no values come.
+    problem: Option<String>,
+    /// Joints in the source that the robot does not have.
+    unknown: BTreeSet<String>,
+}
+
+/// Kind of source.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Kind {
+    Fixed,
+    Lines,
+    Sweep,
+}
+
+/// Joint values of a running body.
+#[derive(Clone, Debug)]
+pub struct JointFeed {
+    body: Arc<Body>,
+    kind: Kind,
+    told: Arc<Mutex<Told>>,
+    begun: Instant,
+}
+
+impl JointFeed {
+    /// Opens a source: `-` (standard input), `tcp:HOST:PORT`, `sweep` (a demonstration: every joint goes to and fro
+    /// between its limits) or a file of lines, at the pace of their `time_s`. Without one the joints stand where
+    /// `joints.at` has them, and else at rest.
+    ///
+    /// # Errors
+    /// A file that cannot be opened.
+    pub fn open(body: &Arc<Body>, source: Option<&str>, stop: &Arc<AtomicBool>) -> Result<Self, BodyRunError> {
+        let (kind, values) = match source {
+            None => (Kind::Fixed, rest_where_unknown(body)),
+            Some("sweep") => (Kind::Sweep, rest_where_unknown(body)),
+            Some(_) => (Kind::Lines, body.first_joints.clone()),
+        };
+        let told = Told { values, at_ns: None, problem: None, unknown: BTreeSet::new() };
+        let feed = Self { body: body.clone(), kind, told: Arc::new(Mutex::new(told)), begun: Instant::now() };
+        let Some(source) = source.filter(|_| feed.kind == Kind::Lines) else { return Ok(feed) };
+        let (reader, name, stop) = (feed.clone(), source.to_owned(), stop.clone());
+        let work: Box<dyn FnOnce() + Send> = match source.strip_prefix("tcp:") {
+            Some(address) => {
+                let address = address.to_owned();
+                Box::new(move || reader.follow_socket(&address, &stop))
+            }
+            None if source == "-" => Box::new(move || reader.follow(BufReader::new(io::stdin()), false, &name, &stop)),
+            None => {
+                let file = File::open(source);
+                let file = file.map_err(|error| BodyRunError::Joints { name: name.clone(), source: error })?;
+                Box::new(move || reader.follow(BufReader::new(file), true, &name, &stop))
+            }
+        };
+        let thread = std::thread::Builder::new().name("dermis-joints".to_owned()).spawn(work);
+        // It ends with the process or its source: standard input cannot be interrupted.
+        thread.map_err(|error| BodyRunError::Joints { name: source.to_owned(), source: error })?;
+        Ok(feed)
+    }
+
+    /// Joint values at a time of the host's monotonic clock.
+    pub fn at(&self, now_ns: u64) -> JointSnapshot {
+        let told = self.told();
+        match self.kind {
+            Kind::Fixed => JointSnapshot { values: told.values.clone(), state: JointsState::Fixed, age_s: None },
+            Kind::Sweep => {
+                let mut values = told.values.clone();
+                drop(told);
+                self.sweep(&mut values, self.begun.elapsed().as_secs_f64());
+                JointSnapshot { values, state: JointsState::Fresh, age_s: Some(0.0) }
+            }
+            Kind::Lines => {
+                let age_s = told.at_ns.map(|at_ns| 1e-9 * now_ns.saturating_sub(at_ns) as f64);
+                let is_fresh = age_s.is_some_and(|age_s| age_s <= self.body.joints_stale_after_s);
+                let state = if is_fresh { JointsState::Fresh } else { JointsState::Stale };
+                JointSnapshot { values: told.values.clone(), state, age_s }
+            }
+        }
+    }
+
+    /// Reason why no values come, and names that the robot does not have.
+    pub fn problem(&self) -> Option<String> {
+        let told = self.told();
+        let unknown = (!told.unknown.is_empty())
+            .then(|| format!("no such joint: {}", told.unknown.iter().cloned().collect::<Vec<_>>().join(", ")));
+        let parts: Vec<String> = told.problem.iter().cloned().chain(unknown).collect();
+        (!parts.is_empty()).then(|| parts.join("; "))
+    }
+
+    fn told(&self) -> MutexGuard<'_, Told> {
+        self.told.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn sweep(&self, values: &mut JointValues, time_s: f64) {
+        let kinematics = &self.body.kinematics;
+        for (number, name) in kinematics.moving_joints().enumerate() {
+            let [lower, upper] = kinematics.limits(name).unwrap_or([-SWEEP_REACH, SWEEP_REACH]);
+            let (middle, reach) = (0.5 * (lower + upper), 0.5 * (upper - lower).min(2.0 * SWEEP_REACH));
+            // No two joints move together, so that every posture comes by.
+            let turns = time_s / SWEEP_S * (1.0 + 0.37 * number as f64);
+            // A finite value of a joint that is there is taken.
+            let _ = kinematics.assign(values, name, middle + reach * (std::f64::consts::TAU * turns).sin());
+        }
+    }
+
+    fn follow_socket(&self, address: &str, stop: &AtomicBool) {
+        while !stop.load(Ordering::Relaxed) {
+            match TcpStream::connect(address) {
+                Ok(stream) => {
+                    self.told().problem = None;
+                    self.follow(BufReader::new(stream), false, &format!("tcp:{address}"), stop);
+                }
+                Err(error) => self.told().problem = Some(format!("tcp:{address}: {error}")),
+            }
+            std::thread::sleep(RETRY);
+        }
+    }
+
+    /// Takes lines until there are no more.
+    fn follow(&self, mut input: impl BufRead, paced: bool, name: &str, stop: &AtomicBool) {
+        let (mut line, mut number) = (Vec::new(), 0u64);
+        let mut first: Option<(f64, Instant)> = None;
+        while !stop.load(Ordering::Relaxed) {
+            line.clear();
+            number += 1;
+            match (&mut input).take(MOST_LINE_BYTES as u64 + 1).read_until(b'\n', &mut line) {
+                Ok(0) => {
+                    self.told().problem = Some(format!("{name} has ended after {} lines", number - 1));
+                    return;
+                }
+                Ok(_) if line.trim_ascii().is_empty() => continue,
+                Ok(_) => {}
+                Err(error) => {
+                    self.told().problem = Some(format!("{name}: {error}"));
+                    return;
+                }
+            }
+            let mut values = self.told().values.clone();
+            let text = String::from_utf8_lossy(&line);
+            let taken = take_line(text.trim_end(), &self.body.kinematics, &mut values);
+            if let (true, Ok(Some(time_s))) = (paced, taken.as_ref().map(|line| line.time_s)) {
+                let (from_s, begun) = *first.get_or_insert((time_s, Instant::now()));
+                let due = Duration::try_from_secs_f64(time_s - from_s).unwrap_or_default();
+                while begun.elapsed() < due && !stop.load(Ordering::Relaxed) {
+                    std::thread::sleep((due - begun.elapsed().min(due)).min(Duration::from_millis(50)));
+                }
+            }
+            let mut told = self.told();
+            match taken {
+                Ok(line) => {
+                    told.values = values;
+                    told.problem = None;
+                    told.at_ns = Some(HostStamp::now().monotonic_ns);
+                    // A few names are enough to see what is wrong.
+                    let room = 8usize.saturating_sub(told.unknown.len());
+                    told.unknown.extend(line.unknown.into_iter().take(room));
+                }
+                Err(error) => told.problem = Some(format!("{name}, line {number}: {error}")),
+            }
+        }
+    }
+}
+
+/// Values of the body file, and rest for the joints that it leaves out.
+fn rest_where_unknown(body: &Body) -> JointValues {
+    let kinematics = &body.kinematics;
+    let mut values = kinematics.at_rest();
+    for name in kinematics.moving_joints() {
+        if let Some(value) = kinematics.value(&body.first_joints, name) {
+            // A finite value of a joint that is there is taken.
+            let _ = kinematics.assign(&mut values, name, value);
+        }
+    }
+    values
+}

@@ -1,0 +1,259 @@
+//! The thread of one patch: frames in, reports out.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{SendTimeoutError, Sender};
+use dermis_body::{Body, SpatialTouch, trusted_force};
+use dermis_device::acquire::{Acquisition, Next};
+use dermis_device::{Frame, HostStamp};
+use dermis_lab::Error;
+use dermis_live::output::Output;
+use dermis_live::pipeline::Pipeline;
+use dermis_record::LiveRecording;
+use dermis_record::sink::{JsonLines, LinesFor};
+use dermis_touch::Touch;
+
+use super::joints::{JointFeed, JointsState};
+use super::line::BodyExtras;
+use super::loads::Loads;
+use super::report::{PatchHealth, PatchReport, PatchState, TouchInFrames};
+
+/// How long a thread waits for a frame before it looks whether it should stop.
+const NAP: Duration = Duration::from_millis(50);
+/// A patch is silent after so many periods of its skin without a frame, and not before the least time.
+const SILENT_PERIODS: f64 = 10.0;
+const LEAST_SILENCE: Duration = Duration::from_millis(500);
+/// Frames a second of skin files that give none.
+const FRAMES_PER_S: f64 = 20.0;
+
+/// A row of the table of health that a patch's thread keeps and anybody reads.
+#[derive(Clone, Debug)]
+pub(super) struct SharedHealth(Arc<Mutex<PatchHealth>>);
+
+impl SharedHealth {
+    pub fn new(name: &str) -> Self {
+        Self(Arc::new(Mutex::new(PatchHealth {
+            patch: name.to_owned(),
+            state: PatchState::Starting,
+            frames: 0,
+            lost: 0,
+            damaged: 0,
+            dropped: 0,
+            unread: 0,
+            not_recorded: 0,
+            recording_problem: None,
+            touches: 0,
+            channels_left_out: 0,
+            latency_p99_ms: f64::NAN,
+            problem: None,
+        })))
+    }
+
+    pub fn get(&self) -> PatchHealth {
+        self.row().clone()
+    }
+
+    pub fn fail(&self, reason: String) {
+        self.row().state = PatchState::Failed(reason);
+    }
+
+    fn row(&self) -> MutexGuard<'_, PatchHealth> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// State of a patch's thread.
+pub(super) struct PatchThread {
+    pub number: usize,
+    pub body: Arc<Body>,
+    pub acquisition: Acquisition,
+    /// The source waits for whoever takes its frames, and so do reports.
+    pub waits: bool,
+    pub pipeline: Pipeline,
+    pub residual_n: Option<f64>,
+    pub joints: JointFeed,
+    pub loads: Arc<Loads>,
+    pub health: SharedHealth,
+    pub reports: Sender<PatchReport>,
+    pub stop: Arc<AtomicBool>,
+    pub recording: Option<LiveRecording>,
+    pub lines: bool,
+    pub most_frames: Option<u64>,
+}
+
+/// Marks the patch as failed if its thread panics.
+struct Panicking {
+    health: SharedHealth,
+    loads: Arc<Loads>,
+    number: usize,
+}
+
+impl Drop for Panicking {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let row = self.health.get();
+            self.health.fail("an error in dermis, which is printed above".to_owned());
+            self.loads.lose(self.number, format!("{}: failed", row.patch));
+        }
+    }
+}
+
+impl PatchThread {
+    /// Runs until the source ends or fails, the frames asked for are done, or the body stops.
+    pub fn run(mut self) {
+        let (health, loads) = (self.health.clone(), self.loads.clone());
+        let _told = Panicking { health, loads, number: self.number };
+        let name = self.body.patches[self.number].name.clone();
+        let state = match self.follow() {
+            Ok(()) => PatchState::Ended,
+            Err(error) => {
+                tracing::error!("patch {name}: {error}");
+                PatchState::Failed(error.to_string())
+            }
+        };
+        self.loads.lose(self.number, format!("{name}: {}", state.name()));
+        let recorded = self.recording.take().map(LiveRecording::finish);
+        let mut row = self.health.row();
+        if let Some(end) = recorded {
+            if let Some(error) = &end.error {
+                tracing::error!("patch {name}: the recording is not whole: {error}");
+            }
+            (row.not_recorded, row.recording_problem) = (end.lost, end.error);
+        }
+        row.state = state;
+        // Without a problem of its own, a file may have ended early.
+        row.problem = row.problem.take().or_else(|| self.acquisition.incomplete());
+    }
+
+    fn follow(&mut self) -> Result<(), Error> {
+        let rate = self.body.patches[self.number].skin.backend.frames_per_s.unwrap_or(FRAMES_PER_S);
+        let silence = Duration::from_secs_f64(SILENT_PERIODS / rate.max(1e-3)).max(LEAST_SILENCE);
+        let (mut last, mut done) = (Instant::now(), 0);
+        let mut lines = JsonLines::new(Vec::new(), "line", LinesFor::EveryFrame);
+        while !self.stop.load(Ordering::Relaxed) && self.most_frames.is_none_or(|most| done < most) {
+            match self.acquisition.next(NAP)? {
+                Next::End => return Ok(()),
+                Next::Idle => self.wait(last.elapsed() > silence),
+                Next::Frame(frame) => {
+                    let result = self.frame(&frame, &mut lines);
+                    self.acquisition.recycle(frame);
+                    result?;
+                    (last, done) = (Instant::now(), done + 1);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// No frame has come.
+    fn wait(&self, is_silent: bool) {
+        let problem = self.acquisition.problem();
+        if is_silent {
+            let name = &self.body.patches[self.number].name;
+            self.loads.lose(self.number, format!("{name}: silent"));
+        }
+        let mut row = self.health.row();
+        row.problem = problem;
+        if is_silent {
+            row.state = PatchState::Silent;
+        }
+    }
+
+    fn frame(&mut self, frame: &Frame, lines: &mut JsonLines<Vec<u8>>) -> Result<(), Error> {
+        let patch = &self.body.patches[self.number];
+        let residual_n = self.residual_n;
+        let force = |touch: &Touch| trusted_force(touch, residual_n);
+        let is_ready_before = self.pipeline.reference().is_some();
+        let baselines = self.pipeline.baseline_records().len();
+        if let Some(recording) = &mut self.recording {
+            // Raw is on its way to the disk before anything is made of it.
+            recording.frame(frame);
+        }
+        let output = self.pipeline.process(frame, HostStamp::now().monotonic_ns)?;
+        // The frame that completes the baseline has no touches: it counts from the next one on.
+        let is_ready = is_ready_before;
+        if let Some(recording) = &mut self.recording {
+            recording.results(&output);
+        }
+        let Output { sequence, time_ns, touches, .. } = output;
+        let channels_left_out = output.health.channels.len();
+        let joints = self.joints.at(HostStamp::now().monotonic_ns);
+        let is_known = joints.state != JointsState::Stale;
+        let known = is_known.then_some(&joints.values);
+        self.loads.set(self.number, &patch.name, &output, is_ready, force);
+        let (on_link, on_body) = (self.loads.on_link(&self.body, patch.link), self.loads.on_body(&self.body, known));
+        let root_from_patch = known.and_then(|joints| self.body.root_from_patch(self.number, joints));
+        let surface = patch.surface();
+        if self.lines {
+            let extras = BodyExtras {
+                patch: &patch.name,
+                link: self.body.kinematics.link_name(patch.link),
+                root: self.body.root(),
+                surface,
+                link_from_patch: patch.link_from_patch,
+                root_from_patch,
+                joints: &joints,
+                on_link: &on_link,
+                on_body: &on_body,
+                force: &force,
+            };
+            lines.accept_with(&output, &extras)?;
+        }
+        let in_frames = |touch: &Touch| {
+            let in_patch = SpatialTouch::of(touch, &surface, force(touch));
+            TouchInFrames {
+                touch: *touch,
+                in_patch,
+                in_link: in_patch.in_frame(&patch.link_from_patch),
+                in_root: root_from_patch.map(|place| in_patch.in_frame(&place)),
+            }
+        };
+        let report = PatchReport {
+            patch: self.number,
+            sequence,
+            time_ns,
+            is_ready,
+            touches: touches.iter().map(in_frames).collect(),
+            joints,
+            on_link,
+            on_body,
+            line: std::mem::take(lines.get_mut()),
+        };
+        if let Some(recording) = &self.recording
+            && self.pipeline.baseline_records().len() > baselines
+        {
+            recording.baseline(&self.pipeline, frame.host_wall_ns);
+        }
+        let touches = report.touches.len();
+        let is_read = self.publish(report);
+        let counters = self.acquisition.counters();
+        let p99_us = self.pipeline.latencies().total.quantile_us(0.99);
+        let mut row = self.health.row();
+        row.state = if is_ready { PatchState::Running } else { PatchState::Starting };
+        row.frames += 1;
+        (row.lost, row.damaged, row.dropped) = (counters.lost, counters.bad, counters.dropped);
+        row.unread += u64::from(!is_read);
+        (row.touches, row.channels_left_out) = (touches, channels_left_out);
+        row.latency_p99_ms = 1e-3 * p99_us;
+        row.problem = None;
+        Ok(())
+    }
+
+    /// Queues a report; false if the queue is full. Sources that wait for their frames to be taken wait here too.
+    fn publish(&self, report: PatchReport) -> bool {
+        if !self.waits {
+            return self.reports.try_send(report).is_ok();
+        }
+        let mut report = report;
+        while !self.stop.load(Ordering::Relaxed) {
+            match self.reports.send_timeout(report, NAP) {
+                Ok(()) => return true,
+                Err(SendTimeoutError::Timeout(back)) => report = back,
+                Err(SendTimeoutError::Disconnected(_)) => return false,
+            }
+        }
+        false
+    }
+}

@@ -1,0 +1,306 @@
+//! A body from its file to reports: the sources of its patches opened, their skins prepared, their threads started.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, bounded};
+use dermis_body::{Body, Patch};
+use dermis_device::acquire::Acquisition;
+use dermis_device::{FileSpec, HostStamp, SourceSelector};
+use dermis_lab::Error;
+use dermis_live::calibration::Calibration;
+use dermis_live::forces::parse_forces;
+use dermis_live::pipeline::Pipeline;
+use dermis_live::prepare::Prepared;
+use dermis_record::{BodyHead, BodyRecording, LiveRecording, RecordingHead, SkinView, read_frames};
+use dermis_skin::Skin;
+
+use super::error::BodyRunError;
+use super::joints::JointFeed;
+use super::loads::Loads;
+use super::patch::{PatchThread, SharedHealth};
+use super::report::{PatchHealth, PatchReport};
+use crate::source::{SourceOptions, TwinControl, open_source};
+
+/// Frames that may wait between a source and its pipeline.
+const QUEUE: usize = 64;
+/// Reports that may wait for whoever reads them.
+const REPORTS: usize = 1024;
+
+/// Joints are recorded this often at most: the rate of a fast robot's joint states.
+const JOINTS_EVERY: Duration = Duration::from_millis(10);
+
+/// How a body is run.
+#[derive(Clone, Debug, Default)]
+pub struct BodyRunOptions {
+    /// Pace of files and twins, settings of instruments.
+    pub source: SourceOptions,
+    /// Source of joint values, in place of the body file's; see [`BodyRun::start`].
+    pub joints: Option<String>,
+    /// A patch that cannot be started is marked as failed in the table of health. Otherwise that is an error.
+    pub keep_going: bool,
+    /// Records every patch and the joint values into this file.
+    pub record: Option<PathBuf>,
+    /// Each report has its JSON line.
+    pub lines: bool,
+    /// Each patch ends after so many frames.
+    pub most_frames: Option<u64>,
+}
+
+/// A body being run.
+pub struct BodyRun {
+    body: Arc<Body>,
+    joints: JointFeed,
+    reports: Receiver<PatchReport>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+    joint_recorder: Option<JoinHandle<()>>,
+    health: Vec<SharedHealth>,
+    twins: Vec<Option<TwinControl>>,
+}
+
+impl std::fmt::Debug for BodyRun {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.debug_struct("BodyRun")
+            .field("body", &self.body.name)
+            .field("health", &self.health())
+            .finish_non_exhaustive()
+    }
+}
+
+impl BodyRun {
+    /// Opens the source of every patch and starts them together. Patches whose skins are alike share what is prepared
+    /// of them. Joint values come from `-` (JSON lines on standard input), `tcp:HOST:PORT`, a file of such lines, or
+    /// `sweep`, a demonstration; without a source the joints stand where the body file has them, and else at rest.
+    ///
+    /// # Errors
+    /// A patch that cannot be started, unless the options say to keep going; a source of joint values that cannot be
+    /// opened.
+    pub fn start(body: Body, options: &BodyRunOptions) -> Result<Self, BodyRunError> {
+        let body = Arc::new(body);
+        let stop = Arc::new(AtomicBool::new(false));
+        let joint_source = options.joints.as_deref().or(body.joint_source.as_deref());
+        let joints = JointFeed::open(&body, joint_source, &stop)?;
+        let health: Vec<SharedHealth> = body.patches.iter().map(|patch| SharedHealth::new(&patch.name)).collect();
+        let loads = Arc::new(Loads::new(&body));
+        let (send, reports) = bounded(REPORTS);
+        let mut prepared: Vec<(Skin, Arc<Prepared>)> = Vec::new();
+        let (mut ready, mut twins) = (Vec::new(), Vec::new());
+        for (number, patch) in body.patches.iter().enumerate() {
+            match open_patch(patch, &body, options, &mut prepared) {
+                Ok((opened, twin)) => {
+                    ready.push((number, opened));
+                    twins.push(twin);
+                }
+                Err(error) if options.keep_going => {
+                    let reason = error.to_string();
+                    tracing::error!("patch {}: {reason}", patch.name);
+                    loads.lose(number, format!("{}: {reason}", patch.name));
+                    health[number].fail(reason);
+                    twins.push(None);
+                }
+                Err(source) => return Err(BodyRunError::Patch { patch: patch.name.clone(), source }),
+            }
+        }
+        if ready.is_empty() {
+            return Err(BodyRunError::NoPatch { body: body.name.clone(), patches: body.patches.len() });
+        }
+        let (recordings, joint_recorder) = match &options.record {
+            Some(path) => start_recording(path, &body, &joints, &stop, &ready)?,
+            None => (ready.iter().map(|_| None).collect(), None),
+        };
+        let mut run = Self { body, joints, reports, stop, threads: Vec::new(), joint_recorder, health, twins };
+        // Last of all, so that no frame waits for another patch to be prepared.
+        for ((number, OpenedPatch { source, waits, pipeline, residual_n, .. }), recording) in
+            ready.into_iter().zip(recordings)
+        {
+            let thread = PatchThread {
+                number,
+                body: run.body.clone(),
+                acquisition: Acquisition::spawn(source, QUEUE, waits),
+                waits,
+                pipeline,
+                residual_n,
+                joints: run.joints.clone(),
+                loads: loads.clone(),
+                health: run.health[number].clone(),
+                reports: send.clone(),
+                stop: run.stop.clone(),
+                recording,
+                lines: options.lines,
+                most_frames: options.most_frames,
+            };
+            let name = &run.body.patches[number].name;
+            let builder = std::thread::Builder::new().name(format!("dermis-{name}"));
+            let thread = builder.spawn(move || thread.run());
+            let name = name.clone();
+            run.threads.push(thread.map_err(|source| BodyRunError::Thread { patch: name, source })?);
+        }
+        Ok(run)
+    }
+
+    /// The body.
+    pub fn body(&self) -> &Body {
+        &self.body
+    }
+
+    /// The next frame of any patch, waiting at most so long.
+    pub fn next(&self, timeout: Duration) -> Option<PatchReport> {
+        self.reports.recv_timeout(timeout).ok()
+    }
+
+    /// True once no patch will yield any more and every report has been taken.
+    pub fn has_ended(&self) -> bool {
+        self.threads.iter().all(JoinHandle::is_finished) && self.reports.is_empty()
+    }
+
+    /// How every patch is doing, in the order of the body file.
+    pub fn health(&self) -> Vec<PatchHealth> {
+        self.health.iter().map(SharedHealth::get).collect()
+    }
+
+    /// The problem with the source of joint values, if there is one.
+    pub fn joints_problem(&self) -> Option<String> {
+        self.joints.problem()
+    }
+
+    /// How a patch's twin is pressed, if it is one.
+    pub fn twin(&self, patch: usize) -> Option<&TwinControl> {
+        self.twins.get(patch)?.as_ref()
+    }
+
+    /// Stops every patch, waits for them, and says how each ended.
+    pub fn finish(mut self) -> Vec<PatchHealth> {
+        self.end();
+        self.health()
+    }
+
+    fn end(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..).chain(self.joint_recorder.take()) {
+            // A panic is in the table of health already.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for BodyRun {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// A patch that is ready to run.
+struct OpenedPatch {
+    source: Box<dyn dermis_device::Source>,
+    waits: bool,
+    pipeline: Pipeline,
+    residual_n: Option<f64>,
+    head: RecordingHead,
+}
+
+fn open_patch(
+    patch: &Patch,
+    body: &Body,
+    options: &BodyRunOptions,
+    prepared: &mut Vec<(Skin, Arc<Prepared>)>,
+) -> Result<(OpenedPatch, Option<TwinControl>), Error> {
+    let folder = body.file.parent().unwrap_or(Path::new(""));
+    let beside = |spec: FileSpec| FileSpec { path: folder.join(&spec.path), ..spec };
+    let selector = match patch.source.parse::<SourceSelector>()? {
+        SourceSelector::File(spec) => SourceSelector::File(beside(spec)),
+        other => other,
+    };
+    // Report bad files before the work of preparing a skin.
+    let baseline = match &patch.baseline {
+        Some(text) => Some(read_frames(&beside(text.parse()?), options.source.format)?),
+        None => None,
+    };
+    let read = |path: &PathBuf| dermis_device::instruments::read_bytes(path);
+    let forces_text = patch.forces.as_ref().map(read).transpose()?;
+    let forces = match (&patch.forces, &forces_text) {
+        (Some(path), Some(text)) => Some(parse_forces(text, path, &patch.skin.name)?),
+        _ => None,
+    };
+    let calibration_text = patch.calibration.as_ref().map(read).transpose()?;
+    let calibration = match (&patch.calibration, &calibration_text) {
+        (Some(path), Some(text)) => Some(Calibration::parse(text, path)?),
+        _ => None,
+    };
+    let opened = open_source(&selector, &patch.skin, &options.source)?;
+    // The mount doesn't affect what is prepared.
+    let skin = Skin { mount: None, ..patch.skin.clone() };
+    let shared = match prepared.iter().find(|(other, _)| *other == skin) {
+        Some((_, shared)) => shared.clone(),
+        None => {
+            let shared = Arc::new(Prepared::new(skin.clone())?);
+            prepared.push((skin, shared.clone()));
+            shared
+        }
+    };
+    let mut head = RecordingHead::of(&shared, opened.source.layout().clone(), opened.source.name());
+    // It was parsed as JSON, so it is text.
+    let as_text = |bytes: Option<Vec<u8>>| bytes.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    (head.calibration, head.forces) = (as_text(calibration_text), as_text(forces_text));
+    let mut pipeline = Pipeline::new(shared, opened.source.layout(), calibration)?;
+    let residual_n = forces.as_ref().map(|forces| forces.residual_n);
+    forces.map_or(Ok(()), |forces| pipeline.set_forces(forces))?;
+    baseline.map_or(Ok(()), |table| pipeline.set_baseline(&table))?;
+    let opened_patch = OpenedPatch { source: opened.source, waits: opened.waits, pipeline, residual_n, head };
+    Ok((opened_patch, opened.twin))
+}
+
+/// A recorder for every patch that is ready, and a thread that records where the joints stand.
+fn start_recording(
+    path: &Path,
+    body: &Arc<Body>,
+    joints: &JointFeed,
+    stop: &Arc<AtomicBool>,
+    ready: &[(usize, OpenedPatch)],
+) -> Result<(Vec<Option<LiveRecording>>, Option<JoinHandle<()>>), BodyRunError> {
+    let failed = |source: dermis_record::Error| BodyRunError::Recording { source };
+    let text = |path: &Path| std::fs::read_to_string(path).unwrap_or_default();
+    let urdf = body.urdf.as_ref().map(|(file, _)| text(file));
+    let head = BodyHead { name: body.name.clone(), toml: text(&body.file), urdf };
+    let mut recording = BodyRecording::create(path, &head).map_err(failed)?;
+    let mut all = Vec::new();
+    for (number, opened) in ready {
+        let recorder = recording.patch(&body.patches[*number].name, &opened.head).map_err(failed)?;
+        let live = LiveRecording::start_with(recorder, &opened.pipeline, SkinView::IMAGES_PER_S);
+        all.push(Some(live.map_err(failed)?));
+    }
+    let (body, joints, stop) = (body.clone(), joints.clone(), stop.clone());
+    let thread = std::thread::Builder::new().name("dermis-joint-recorder".to_owned());
+    let thread = thread.spawn(move || {
+        if let Err(error) = record_joints(recording, &body, &joints, &stop) {
+            tracing::error!("where the joints stand is not recorded any more: {error}");
+        }
+    });
+    let thread = thread.map_err(|source| BodyRunError::Thread { patch: "joints".to_owned(), source })?;
+    Ok((all, Some(thread)))
+}
+
+/// Records where the joints stand whenever they move, until the body stops.
+fn record_joints(
+    mut recording: BodyRecording,
+    body: &Body,
+    joints: &JointFeed,
+    stop: &AtomicBool,
+) -> Result<(), dermis_record::Error> {
+    let mut last = None;
+    while !stop.load(Ordering::Relaxed) {
+        let now = HostStamp::now();
+        let values = joints.at(now.monotonic_ns).values;
+        if last.as_ref() != Some(&values) {
+            let known = |name| Some((name, body.kinematics.value(&values, name)?));
+            let known: Vec<(&str, f64)> = body.kinematics.moving_joints().filter_map(known).collect();
+            recording.write_joints(now.wall_ns, known.into_iter())?;
+            last = Some(values);
+        }
+        std::thread::sleep(JOINTS_EVERY);
+    }
+    recording.finish()
+}
