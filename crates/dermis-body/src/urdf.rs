@@ -227,7 +227,7 @@ impl Reader<'_> {
         let what = match geometry.tag_name().name() {
             "box" => {
                 let size_m: Vector = self.numbers(geometry, "size")?.ok_or_else(|| self.missing(geometry, "size"))?;
-                if size_m.iter().any(|&v| !(v >= 0.0 && v <= MOST_M)) {
+                if size_m.iter().any(|&v| !(0.0..=MOST_M).contains(&v)) {
                     let message = format!("size=\"{size_m:?}\": expected metres, not negative, at most {MOST_M}");
                     return Err(self.fail(geometry, message));
                 }

@@ -261,11 +261,10 @@ impl FrameTable {
     #[must_use]
     pub fn rearranged(mut self, taken: &[(usize, f64)]) -> Self {
         let channels = self.channels();
-        let rearrange = |all: &[f64]| -> Vec<f64> {
-            all.chunks_exact(channels).flat_map(|row| taken.iter().map(|(from, factor)| row[*from] * factor)).collect()
-        };
-        self.values = rearrange(&self.values);
-        self.imaginary = self.imaginary.as_deref().map(rearrange);
+        for all in std::iter::once(&mut self.values).chain(&mut self.imaginary) {
+            let rows = all.chunks_exact(channels);
+            *all = rows.flat_map(|row| taken.iter().map(|(from, factor)| row[*from] * factor)).collect();
+        }
         self.channel_names =
             self.channel_names.map(|names| taken.iter().map(|(from, _)| names[*from].clone()).collect());
         self.layout = Layout::Channels { count: taken.len() };

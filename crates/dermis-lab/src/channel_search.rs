@@ -34,6 +34,9 @@ pub const LEAST: f64 = 0.9;
 /// So much better than any other must the best fit to be sure.
 const CLEAR: f64 = 0.02;
 
+/// For each channel of a skin its number in a file, and the factor that makes that number the skin's.
+pub type ChannelMap = (Vec<u32>, Vec<f64>);
+
 /// One way to read the numbers, and how well it fits.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct OrderCandidate {
@@ -94,7 +97,7 @@ impl OrderCandidate {
     ///
     /// # Errors
     /// A skin whose protocol does not work out.
-    pub fn to_skin(&self, skin: &Skin) -> Result<Option<(Vec<u32>, Vec<f64>)>, Error> {
+    pub fn to_skin(&self, skin: &Skin) -> Result<Option<ChannelMap>, Error> {
         let (own, file) = (skin.protocol()?, self.on(skin).protocol()?);
         let mut found = own.same_channels(&file);
         if let (Some((_, signs)), Some(of_file)) = (&mut found, &self.signs)

@@ -140,7 +140,7 @@ pub fn conductance(skin: &Skin, frames: &FrameTable) -> Result<Conductance, Erro
     let mesh_error: Vec<f64> = fine_v.iter().zip(&coarse_v).map(|(fine, coarse)| fine - coarse).collect();
     let variances = measured.variances(&fine_v, &model.protocol().reciprocal_channels());
     let posterior = Posterior::fit(&model, &measured.values, &mesh_error, &variances, uniform_s)?;
-    Ok(posterior.report(skin, &model, uniform_s, rows.len())?)
+    posterior.report(skin, &model, uniform_s, rows.len())
 }
 
 /// The mean frame.

@@ -8,6 +8,7 @@ mod drift;
 pub(crate) mod element_contacts;
 pub(crate) mod element_presses;
 pub(crate) mod force_law;
+pub(crate) mod gone;
 pub mod health;
 mod model_error;
 pub mod placement;

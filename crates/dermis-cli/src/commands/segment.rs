@@ -57,7 +57,7 @@ impl Arguments {
             return Err(UsageError("nothing asked for: give --out, --probabilities or both".into()).into());
         }
         let skin = self.recorded.skin.open()?;
-        if !self.recorded.as_skin && self.recorded.format.is_none() {
+        if !self.recorded.as_skin && self.recorded.read.options().format.is_none() {
             [&self.baseline, &self.recorded.frames]
                 .into_iter()
                 .try_for_each(|file| dermis::record::check_skin(file, &skin))?;

@@ -53,7 +53,7 @@ fn wide_order(content: &[u8]) -> Option<&'static Encoding> {
     let (pairs, _) = content[..content.len().min(LOOKED_AT)].as_chunks::<2>();
     let zeros = |which: usize| pairs.iter().filter(|pair| pair[which] == 0 && pair[1 - which] != 0).count();
     let most = |which: usize| pairs.len() >= 4 && 10 * zeros(which) >= 9 * pairs.len();
-    if content.len() % 2 != 0 {
+    if !content.len().is_multiple_of(2) {
         None
     } else if most(1) {
         Some(UTF_16LE)

@@ -9,8 +9,8 @@ use crate::Error;
 use crate::channels::ChannelReader;
 use crate::reconstructor::Reconstructor;
 use crate::reference::{MeasuredNoise, Reference};
+use crate::stages::gone::Gone;
 use crate::stages::health::HealthStage;
-use crate::stages::refinement::Gone;
 
 /// Frames that make the baseline after a press has gone from it.
 const GONE_FRAMES: usize = 8;

@@ -9,6 +9,7 @@ use crate::calibration::Calibration;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::drift::Drift;
+use crate::stages::gone::Gone;
 use crate::stages::sandwich_contacts::{PatchStage, SheetCut, is_sandwich};
 use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pressure_pa, spot_model};
 
@@ -17,15 +18,6 @@ use crate::stages::touch_refinement::{SpotStage, assumed_spot_model, membrane_pr
 pub struct Refinement {
     by: By,
     takes_time: bool,
-}
-
-/// Presses that the baseline holds and that have gone.
-#[derive(Debug)]
-pub(crate) enum Gone<'a> {
-    /// Nothing else touches the skin: the frames that come are its new baseline.
-    Alone,
-    /// Others touch it; these change the channels by so much, model volts.
-    BesideOthers(&'a [f64]),
 }
 
 #[derive(Debug)]

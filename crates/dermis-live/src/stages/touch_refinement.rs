@@ -16,8 +16,8 @@ use crate::Error;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
 use crate::stages::force_law::ForceLaw;
+use crate::stages::gone::Gone;
 use crate::stages::model_error::SpotError;
-use crate::stages::refinement::Gone;
 
 /// Most presses fitted to one frame.
 const MOST_SPOTS: usize = 8;

@@ -41,7 +41,8 @@ impl ArrayKind {
         let mut cdr = CdrReader::new(message)?;
         for _ in 0..cdr.length(12)? {
             cdr.string()?;
-            (cdr.u32()?, cdr.u32()?);
+            cdr.u32()?;
+            cdr.u32()?;
         }
         let offset = usize::try_from(cdr.u32()?).ok()?;
         let bytes = cdr.elements(self.size)?;

@@ -15,7 +15,7 @@ use dermis_live::calibration::Calibration;
 use dermis_live::forces::parse_forces;
 use dermis_live::pipeline::Pipeline;
 use dermis_live::prepare::Prepared;
-use dermis_record::{BodyHead, BodyRecording, LiveRecording, RecordingHead, SkinView, read_frames};
+use dermis_record::{BodyHead, BodyRecording, LiveRecording, RecordingHead, SkinView, read_frames_of};
 use dermis_skin::Skin;
 
 use super::error::BodyRunError;
@@ -216,13 +216,13 @@ fn open_patch(
     };
     // Report bad files before the work of preparing a skin.
     let baseline = match &patch.baseline {
-        Some(text) => Some(read_frames(&beside(text.parse()?), options.source.format)?),
+        Some(text) => Some(read_frames_of(&patch.skin, &beside(text.parse()?), options.source.read.clone())?),
         None => None,
     };
     let read = |path: &PathBuf| dermis_device::instruments::read_bytes(path);
     let forces_text = patch.forces.as_ref().map(read).transpose()?;
     let forces = match (&patch.forces, &forces_text) {
-        (Some(path), Some(text)) => Some(parse_forces(text, path, &patch.skin.name)?),
+        (Some(path), Some(text)) => Some(parse_forces(text, path, &patch.skin)?),
         _ => None,
     };
     let calibration_text = patch.calibration.as_ref().map(read).transpose()?;
@@ -253,6 +253,9 @@ fn open_patch(
     Ok((opened_patch, opened.twin))
 }
 
+/// A recorder for each patch, and the thread that records the joints.
+type Recorders = (Vec<Option<LiveRecording>>, Option<JoinHandle<()>>);
+
 /// A recorder for every patch that is ready, and a thread that records where the joints stand.
 fn start_recording(
     path: &Path,
@@ -260,7 +263,7 @@ fn start_recording(
     joints: &JointFeed,
     stop: &Arc<AtomicBool>,
     ready: &[(usize, OpenedPatch)],
-) -> Result<(Vec<Option<LiveRecording>>, Option<JoinHandle<()>>), BodyRunError> {
+) -> Result<Recorders, BodyRunError> {
     let failed = |source: dermis_record::Error| BodyRunError::Recording { source };
     let text = |path: &Path| std::fs::read_to_string(path).unwrap_or_default();
     let urdf = body.urdf.as_ref().map(|(file, _)| text(file));

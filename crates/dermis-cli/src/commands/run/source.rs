@@ -77,7 +77,12 @@ impl InputArguments {
             return Err(UsageError(format!("{option}: expected {key} = \"...\" in a [[patch]] of the body file")));
         }
         check_speed(self.speed)?;
-        Ok(SourceOptions { speed: self.speed, as_set: self.as_set, format: self.format })
+        Ok(self.options())
+    }
+
+    fn options(&self) -> SourceOptions {
+        let (speed, as_set, as_skin) = (self.speed, self.as_set, self.as_skin);
+        SourceOptions { speed, as_set, as_skin, read: self.read.options() }
     }
 
     /// Opens the source, its pipeline, and what a recording of it says at its beginning.
@@ -87,9 +92,8 @@ impl InputArguments {
         // What is wrong with a file is said before the work of preparing a skin.
         let baseline = self.baseline.as_ref().map(|spec| self.read_baseline(spec, &skin)).transpose()?;
         let busy = busy(format!("preparing {skin}"));
-        let (as_set, as_skin) = (self.as_set, self.as_skin);
-        let options = SourceOptions { speed: self.speed, as_set, as_skin, read: self.read.options() };
-        if as_skin && given.is_none() {
+        let options = self.options();
+        if self.as_skin && given.is_none() {
             return Err(UsageError("--as-skin: expected SKIN as the first word, as which to read".into()).into());
         }
         let mut opened = open(&self.source, given.as_deref(), &options)?;
@@ -143,7 +147,7 @@ pub struct Opened {
 impl Opened {
     /// A source of one's own, which may be held up.
     pub fn of(skin: Skin, source: Box<dyn Source>) -> Self {
-        Self { skin, source, twin: None, wait: true, is_file: false, prepared: None }
+        Self { skin, source, twin: None, wait: true, is_file: false, as_skin: false, prepared: None }
     }
 
     /// The pipeline for these frames, and what a recording of it says at its beginning; both calibrations are files.
