@@ -145,7 +145,7 @@ fn in_frame(place: &Transform, line: &[Vector]) -> Vec<Vector> {
 fn rim_of(patch: &dermis::body::Patch) -> Vec<[f64; 2]> {
     use dermis::tomo::mesh::Outline;
     let corners: Vec<[f64; 2]> = match patch.skin.outline() {
-        Outline::Disc { radius_m } => circle(radius_m).map(|[x, y]| [x, y]).collect(),
+        Outline::Disc { radius_m } => circle(radius_m).collect(),
         Outline::Rectangle { width_m, height_m } => {
             let (x, y) = (0.5 * width_m, 0.5 * height_m);
             vec![[-x, -y], [x, -y], [x, y], [-x, y]]

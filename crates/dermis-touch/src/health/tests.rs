@@ -201,10 +201,10 @@ fn a_frozen_channel_is_stuck_and_a_frozen_frame_is_no_fault_of_a_channel() {
         *slot
     };
     // The first frame is stuck to from the second on.
-    (0..5).for_each(|_| bench.step(&freeze));
+    (0..5).for_each(|_| bench.step(freeze));
     let fault = bench.monitor.health().frame.unwrap();
     assert_eq!((fault.kind, fault.since_sequence), (FrameFaultKind::Frozen, 204));
-    (0..50).for_each(|_| bench.step(&freeze));
+    (0..50).for_each(|_| bench.step(freeze));
     assert!(bench.monitor.health().channels.is_empty(), "{:?}", bench.monitor.health());
     let value = rest([1, 4]);
     bench.sound(2);
@@ -228,6 +228,9 @@ fn verdict(bench: &mut Bench, change: impl Fn([u32; 2], f64, f64) -> f64) -> Fra
     panic!("not known after five frames: {:?}", bench.monitor.health());
 }
 
+/// What a reading becomes, of its channel, its value and that of the uniform sheet.
+type Spoil<'a> = &'a dyn Fn([u32; 2], f64, f64) -> f64;
+
 #[test]
 fn frames_wrong_as_a_whole_are_known_within_five_frames_and_blame_no_channel() {
     let sign = |uniform: f64| if uniform < 0.0 { -1.0 } else { 1.0 };
@@ -235,7 +238,7 @@ fn frames_wrong_as_a_whole_are_known_within_five_frames_and_blame_no_channel() {
     bench.sound(50);
     for round in 0..20 {
         let gain = 10_f64.powi(2 + round % 11);
-        let cases: [(FrameFaultKind, &dyn Fn([u32; 2], f64, f64) -> f64); 7] = [
+        let cases: [(FrameFaultKind, Spoil); 7] = [
             (FrameFaultKind::Saturated, &|_, _, uniform| 10.0 * sign(uniform)),
             (FrameFaultKind::Saturated, &|_, _, uniform| -2.5 + 1e-4 * uniform),
             (FrameFaultKind::Flipped, &|_, v, _| -v),

@@ -16,6 +16,9 @@ use dermis_touch::health::{ChannelFaultKind, ElectrodeFaultKind, FrameFaultKind,
 use dermis_twin::mechanics::{Indenter, Load, Shape};
 use dermis_twin::scene::RandomTouches;
 
+/// Turns readings into what is sent.
+type Spoil = fn(&[f64], &mut Vec<f64>);
+
 /// A twin and the pipeline that follows it.
 struct Line {
     twin: AnyTwin,
@@ -25,7 +28,7 @@ struct Line {
     /// Added to the device's clock from a frame on.
     clock: Option<(u64, i64)>,
     /// What the instrument makes of its readings before they are sent.
-    spoil: Option<fn(&[f64], &mut Vec<f64>)>,
+    spoil: Option<Spoil>,
     /// The last readings that were sent.
     sent: Vec<f64>,
 }
@@ -156,7 +159,7 @@ fn frames_wrong_as_a_whole_end_touches_as_unknown_on_every_kind_of_skin() {
         spoil_frames(name, FrameFaultKind::OutOfRange, |_, values| values.iter_mut().for_each(|v| *v *= 1e12));
         if name != "piezo-square" {
             spoil_frames(name, FrameFaultKind::Saturated, |_, values| {
-                let sign = |k: usize| if k % 3 == 0 { -10.0 } else { 10.0 };
+                let sign = |k: usize| if k.is_multiple_of(3) { -10.0 } else { 10.0 };
                 values.iter_mut().enumerate().for_each(|(k, v)| *v = sign(k));
             });
         }

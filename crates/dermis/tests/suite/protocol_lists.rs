@@ -209,7 +209,7 @@ fn an_instrument_on_the_wire_is_told_the_list() {
 fn a_list_s_own_order_is_found_again_turned_reversed_and_begun_elsewhere() {
     let skin = mixed_disc();
     let rest = Prepared::new(skin.clone()).unwrap().voltages;
-    let found = find_order(&table(&[rest.clone()]), Some(&skin)).unwrap();
+    let found = find_order(&table(std::slice::from_ref(&rest)), Some(&skin)).unwrap();
     assert!(found.is_clear && found.candidates[0].description.contains("the skin file's list"), "{}", found.verdict());
     let mut late = rest.clone();
     late.rotate_left(17);
@@ -229,7 +229,7 @@ fn a_list_s_own_order_is_found_again_turned_reversed_and_begun_elsewhere() {
 fn layouts(rest: &[f64]) -> Vec<(&'static str, Vec<f64>)> {
     let at = |drive: usize, read: usize| rest[13 * drive + read];
     let of = |order: &dyn Fn(usize) -> (usize, usize)| -> Vec<f64> {
-        (0..208).map(|k| order(k)).map(|(drive, read)| at(drive, read)).collect()
+        (0..208).map(order).map(|(drive, read)| at(drive, read)).collect()
     };
     vec![
         ("measurement-major", of(&|k| (k % 16, k / 16))),
@@ -247,7 +247,7 @@ fn layouts_that_no_pattern_says_are_proposed_as_lists() {
     let rest = Prepared::new(skin.clone()).unwrap().voltages;
     assert_eq!(rest.len(), 208);
     for (name, file) in layouts(&rest) {
-        let found = find_order(&table(&[file.clone()]), Some(&skin)).unwrap();
+        let found = find_order(&table(std::slice::from_ref(&file)), Some(&skin)).unwrap();
         assert!(found.is_clear, "{name}: {}", found.verdict());
         let read = Prepared::new(found.candidates[0].on(&skin)).unwrap();
         assert!(read.diagnose(&file).correlation > 0.999, "{name}: {}", found.verdict());
@@ -287,7 +287,7 @@ fn pairs_that_read_themselves_are_found_without_being_told() {
         .with_channels(pairs.collect());
     let prepared = Prepared::new(skin.checked().unwrap()).unwrap();
     assert!(prepared.voltages.iter().all(|value| *value > 0.0), "a pair that reads itself reads what it drives");
-    let found = find_order(&table(&[prepared.voltages.clone()]), Some(&prepared.skin)).unwrap();
+    let found = find_order(&table(std::slice::from_ref(&prepared.voltages)), Some(&prepared.skin)).unwrap();
     assert!(found.candidates[0].correlation > 0.999, "{}", found.verdict());
 }
 

@@ -332,7 +332,10 @@ fn is_numeric_header(line: &str, below: &[&str], separator: Separator, decimal: 
 /// A cell that shows that decimal commas stand between commas, which nobody can tell apart: whole numbers alone, of which
 /// every second one is a fraction cut off, by zeros before it or by one length that is longer than the others.
 fn comma_between_commas<'a>(sketch: &Sketch, rows: impl Iterator<Item = &'a str>) -> Option<String> {
-    if sketch.separator != Separator::Mark(b',') || sketch.decimal == Decimal::Comma || !sketch.columns.is_multiple_of(2) {
+    if sketch.separator != Separator::Mark(b',')
+        || sketch.decimal == Decimal::Comma
+        || !sketch.columns.is_multiple_of(2)
+    {
         return None;
     }
     let cells: Vec<Vec<&str>> = rows.map(|row| sketch.separator.cells(row).take(sketch.columns).collect()).collect();

@@ -241,11 +241,10 @@ impl<'a> System<'a> {
             Some(Spoilt::All(value)) => frame.values.fill(value),
             Some(Spoilt::Some(every, value)) => frame.values.iter_mut().step_by(every).for_each(|v| *v = value),
             Some(Spoilt::Scaled(factor)) => frame.values.iter_mut().for_each(|v| *v *= factor),
-            Some(Spoilt::Frozen) => {
-                if self.last_values.len() == frame.values.len() {
-                    frame.values.copy_from_slice(&self.last_values);
-                }
+            Some(Spoilt::Frozen) if self.last_values.len() == frame.values.len() => {
+                frame.values.copy_from_slice(&self.last_values);
             }
+            Some(Spoilt::Frozen) => {}
             Some(Spoilt::Length(length)) => frame.values.resize(length, 0.0),
             Some(Spoilt::Lost) => {
                 self.lost += 1;
