@@ -226,6 +226,7 @@ fn reconstruct_to(
         if is_refined { Refinement::new(&prepared, &reference.noise)?.taking_time() } else { Refinement::none() };
     let mut reconstructor = Reconstructor::new(&prepared, imager, placement, refinement_of_touches)?;
     reconstructor.touches.set_forces(forces.clone());
+    reconstructor.take_reference(&prepared, &reference);
     let grid = prepared.map.grid();
     let load = calibration.and_then(Calibration::load_quantity);
     let mut sinks: Vec<Box<dyn Sink>> = Vec::new();

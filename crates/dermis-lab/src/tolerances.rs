@@ -9,16 +9,16 @@
 //! and among others (but for electrodes that would touch), and reports do not depend on the number of threads.
 
 mod bench;
+mod cause;
 mod conductivity;
-mod dice;
-mod electrodes;
 mod places;
 mod report;
-mod sizes;
 mod workshop;
 
+pub use cause::{Cause, causes};
+pub use dermis_skin::Tolerances;
 pub use report::{Extent, PlaceError, ToleranceReport, ToleranceRow, run};
-pub use sizes::{Cause, Tolerances};
+pub(crate) use workshop::frontend_of;
 
 #[cfg(test)]
 mod tests;

@@ -82,7 +82,8 @@ impl Rig {
             true => Refinement::new(&prepared, &reference.noise)?.taking_time(),
             false => Refinement::none(),
         };
-        let reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
+        let mut reconstructor = Reconstructor::new(&prepared, imager, None, refinement)?;
+        reconstructor.take_reference(&prepared, &reference);
         Ok(Self { frontend, instrument, prepared, frame_s, reference, reconstructor, frames: 0 })
     }
 

@@ -53,6 +53,8 @@ pub struct SampleRequest {
     pub truth: Option<PathBuf>,
     /// Seed of the noise; the skin file's where left out.
     pub seed: Option<u64>,
+    /// Number of a skin that a workshop builds within the file's tolerances; as drawn where left out.
+    pub built: Option<u64>,
     /// Frames of each press.
     pub repeats: usize,
 }
@@ -201,7 +203,7 @@ pub fn sample(request: &SampleRequest, progress: impl FnMut(usize, usize)) -> Re
     let formats = [&request.baseline, &request.frames].map(|path| Format::of(path));
     let [baseline_format, frames_format] = [formats[0].clone()?, formats[1].clone()?];
     let Pressed { baseline, rows, reader, outside_validity } =
-        press(&request.skin, &request.presses, request.repeats, request.seed, progress)?;
+        press(&request.skin, &request.presses, request.repeats, [request.seed, request.built], progress)?;
     let channels = reader.channels;
     baseline_format.write(&request.baseline, channels, &baseline, reader.complex)?;
     frames_format.write(&request.frames, channels, &rows, reader.complex)?;
@@ -222,7 +224,7 @@ pub fn sample_tables(
     seed: Option<u64>,
     progress: impl FnMut(usize, usize),
 ) -> Result<[FrameTable; 2], Error> {
-    let Pressed { baseline, rows, reader, .. } = press(skin, presses, 1, seed, progress)?;
+    let Pressed { baseline, rows, reader, .. } = press(skin, presses, 1, [seed, None], progress)?;
     let table = |rows: Rows, name: &str| -> Result<FrameTable, Error> {
         let name = format!("twin:{}, {name}", skin.name);
         let table = FrameTable::new(Layout::Channels { count: reader.channels }, rows.values, name)?;
@@ -243,7 +245,7 @@ fn press(
     skin: &Skin,
     presses: &[Vec<Indenter>],
     repeats: usize,
-    seed: Option<u64>,
+    [seed, built]: [Option<u64>; 2],
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Pressed, Error> {
     let mut skin = skin.clone();
@@ -259,7 +261,13 @@ fn press(
         return refuse("readings to make", format!("at most {MOST_READINGS}; fewer presses or repeats"), got);
     }
     let rate_hz = skin.backend.frame_rate_hz();
-    let (mut frontend, mut instrument, _) = TwinKit::of(&skin)?.twin.into_parts();
+    let (mut frontend, mut instrument, gains) = match built {
+        Some(number) => frontend_of(&skin, number)?,
+        None => {
+            let (frontend, instrument, _) = TwinKit::of(&skin)?.twin.into_parts();
+            (frontend, instrument, vec![1.0; channels])
+        }
+    };
     for (k, group) in presses.iter().enumerate() {
         for indenter in group {
             let refused = |error: dermis_twin::TwinError| Error::Frames {
@@ -270,7 +278,7 @@ fn press(
             frontend.check_indenter(indenter).map_err(refused)?;
         }
     }
-    let mut reader = Reader { channels, rate_hz, values: vec![0.0; channels], complex: false };
+    let mut reader = Reader { channels, gains, rate_hz, values: vec![0.0; channels], complex: false };
     let mut baseline = Rows::default();
     reader.hold(&mut *frontend, &[], REST_S)?;
     for _ in 0..BASELINE_FRAMES {
@@ -299,6 +307,7 @@ struct Rows {
 
 struct Reader {
     channels: usize,
+    gains: Vec<f64>,
     rate_hz: f64,
     /// True voltages.
     values: Vec<f64>,
@@ -312,7 +321,7 @@ impl Reader {
     }
 
     fn read(&mut self, instrument: &mut Instrument, rows: &mut Rows) {
-        let mut frame = self.values.clone();
+        let mut frame: Vec<f64> = self.values.iter().zip(&self.gains).map(|(value, gain)| value * gain).collect();
         instrument.read(1.0 / self.rate_hz, &mut frame);
         rows.values.extend_from_slice(&frame);
         rows.imaginary.extend_from_slice(instrument.imaginary_v());
@@ -451,6 +460,7 @@ mod tests {
             frames: at("f.csv"),
             truth: Some(at("t.csv")),
             seed: Some(4),
+            built: None,
             repeats: 2,
         };
         let made = sample(&request, |_, _| {}).unwrap();

@@ -9,6 +9,7 @@ use dermis_tomo::mesh::PixelMap;
 
 use crate::Error;
 use crate::magnetic_model::MagneticModel;
+use crate::stages::workshop_error::WorkshopError;
 use dermis_skin::budget::Budget;
 use dermis_skin::{CircuitChoice, Imaging, MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 
@@ -42,6 +43,8 @@ pub struct Prepared {
     /// The inverse problem, where it depends on nothing measured: a dense prior is the largest thing in memory, and
     /// imagers that differ in lambda alone share it.
     problem: OnceLock<Arc<LinearProblem>>,
+    /// Errors of touches on skins as built, once they are asked for.
+    workshop_error: OnceLock<Option<Arc<WorkshopError>>>,
 }
 
 impl Prepared {
@@ -64,7 +67,17 @@ impl Prepared {
             let (voltages, jacobian) =
                 MagneticModel::of(&skin)?.linearised(&map.inside_centres_m(), map.grid().pixel_m)?;
             let basis = pixel_basis(&map);
-            return Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() });
+            return Ok(Self {
+                skin,
+                body,
+                protocol,
+                map,
+                voltages,
+                jacobian,
+                basis,
+                problem: OnceLock::new(),
+                workshop_error: OnceLock::new(),
+            });
         }
         let conductance = skin.sheet_conductance_s();
         let sigma = vec![conductance; body.mesh.mesh.element_count()];
@@ -80,7 +93,17 @@ impl Prepared {
         };
         jacobian.values.iter_mut().for_each(|value| *value *= conductance);
         let basis = pixel_basis(&map);
-        Ok(Self { skin, body, protocol, map, voltages, jacobian, basis, problem: OnceLock::new() })
+        Ok(Self {
+            skin,
+            body,
+            protocol,
+            map,
+            voltages,
+            jacobian,
+            basis,
+            problem: OnceLock::new(),
+            workshop_error: OnceLock::new(),
+        })
     }
 
     /// The same skin with other settings of its images: neither mesh nor fields are computed anew. The grid and the
@@ -100,6 +123,7 @@ impl Prepared {
             jacobian: self.jacobian.clone(),
             basis: self.basis.clone(),
             problem: OnceLock::new(),
+            workshop_error: self.workshop_error.clone(),
         })
     }
 
@@ -159,6 +183,14 @@ impl Prepared {
             }));
         }
         rows
+    }
+
+    /// Errors of touches on skins built within the file's tolerances, worked out by `draw` once.
+    pub(crate) fn workshop_error(
+        &self,
+        draw: impl FnOnce() -> Option<Arc<WorkshopError>>,
+    ) -> Option<Arc<WorkshopError>> {
+        self.workshop_error.get_or_init(draw).clone()
     }
 
     /// The problem in use, or that which `build` makes, kept if `lasts`.

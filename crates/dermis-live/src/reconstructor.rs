@@ -4,12 +4,14 @@ use crate::Error;
 use crate::calibration::PlacementFinder;
 use crate::imager::Imager;
 use crate::prepare::Prepared;
+use crate::reference::Reference;
 use crate::stages::classes::FittedFrame;
 use crate::stages::element_contacts::ElementContacts;
 use crate::stages::element_presses::ElementPresses;
 use crate::stages::placement::Placement;
 use crate::stages::refinement::Refinement;
 use crate::stages::touches::TouchStage;
+use crate::stages::workshop_ensemble::built_error;
 
 /// Makes images of difference data and touches of images.
 #[derive(Debug)]
@@ -43,6 +45,11 @@ impl Reconstructor {
         let elements = ElementContacts::new(prepared);
         let presses = if elements.is_some() { ElementPresses::new(prepared)? } else { None };
         Ok(Self { imager, placement, refinement, elements, presses, touches })
+    }
+
+    /// Takes into account how far the skin that gave this reference is from its file.
+    pub fn take_reference(&mut self, prepared: &Prepared, reference: &Reference) {
+        self.touches.set_built(built_error(prepared, reference.misfit));
     }
 
     /// Images one frame of difference data: see [`Imager::image`].

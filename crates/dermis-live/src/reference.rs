@@ -63,6 +63,8 @@ pub struct Reference {
     pub successive: Vec<Vec<f64>>,
     /// Does the baseline look like the model?
     pub order: OrderReport,
+    /// Root mean square of the baseline's difference from the model, relative; NaN where there is no baseline to compare.
+    pub misfit: f64,
 }
 
 impl Reference {
@@ -88,7 +90,7 @@ impl Reference {
         let channels = prepared.channels();
         check_frames("baseline", frames, channels)?;
         let baseline: Vec<f64> = (0..channels).map(|channel| finite_mean(frames.iter().map(|f| f[channel]))).collect();
-        let scale = match_gain(prepared, &baseline)?;
+        let scale = scale_to_model(prepared, &baseline)?;
         let largest = prepared.voltages.iter().map(|v| v.abs()).fold(0.0, f64::max);
         let assumed = prepared.skin.touch.assumed_noise_share * largest;
         let noise_measured = frames.len() >= FEWEST_FOR_NOISE;
@@ -108,7 +110,8 @@ impl Reference {
             |pair: &[Vec<f64>]| pair[1].iter().zip(&pair[0]).map(|(after, before)| after - before).collect();
         let successive = frames.windows(2).map(difference).collect();
         let noise_source = if noise_measured { NoiseSource::Baseline } else { NoiseSource::Assumed };
-        Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order })
+        let misfit = if scale_is_known(prepared) { misfit(&prepared.voltages, &baseline) } else { f64::NAN };
+        Ok(Self { baseline, scale, noise, noise_source, covariance, successive, order, misfit })
     }
 
     /// The reference of frames that are differences already: the baseline is zero, and nothing is scaled but for the
@@ -138,6 +141,7 @@ impl Reference {
             covariance: None,
             successive: Vec::new(),
             order: prepared.diagnose(&prepared.voltages),
+            misfit: f64::NAN,
         };
         reference.estimate_noise(frames);
         Ok(reference)
@@ -205,9 +209,24 @@ fn signs(prepared: &Prepared) -> Vec<f64> {
     prepared.voltages.iter().map(|v| if rectified { v.signum() } else { 1.0 }).collect()
 }
 
+/// Whether a baseline can be compared with the model.
+fn scale_is_known(prepared: &Prepared) -> bool {
+    !prepared.skin.backend.differences && prepared.skin.backend.wiring.is_known()
+}
+
+/// Root mean square of the difference between a baseline and the model, by the gain that brings them together and
+/// without signs, over that of the model.
+pub(crate) fn misfit(model: &[f64], baseline: &[f64]) -> f64 {
+    let pairs = || model.iter().zip(baseline).filter(|(_, b)| b.is_finite()).map(|(m, b)| (m.abs(), b.abs()));
+    let (cross, square) = pairs().fold((0.0, 0.0), |(cross, square), (m, b)| (cross + m * b, square + b * b));
+    let gain = cross / square;
+    let (off, all) = pairs().fold((0.0, 0.0), |(off, all), (m, b)| (off + (gain * b - m).powi(2), all + m * m));
+    (off / all).sqrt()
+}
+
 /// Factors from measured differences to model volts.
-fn match_gain(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> {
-    if prepared.skin.backend.differences || !prepared.skin.backend.wiring.is_known() {
+pub(crate) fn scale_to_model(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> {
+    if !scale_is_known(prepared) {
         // There is nothing to compare with the model.
         return Ok(signs(prepared));
     }

@@ -17,3 +17,5 @@ pub mod refinement;
 mod sandwich_contacts;
 pub mod touch_refinement;
 pub mod touches;
+pub(crate) mod workshop_ensemble;
+pub(crate) mod workshop_error;

@@ -12,6 +12,7 @@ use crate::health::HealthSettings;
 use crate::imaging::{GainMatch, Imaging};
 use crate::layer::{Layer, SheetLayer};
 use crate::skin::{Modality, Skin};
+use crate::tolerances::Tolerances;
 use crate::touch::TouchSettings;
 use crate::twin::TwinSettings;
 
@@ -73,6 +74,7 @@ impl Skin {
             touch: TouchSettings::default(),
             health: HealthSettings::default(),
             damage: DamageSettings::default(),
+            tolerances: Tolerances::default(),
             twin: TwinSettings::default(),
             mount: None,
         };

@@ -38,6 +38,7 @@ mod parts;
 mod refinement;
 mod schema;
 mod skin;
+mod tolerances;
 mod touch;
 mod twin;
 mod upgrade;
@@ -64,6 +65,7 @@ pub use pair::Pair;
 pub use refinement::Refinement;
 pub use schema::json_schema;
 pub use skin::{Modality, Skin};
+pub use tolerances::{Dice, Tolerances, built_electrodes};
 pub use touch::TouchSettings;
 pub use twin::{
     Demonstration, Healing, NoisyChannel, PressSettings, StuckChannel, TwinAction, TwinFaults, TwinSettings,

@@ -16,6 +16,7 @@ use crate::imaging::Imaging;
 use crate::layer::Layer;
 use crate::mount::Mount;
 use crate::parts::{Part, read_skin_text};
+use crate::tolerances::Tolerances;
 use crate::touch::TouchSettings;
 use crate::twin::{Parts, TwinSettings};
 use crate::upgrade::upgrade;
@@ -50,6 +51,9 @@ pub struct Skin {
     /// Its twin.
     #[serde(default, skip_serializing_if = "is_default")]
     pub twin: TwinSettings,
+    /// Errors of the workshop that builds it.
+    #[serde(default, skip_serializing_if = "Tolerances::is_default")]
+    pub tolerances: Tolerances,
     /// Its place on a robot.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mount: Option<Mount>,
@@ -222,6 +226,7 @@ impl Skin {
         self.twin.check(Parts { electrodes, coils, channels }, &self.frontend.layer, checker)?;
         self.health.check(checker)?;
         self.damage.check(checker)?;
+        self.tolerances.check("tolerances.", checker)?;
         self.imaging.check(elements, self.backend.circuit.is_some(), checker)?;
         self.touch.check(checker)?;
         self.mount.as_ref().map_or(Ok(()), |mount| mount.check(checker))
@@ -248,6 +253,8 @@ struct Written {
     damage: DamageSettings,
     #[serde(default)]
     twin: TwinSettings,
+    #[serde(default)]
+    tolerances: Tolerances,
     mount: Option<Mount>,
 }
 
@@ -271,6 +278,7 @@ impl Written {
             health: self.health,
             damage: self.damage,
             twin: self.twin,
+            tolerances: self.tolerances,
             mount: self.mount,
         })
     }

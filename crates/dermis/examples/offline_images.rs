@@ -25,6 +25,7 @@ pub fn main() -> Result<(), Error> {
         frames: frames.clone(),
         truth: None,
         seed: None,
+        built: None,
         repeats: 1,
     };
     sample(&request, |_, _| {})?;

@@ -73,6 +73,10 @@ struct Sample {
     /// Seed of the noise and of random presses.
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
+    /// Number of a skin that a workshop builds within the file's `[tolerances]`: the twin then differs from its file, each
+    /// number in another way. Without it the twin is exactly as drawn.
+    #[arg(long, value_name = "N")]
+    built: Option<u64>,
     /// Frames of each press.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     repeats: u32,
@@ -94,7 +98,8 @@ impl Sample {
         };
         let (baseline, frames, truth) = (self.baseline, self.frames, self.truth);
         let repeats = self.repeats as usize;
-        let request = SampleRequest { skin, presses, baseline, frames, truth, seed: self.seed, repeats };
+        let request =
+            SampleRequest { skin, presses, baseline, frames, truth, seed: self.seed, built: self.built, repeats };
         let bar = super::progress_bar("presses");
         let made = sample(&request, |done, all| {
             bar.set_length(all as u64);

@@ -10,7 +10,7 @@ use dermis_live::prepare::Prepared;
 use dermis_live::reconstructor::Reconstructor;
 use dermis_live::reference::Reference;
 use dermis_live::stages::refinement::Refinement;
-use dermis_skin::{Reads, Skin};
+use dermis_skin::{Dice, Reads, Skin};
 use dermis_touch::Observation;
 use dermis_touch::locator::PokeSight;
 use dermis_twin::from_skin::MeshSizes;
@@ -18,7 +18,6 @@ use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
 use dermis_twin::mechanics::Indenter;
 use dermis_twin::{Frontend, PressRange, TwinKit};
 
-use super::dice::Dice;
 use super::workshop::Built;
 use super::{Cause, Tolerances, places, workshop};
 use crate::Error;
@@ -372,6 +371,7 @@ impl Bench {
         if !absent.is_empty() {
             reconstructor.leave_out(&self.prepared, absent, &reference.noise)?;
         }
+        reconstructor.take_reference(&self.prepared, &reference);
         Ok((reconstructor, reference))
     }
 

@@ -4,7 +4,7 @@
 use dermis_tomo::mesh::Outline;
 use dermis_twin::physics::ConductanceMap;
 
-use super::dice::Dice;
+use dermis_skin::Dice;
 
 /// Steps of the grid to a correlation length.
 const STEPS: f64 = 3.0;

@@ -2,7 +2,6 @@
 
 use dermis_tomo::mesh::Outline;
 
-use super::electrodes::to_rim;
 use crate::Error;
 
 /// Share of the way from the rim to the middle that is not pressed.
@@ -20,8 +19,8 @@ pub(super) fn pressed(outline: &Outline, count: usize, from: usize) -> Result<Ve
         let share = [halton(k + 1, 2), halton(k + 1, 3)];
         [0, 1].map(|axis| low[axis] + share[axis] * (high[axis] - low[axis]))
     };
-    let deepest = (0..2000).map(|k| to_rim(outline, at(k))).fold(0.0, f64::max);
-    let inside = |place: &[f64; 2]| to_rim(outline, *place) >= MARGIN * deepest;
+    let deepest = (0..2000).map(|k| outline.inside_by_m(at(k))).fold(0.0, f64::max);
+    let inside = |place: &[f64; 2]| outline.inside_by_m(*place) >= MARGIN * deepest;
     let places: Vec<[f64; 2]> = (from..from + LOOKED_AT * count).map(at).filter(inside).take(count).collect();
     if places.len() < count {
         return Err(Error::Frames {

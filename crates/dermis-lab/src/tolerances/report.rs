@@ -2,14 +2,12 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use dermis_skin::Skin;
+use dermis_skin::{Dice, Skin};
 use dermis_tomo::mesh::PixelGrid;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::bench::{Bench, Press, Reader};
-use super::dice::Dice;
-use super::electrodes::to_rim;
 use super::{Cause, Tolerances};
 use crate::Error;
 
@@ -175,7 +173,7 @@ pub fn run(
     let go_on = |done: usize, all: usize| if progress(done, all) { Ok(()) } else { Err(Error::Interrupted) };
     extent.check()?;
     let bench = Bench::new(skin, PLACES)?;
-    let causes = tolerances.causes(&bench.skin);
+    let causes = causes(tolerances, &bench.skin);
     let tasks = tasks(&causes, extent);
     let all: usize = tasks.iter().map(|task| task.samples).sum();
     let done = AtomicUsize::new(0);
@@ -326,7 +324,7 @@ fn map(bench: &Bench, places: &[PlaceError]) -> Result<(PixelGrid, Vec<f32>), Er
     let seen: Vec<&PlaceError> = places.iter().filter(|place| place.median_mm.is_finite()).collect();
     let at = |pixel: usize| {
         let [x, y] = grid.centre_m(pixel);
-        if to_rim(&outline, [x, y]) < 0.0 {
+        if !outline.contains([x, y]) {
             return f32::NAN;
         }
         let squares = |place: &PlaceError| (place.place_m[0] - x).powi(2) + (place.place_m[1] - y).powi(2);

@@ -103,7 +103,7 @@ fn nonsense_extents_are_refused() {
 
 #[test]
 fn a_tank_without_membrane_has_no_answer_to_pressure() {
-    let causes = |name: &str| Tolerances::default().causes(&Skin::open(name).unwrap());
+    let causes = |name: &str| causes(&Tolerances::default(), &Skin::open(name).unwrap());
     assert!(!causes("golfball-tank").contains(&Cause::ContactLaw));
     assert!(causes("ionic-disc").contains(&Cause::ContactLaw));
 }

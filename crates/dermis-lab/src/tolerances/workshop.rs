@@ -1,10 +1,10 @@
 //! One skin as a workshop builds it: errors drawn, and put into the skin file's numbers or beside them.
 
-use dermis_skin::{CoilPlaces, ContactLaw, Layer, Skin, Winding};
-use dermis_twin::AsBuilt;
+use dermis_skin::{CoilPlaces, ContactLaw, Dice, Layer, Skin, Winding, built_electrodes};
+use dermis_twin::instrument::{Instrument, InstrumentOptions, Noise};
+use dermis_twin::{AsBuilt, Frontend, TwinKit};
 
-use super::dice::Dice;
-use super::{Cause, Tolerances, conductivity, electrodes};
+use super::{Cause, Tolerances, causes, conductivity};
 use crate::Error;
 
 const MM: f64 = 1e-3;
@@ -53,7 +53,7 @@ pub(super) fn build(
     let width = share(Cause::ElectrodeWidths, tolerances.electrode_width_percent);
     if place_mm > 0.0 || width > 0.0 {
         let dice = [&mut dice(Cause::ElectrodePlaces), &mut dice(Cause::ElectrodeWidths)];
-        built.as_built.electrodes = electrodes::built(&outline, &built.as_built.electrodes, place_mm * MM, width, dice);
+        built.as_built.electrodes = built_electrodes(&outline, &built.as_built.electrodes, place_mm * MM, width, dice);
     }
     for cause in causes {
         let mut dice = dice(*cause);
@@ -95,6 +95,21 @@ pub(super) fn build(
         }
     }
     Ok(built)
+}
+
+/// A skin built within its file's tolerances, number `number`: what it does when pressed, what reads it, and the gain of
+/// each channel.
+pub(crate) fn frontend_of(skin: &Skin, number: u64) -> Result<(Box<dyn Frontend>, Instrument, Vec<f64>), Error> {
+    let channels = skin.protocol()?.channel_count();
+    let causes = causes(&skin.tolerances, skin);
+    let built = build(skin, channels, &skin.tolerances, &causes, [number, 0])?;
+    let (frontend, instrument, _) = TwinKit::built(&built.skin, &built.as_built)?.twin.into_parts();
+    let drawn = *instrument.options();
+    let noise =
+        Noise { floor_v: built.noise * drawn.noise.floor_v, proportional: built.noise * drawn.noise.proportional };
+    let seed = dermis_twin::from_skin::seed_of(skin);
+    let instrument = Instrument::new(InstrumentOptions { noise, ..drawn }, channels, seed)?;
+    Ok((frontend, instrument, built.gains))
 }
 
 /// The skin without the scatter that its own file gives its elements, and without what its file breaks later.

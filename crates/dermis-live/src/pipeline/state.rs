@@ -93,6 +93,7 @@ impl Starting {
         reconstructor.touches.set_forces(choices.forces.clone());
         reconstructor.refinement.set_noise(&reference.noise);
         reconstructor.refinement.leave_out(prepared, &[], &reference.noise)?;
+        reconstructor.take_reference(prepared, &reference);
         Ok(Running { reference, reconstructor })
     }
 }

@@ -430,6 +430,11 @@ fn change_response(prepared: &Prepared) -> Result<Arc<ChangeResponse>, Error> {
     }))
 }
 
+/// See [`membrane`].
+pub(crate) fn membrane_spread(prepared: &Prepared, layer: &LiquidLayer) -> Result<Mat<f64>, Error> {
+    Ok(membrane(prepared, layer)?.0)
+}
+
 /// The pressure of a load of amplitude 1 on the skin's membrane, pascal; none without one.
 ///
 /// # Errors

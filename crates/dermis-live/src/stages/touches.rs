@@ -1,6 +1,6 @@
 //! From images to touches with identities: contact finding and tracking, set up from a skin file.
 
-use dermis_touch::force::ForceCalibration;
+use dermis_touch::force::{ForceCalibration, ForceReading};
 use dermis_touch::locator::PlaceCorrection;
 use dermis_touch::{
     Contact, ContactFinder, ContactParams, ContactSigns, ContactStrength, PixelNoise, Touch, TouchEvent, TouchLoad,
@@ -12,6 +12,7 @@ use crate::image_cells::image_cells;
 use crate::prepare::Prepared;
 use crate::stages::model_error::ModelError;
 use crate::stages::placement::{Placement, SecondTouch};
+use crate::stages::workshop_error::BuiltError;
 
 /// Without frames for so long, nanoseconds, a touch cannot be told from another at the same place.
 const INTERRUPTION_NS: u64 = 250_000_000;
@@ -33,6 +34,8 @@ pub struct TouchStage {
     /// Contacts of a smaller amplitude in the next image are none.
     floor: f64,
     model_error: ModelError,
+    /// Errors of a skin that is not as drawn.
+    built: Option<BuiltError>,
     /// A calibration has placed the contacts of this frame, and their sigmas hold the model's error.
     is_placed: bool,
     /// The touch being followed is one that only the calibration sees.
@@ -82,6 +85,7 @@ impl TouchStage {
             is_placed: false,
             follows_unseen: false,
             model_error: ModelError::of(prepared),
+            built: None,
         })
     }
 
@@ -93,6 +97,11 @@ impl TouchStage {
     /// Contacts of a smaller amplitude in the next image are lobes of something else.
     pub fn set_floor(&mut self, amplitude: f64) {
         self.floor = amplitude;
+    }
+
+    /// Takes into account how far the skin is from its file.
+    pub fn set_built(&mut self, built: Option<BuiltError>) {
+        self.built = built;
     }
 
     /// Replaces the image noise (after a new baseline or hyperparameter).
@@ -196,6 +205,9 @@ impl TouchStage {
         if !self.is_placed {
             let model_error = &self.model_error;
             self.contacts.iter_mut().for_each(|contact| contact.model_variance_m2 += model_error.variance_m2(contact));
+            if let Some(built) = &self.built {
+                self.contacts.iter_mut().for_each(|contact| widen(contact, built));
+            }
         }
         if let Some(forces) = &self.forces {
             self.contacts.iter_mut().for_each(|contact| {
@@ -281,6 +293,17 @@ impl TouchStage {
 /// Frames in which a touch may be missed before it ends: it is gone within [`GONE_S`], or two frames.
 fn missed_frames(frames_per_s: f64) -> u32 {
     ((GONE_S * frames_per_s).floor() as u32).saturating_sub(1).clamp(1, 3)
+}
+
+/// Adds the errors of a skin as built to a contact's place and force.
+fn widen(contact: &mut Contact, built: &BuiltError) {
+    let covariance = built.covariance_m2(contact.centroid_m);
+    for (row, added) in contact.covariance_m2.iter_mut().zip(covariance) {
+        row.iter_mut().zip(added).for_each(|(value, added)| *value += added);
+    }
+    if let Some(ForceReading::FromLaw { force_n, sigma_n }) = &mut contact.force {
+        *sigma_n = sigma_n.hypot(*force_n * built.load_variance(contact.centroid_m).sqrt());
+    }
 }
 
 #[cfg(test)]

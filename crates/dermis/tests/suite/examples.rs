@@ -34,6 +34,7 @@ fn touches_of(skin: Skin, presses: &[Vec<Indenter>], repeats: usize) -> Vec<Vec<
         frames: frames.clone(),
         truth: None,
         seed: Some(2),
+        built: None,
         repeats,
     };
     sample(&request, |_, _| {}).unwrap();

@@ -21,7 +21,11 @@ fn files(folder: &Path) -> [String; 2] {
     let usual = dermis::twin::from_skin::press_range(&skin);
     let presses = random_presses(&skin.outline(), &usual, 3, 5).unwrap();
     let names = [&baseline, &frames].map(|path| path.display().to_string());
-    sample(&SampleRequest { skin, presses, baseline, frames, truth: None, seed: None, repeats: 3 }, |_, _| {}).unwrap();
+    sample(
+        &SampleRequest { skin, presses, baseline, frames, truth: None, seed: None, built: None, repeats: 3 },
+        |_, _| {},
+    )
+    .unwrap();
     names
 }
 

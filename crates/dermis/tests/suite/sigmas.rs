@@ -63,6 +63,7 @@ pub(super) fn pressed_and_read(skin: Skin, presses: Vec<Vec<Indenter>>, seed: u6
         frames: at("f.csv"),
         truth: None,
         seed: Some(seed),
+        built: None,
         repeats: 1,
     };
     sample(&request, |_, _| {}).unwrap();

@@ -8,9 +8,11 @@ use rand_distr::{Distribution, StandardNormal};
 const CUT_OFF: f64 = 3.0;
 
 /// Random numbers of one purpose in one sample.
-pub(super) struct Dice(StdRng);
+#[derive(Debug)]
+pub struct Dice(StdRng);
 
 impl Dice {
+    /// Of this seed, sample and purpose.
     pub fn new(seed: u64, sample: u64, purpose: u64) -> Self {
         let mut mixed = [seed, sample, purpose].into_iter().fold(0x5eed_u64, |hash, value| {
             // The finaliser of splitmix64.
@@ -34,6 +36,7 @@ impl Dice {
         self.0.random_range(0..count.max(1) as u64) as usize
     }
 
+    /// A seed.
     pub fn seed(&mut self) -> u64 {
         self.0.random_range(0..=i64::MAX as u64)
     }

@@ -3,7 +3,7 @@
 
 use dermis_tomo::mesh::{ElectrodeShape, Outline, to_segment};
 
-use super::dice::Dice;
+use super::Dice;
 
 /// Share of a gap that is left at least.
 const LEAST_GAP: f64 = 0.2;
@@ -13,7 +13,7 @@ const DRAWS: usize = 20;
 const AT_RIM: f64 = 0.05;
 
 /// Electrodes with errors of these deviations, metres and relative.
-pub(super) fn built(
+pub fn built_electrodes(
     outline: &Outline,
     drawn: &[ElectrodeShape],
     place_m: f64,
@@ -132,7 +132,7 @@ fn clearance(outline: &Outline, shape: &ElectrodeShape) -> f64 {
 }
 
 /// Distance from the nearest rim, holes included, metres; below 0 off the sheet.
-pub(super) fn to_rim(outline: &Outline, p: [f64; 2]) -> f64 {
+fn to_rim(outline: &Outline, p: [f64; 2]) -> f64 {
     match outline {
         Outline::Disc { radius_m } => radius_m - p[0].hypot(p[1]),
         Outline::Rectangle { width_m, height_m } => (0.5 * width_m - p[0].abs()).min(0.5 * height_m - p[1].abs()),

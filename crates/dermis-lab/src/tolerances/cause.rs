@@ -1,0 +1,75 @@
+//! The causes of a workshop's errors.
+
+use dermis_skin::{Layer, Skin, Tolerances};
+
+/// One thing that goes wrong; see [`Tolerances`] for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// Electrodes lie elsewhere.
+    ElectrodePlaces,
+    /// Electrodes are wider or narrower.
+    ElectrodeWidths,
+    /// Electrodes touch the sheet better or worse.
+    ContactImpedance,
+    /// The sheet conducts unevenly.
+    Conductivity,
+    /// The sheet is thicker or thinner.
+    Thickness,
+    /// The layer answers pressure otherwise.
+    ContactLaw,
+    /// Coils lie elsewhere.
+    CoilPlaces,
+    /// Elements stand higher or lower.
+    ElementHeights,
+    /// Springs are stiffer or softer.
+    Stiffness,
+    /// Channels read too much or too little.
+    Gain,
+    /// The instrument is noisier or quieter.
+    Noise,
+    /// One electrode or coil is dead.
+    BadElectrode,
+}
+
+impl Cause {
+    /// For people.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ElectrodePlaces => "electrode places",
+            Self::ElectrodeWidths => "electrode widths",
+            Self::ContactImpedance => "contact impedance",
+            Self::Conductivity => "conductivity",
+            Self::Thickness => "thickness",
+            Self::ContactLaw => "answer to pressure",
+            Self::CoilPlaces => "coil places",
+            Self::ElementHeights => "element heights",
+            Self::Stiffness => "stiffness",
+            Self::Gain => "instrument gain",
+            Self::Noise => "instrument noise",
+            Self::BadElectrode => "a bad electrode",
+        }
+    }
+}
+
+/// The causes that apply to a skin.
+pub fn causes(tolerances: &Tolerances, skin: &Skin) -> Vec<Cause> {
+    let own: &[Cause] = match skin.frontend.coils {
+        Some(_) => &[Cause::CoilPlaces, Cause::ElementHeights, Cause::Stiffness],
+        None => &[
+            Cause::ElectrodePlaces,
+            Cause::ElectrodeWidths,
+            Cause::ContactImpedance,
+            Cause::Conductivity,
+            Cause::Thickness,
+            Cause::ContactLaw,
+        ],
+    };
+    let mut causes = own.to_vec();
+    // Objects in a tank without a membrane press nothing.
+    if matches!(&skin.frontend.layer, Layer::Liquid(liquid) if liquid.tension_n_per_m == 0.0) {
+        causes.retain(|cause| *cause != Cause::ContactLaw);
+    }
+    causes.extend([Cause::Gain, Cause::Noise]);
+    causes.extend(tolerances.bad_electrode.then_some(Cause::BadElectrode));
+    causes
+}

@@ -1,0 +1,271 @@
+//! Errors of touches on a skin that isn't built exactly as its file says.
+//!
+//! The prior is an ensemble of skins with the errors that the file's `[tolerances]` allow: electrodes moved, widths,
+//! contact impedances, conductivity, thickness and gains drawn. Each member's response to a spot differs from the
+//! nominal one by `d`. A fit by the nominal model takes `d` for a change of the spot's parameters, `(A^T A)^-1 A^T d`
+//! with the nominal derivatives `A`, so the ensemble gives a covariance of place and load at every place (the
+//! approximation-error approach: Kaipio and Somersalo, Statistical and Computational Inverse Problems, 2005, section
+//! 5.8). Both `d` and `A` are proportional to the load, so the covariance doesn't depend on it.
+//!
+//! The size of the errors comes from the skin itself: the misfit of its baseline against the model, squared, over the
+//! ensemble's mean squared misfit scales the covariance.
+
+use std::sync::Arc;
+
+use dermis_skin::{Dice, Layer, Tolerances, built_electrodes};
+use dermis_tomo::eit::ForwardModel;
+use dermis_tomo::mesh::{Outline, PixelMap};
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+use rayon::prelude::*;
+
+use crate::Error;
+use crate::prepare::Prepared;
+use crate::reference::{misfit, scale_to_model};
+use crate::stages::touch_refinement::membrane_spread;
+use crate::stages::workshop_error::{BuiltError, WorkshopError};
+
+/// Skins in the ensemble. Their mean square is known to `1 / sqrt(2 * 24)` = 14 % of the sigma.
+const MEMBERS: u64 = 24;
+/// Largest number of elements of their meshes. Members are compared with a nominal skin on a mesh as coarse.
+const ELEMENTS: usize = 2500;
+/// Places where the covariance is tabulated, about.
+const PLACES: f64 = 120.0;
+/// Radius of the spot that stands for a touch, relative to half the shorter side.
+const SPOT_RADIUS: f64 = 0.12;
+/// Prior standard deviation of the logarithm of the radius.
+const RADIUS_UNKNOWN: f64 = 0.5;
+/// Cosines that make up a random conductivity.
+const COSINES: usize = 64;
+/// Baselines that fit the model this well, relative, are of a twin as drawn: meshes alone differ by up to that.
+const AS_DRAWN: f64 = 0.004;
+
+/// A skin with errors: voltages at rest, and volts per relative change of each inside pixel.
+struct Member {
+    voltages: Vec<f64>,
+    jacobian: Mat<f64>,
+}
+
+/// Errors of touches on a skin whose baseline misfits by this, relative; NaN where there is no baseline to compare.
+/// `None` where the skin is as drawn, or touches aren't fitted to its model.
+pub(crate) fn built_error(prepared: &Prepared, misfit: f64) -> Option<BuiltError> {
+    if misfit < AS_DRAWN || !prepared.skin.fits_touches() || !prepared.skin.backend.wiring.is_known() {
+        return None;
+    }
+    let ensemble = prepared.workshop_error(|| match draw(prepared) {
+        Ok(ensemble) => Some(Arc::new(ensemble)),
+        Err(error) => {
+            tracing::warn!("sigmas don't include errors of the workshop: {error}");
+            None
+        }
+    });
+    Some(BuiltError::new(ensemble?, misfit))
+}
+
+/// Draws the ensemble of a skin whose touches are fitted.
+///
+/// # Errors
+/// A nominal skin that cannot be meshed or solved at the ensemble's resolution.
+fn draw(prepared: &Prepared) -> Result<WorkshopError, Error> {
+    let tolerances = &prepared.skin.tolerances;
+    let nominal = member(prepared, &Tolerances::none(), 0)?;
+    let (places_m, spacing_m) = places(&prepared.skin.outline());
+    let spots = spots(prepared, &places_m)?;
+    let responses = &nominal.jacobian * &spots;
+    let uniform: Vec<f64> = nominal.jacobian.row_iter().map(|row| row.iter().sum()).collect();
+    let at_rest = Against::of(prepared, &nominal.voltages)?;
+    let drawn: Vec<_> = (1..=MEMBERS)
+        .into_par_iter()
+        .filter_map(|number| {
+            // Errors that make no skin are not built.
+            let member = member(prepared, tolerances, number).ok()?;
+            let against = Against::of(prepared, &member.voltages).ok()?;
+            let fit: Vec<[f64; 4]> = member_errors(&member, &against, &at_rest, &spots, &responses, &uniform);
+            Some((fit, against.misfit(&nominal.voltages)))
+        })
+        .collect();
+    let count = drawn.len().max(1) as f64;
+    let misfit_2 = drawn.iter().map(|(_, misfit)| misfit * misfit).sum::<f64>() / count;
+    let squares = (0..places_m.len())
+        .map(|place| {
+            let mut mean = [0.0; 4];
+            for (errors, _) in &drawn {
+                let [x, y, load, _] = errors[place];
+                let squares = [x * x, x * y, y * y, load * load];
+                mean.iter_mut().zip(squares).for_each(|(mean, square)| *mean += square / count);
+            }
+            mean
+        })
+        .collect();
+    let law = (0.01 * tolerances.contact_law_percent).powi(2);
+    Ok(WorkshopError { places_m, spacing_m, squares, misfit_2, law })
+}
+
+/// A baseline brought to the model's volts.
+struct Against {
+    baseline: Vec<f64>,
+    scale: Vec<f64>,
+}
+
+impl Against {
+    fn of(prepared: &Prepared, voltages: &[f64]) -> Result<Self, Error> {
+        Ok(Self { baseline: voltages.to_vec(), scale: scale_to_model(prepared, voltages)? })
+    }
+
+    fn misfit(&self, model: &[f64]) -> f64 {
+        misfit(model, &self.baseline)
+    }
+}
+
+/// Apparent changes of x, y (m), load and logarithm of the radius of a spot of load 1 at each place.
+fn member_errors(
+    member: &Member,
+    against: &Against,
+    at_rest: &Against,
+    spots: &Mat<f64>,
+    responses: &Mat<f64>,
+    uniform: &[f64],
+) -> Vec<[f64; 4]> {
+    let places = spots.ncols() / PARAMETERS;
+    let channels = member.voltages.len();
+    // Every PARAMETERS-th column is the spot itself.
+    let alone = Mat::from_fn(spots.nrows(), places, |pixel, place| spots[(pixel, PARAMETERS * place + LOAD)]);
+    let built = &member.jacobian * &alone;
+    (0..places)
+        .map(|place| {
+            let first = PARAMETERS * place;
+            let error = Mat::from_fn(channels, 1, |c, _| {
+                against.scale[c] * built[(c, place)] - at_rest.scale[c] * responses[(c, first + LOAD)]
+            });
+            let derivatives = Mat::from_fn(channels, PARAMETERS + 1, |c, k| {
+                at_rest.scale[c] * if k < PARAMETERS { responses[(c, first + k)] } else { uniform[c] }
+            });
+            let variance = error.col(0).squared_norm_l2() / channels as f64;
+            let mut normal = derivatives.transpose() * &derivatives;
+            normal[(RADIUS, RADIUS)] += variance / (RADIUS_UNKNOWN * RADIUS_UNKNOWN);
+            let right = derivatives.transpose() * &error;
+            // Columns of very different units.
+            let units: Vec<f64> = (0..=PARAMETERS).map(|k| normal[(k, k)].sqrt().max(f64::MIN_POSITIVE)).collect();
+            let scaled = Mat::from_fn(PARAMETERS + 1, PARAMETERS + 1, |a, b| normal[(a, b)] / (units[a] * units[b]));
+            let right = Mat::from_fn(PARAMETERS + 1, 1, |a, _| right[(a, 0)] / units[a]);
+            match scaled.llt(Side::Lower) {
+                Ok(factor) => {
+                    let found = factor.solve(&right);
+                    [0, 1, LOAD, RADIUS].map(|k| found[(k, 0)] / units[k])
+                }
+                Err(_) => [0.0; 4],
+            }
+        })
+        .collect()
+}
+
+/// Parameters of a spot, in this order: x, y, load, logarithm of the radius.
+const PARAMETERS: usize = 4;
+const LOAD: usize = 2;
+const RADIUS: usize = 3;
+
+/// Skin number `number` of the ensemble.
+fn member(prepared: &Prepared, tolerances: &Tolerances, number: u64) -> Result<Member, Error> {
+    let skin = &prepared.skin;
+    let outline = skin.outline();
+    let dice = |purpose: u64| Dice::new(0, number, purpose);
+    let drawn = skin.electrode_shapes();
+    let (place_m, width) = (1e-3 * tolerances.electrode_place_mm, 0.01 * tolerances.electrode_width_percent);
+    let electrodes = match number {
+        0 => drawn,
+        _ => built_electrodes(&outline, &drawn, place_m, width, [&mut dice(1), &mut dice(2)]),
+    };
+    let mut contacts = dice(3);
+    let spread = tolerances.contact_impedance_factor.ln();
+    let factors: Vec<f64> = electrodes.iter().map(|_| (spread * contacts.normal()).exp()).collect();
+    let body = skin.body_with_electrodes(ELEMENTS.min(skin.imaging.elements), electrodes, &factors)?;
+    let named = |source| Error::Mesh { skin: skin.name.clone(), source };
+    let map = PixelMap::new(skin.grid()?, &body.mesh.mesh).map_err(named)?;
+    let length_m = 2.0 * prepared.half_width_m() * tolerances.conductivity_length_share;
+    let field = Field::new(0.01 * tolerances.conductivity_percent, length_m, &mut dice(4));
+    let thickness = (1.0 + 0.01 * tolerances.thickness_percent * dice(5).normal()).max(0.1);
+    let conductance = skin.sheet_conductance_s() * thickness;
+    let mesh = &body.mesh.mesh;
+    let centroid = |nodes: &[u32]| {
+        let share = 1.0 / nodes.len() as f64;
+        [0, 1].map(|axis| nodes.iter().map(|&node| share * mesh.nodes()[node as usize][axis]).sum::<f64>())
+    };
+    let sigma: Vec<f64> = mesh.elements().map(|nodes| conductance * field.at(centroid(nodes))).collect();
+    let model = ForwardModel::new(body.mesh.clone(), prepared.protocol.clone())?;
+    let solution = model.solve(&sigma)?;
+    let (mut voltages, pixels) = (solution.voltages(), solution.jacobian_to_pixels(&map));
+    let mut columns = vec![usize::MAX; map.grid().len()];
+    for (column, &pixel) in map.inside_pixels().iter().enumerate() {
+        columns[pixel as usize] = column;
+    }
+    let centres = &prepared.basis.positions;
+    let inside = prepared.map.inside_pixels();
+    let mut jacobian = Mat::from_fn(voltages.len(), inside.len(), |channel, pixel| {
+        let column = columns[inside[pixel] as usize];
+        let local = conductance * field.at([centres[pixel][0], centres[pixel][1]]);
+        if column == usize::MAX { 0.0 } else { local * pixels.row(channel)[column] }
+    });
+    let mut gains = dice(6);
+    for (channel, voltage) in voltages.iter_mut().enumerate() {
+        let gain = 1.0 + 0.01 * tolerances.gain_percent * gains.normal();
+        *voltage *= gain;
+        jacobian.row_mut(channel).iter_mut().for_each(|value| *value *= gain);
+    }
+    Ok(Member { voltages, jacobian })
+}
+
+/// A random factor on the conductivity, log-normal with a Gaussian correlation: a sum of cosines whose wave vectors are
+/// drawn from the correlation's spectrum (Rahimi and Recht, Random features for large-scale kernel machines, 2007).
+struct Field {
+    deviation: f64,
+    waves: Vec<[f64; 3]>,
+}
+
+impl Field {
+    fn new(deviation: f64, length_m: f64, dice: &mut Dice) -> Self {
+        let wave = |dice: &mut Dice| {
+            let phase = std::f64::consts::TAU * dice.below(1 << 16) as f64 / f64::from(1 << 16);
+            [dice.normal() / length_m, dice.normal() / length_m, phase]
+        };
+        let waves = if deviation > 0.0 { (0..COSINES).map(|_| wave(dice)).collect() } else { Vec::new() };
+        Self { deviation, waves }
+    }
+
+    fn at(&self, place_m: [f64; 2]) -> f64 {
+        let sum: f64 = self.waves.iter().map(|[x, y, phase]| (x * place_m[0] + y * place_m[1] + phase).cos()).sum();
+        (self.deviation * sum * (2.0 / COSINES as f64).sqrt()).exp()
+    }
+}
+
+/// A grid of places inside the outline, and their spacing.
+fn places(outline: &Outline) -> (Vec<[f64; 2]>, f64) {
+    let (low, high) = outline.bounds_m();
+    let spacing_m = (outline.area_m2() / PLACES).sqrt();
+    let count = |axis: usize| ((high[axis] - low[axis]) / spacing_m).ceil().max(1.0) as usize;
+    let at = |axis: usize, k: usize| low[axis] + (k as f64 + 0.5) * (high[axis] - low[axis]) / count(axis) as f64;
+    let all = (0..count(1)).flat_map(|row| (0..count(0)).map(move |column| [column, row]));
+    let places =
+        all.map(|[column, row]| [at(0, column), at(1, row)]).filter(|place| outline.contains(*place)).collect();
+    (places, spacing_m)
+}
+
+/// Relative changes of the inside pixels by a Gaussian spot at each place and its derivatives, PARAMETERS columns each.
+fn spots(prepared: &Prepared, places_m: &[[f64; 2]]) -> Result<Mat<f64>, Error> {
+    let radius_m = SPOT_RADIUS * prepared.half_width_m();
+    let centres = &prepared.basis.positions;
+    let spots = Mat::from_fn(centres.len(), PARAMETERS * places_m.len(), |pixel, column| {
+        let place = places_m[column / PARAMETERS];
+        let off = [0, 1].map(|axis| (centres[pixel][axis] - place[axis]) / radius_m);
+        let square = off[0] * off[0] + off[1] * off[1];
+        let value = (-0.5 * square).exp();
+        match column % PARAMETERS {
+            LOAD => value,
+            RADIUS => value * square,
+            axis => value * off[axis] / radius_m,
+        }
+    });
+    Ok(match &prepared.skin.frontend.layer {
+        Layer::Liquid(layer) if layer.tension_n_per_m > 0.0 => membrane_spread(prepared, layer)? * spots,
+        _ => spots,
+    })
+}
