@@ -33,7 +33,7 @@ pub enum Error {
         field: String,
         /// Its value.
         value: String,
-        /// What was expected.
+        /// Expected values.
         expected: String,
     },
     /// More memory or time needed than allowed, known from the sizes before anything is built.
