@@ -128,8 +128,8 @@ impl Default for HyperparameterChoice {
 pub enum WeightChoice {
     /// Equal weights.
     Identity,
-    /// Model and instrument error as a floor plus a share of the channel: standard deviation `sqrt((floor max|v|)^2 +
-    /// (share v)^2)` for model voltages v.
+    /// Model and instrument error as a floor plus a share of the channel: standard deviation
+    /// `sqrt((floor max|v|)^2 + (share v)^2)` for model voltages v.
     FloorAndShare {
         /// Relative to the largest voltage.
         floor: f64,

@@ -164,8 +164,8 @@ pub struct ElementsLayer {
     pub memory: Option<Memory>,
 }
 
-/// Contact conductance per area as a function of pressure: 0 up to the threshold, then `g_max x / (1 + x)` with `x =
-/// ((p - p_t) / p_ref)^n`.
+/// Contact conductance per area as a function of pressure: 0 up to the threshold, then `g_max x / (1 + x)` with
+/// `x = ((p - p_t) / p_ref)^n`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ContactLaw {

@@ -47,9 +47,9 @@ impl Run<'_> {
     }
 }
 
-/// Removes the class weights of the loss from the logits. Training with weights w yields outputs proportional to `w_c
-/// p_c` instead of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq. 2.4),
-/// so subtracting `ln w_c` restores probabilities.
+/// Removes the class weights of the loss from the logits. Training with weights w yields outputs proportional to
+/// `w_c p_c` instead of the probabilities `p_c` (the prior shift of Saerens et al., Neural Computation 14, 2002, eq.
+/// 2.4), so subtracting `ln w_c` restores probabilities.
 fn unweigh(tensors: &mut Tensors, weights: &[f32]) -> Result<(), LearnError> {
     let Some((dims, bias)) = tensors.get("head.bias").filter(|(_, bias)| bias.len() == weights.len()) else {
         return Ok(());
