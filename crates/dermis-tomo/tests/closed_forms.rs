@@ -1,7 +1,8 @@
 //! Compares the forward model with closed forms: point electrodes on the rim of a disc, homogeneous and with a
-//! concentric anomaly. A unit current at angle a raises the rim's potential at angle t by `1 / (pi s) sum_n (1/n) (1
-//! - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, where rho is the anomaly's radius relative to the disc's and `k = (s1
-//! - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the same factors).
+//! concentric anomaly. A unit current at angle a raises the rim's potential at angle t by
+//! `1 / (pi s) sum_n (1/n) (1 - k rho^2n) / (1 + k rho^2n) cos n (t - a)`, where rho is the anomaly's radius relative
+//! to the disc's and `k = (s1 - s) / (s1 + s)` (separation of variables; Isaacson, IEEE TMI 5, 1986, eq. 4.9 has the
+//! same factors).
 
 use std::f64::consts::{PI, TAU};
 
