@@ -178,7 +178,8 @@ mod tests {
         assert_eq!(dims("up.2.norm2.running_var"), Some(vec![32]));
         assert_eq!(dims("head.weight"), Some(vec![3, 8, 1, 1]));
         // Counted by hand: 9 (8 + 64 + 128 + 256 + 512 + 1024 + 2048 + 4096) down, 9 (3072 + 1024 + 768 + 256 + 192 +
-        // 64) up, 24 + 3 in the head, 4 a channel of a norm, 2 norms a stage of 8 16 32 64 32 16 8 channels.
+        // 64) up, 24 + 3 in the head, and 4 per channel of each norm, with 2 norms in each of the stages of 8 16 32
+        // 64 32 16 8 channels.
         let expected = 9 * 8136 + 9 * 5376 + 27 + 8 * 176;
         assert_eq!(tensors.iter().map(TensorSpec::len).sum::<usize>(), expected);
     }

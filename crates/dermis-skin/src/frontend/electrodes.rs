@@ -28,7 +28,7 @@ pub enum Electrodes {
         /// rectangle). Default: half the distance between two electrodes.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         start_deg: Option<f64>,
-        /// Number clockwise, seen from outside.
+        /// True to number clockwise, seen from outside.
         #[serde(default)]
         clockwise: bool,
     },

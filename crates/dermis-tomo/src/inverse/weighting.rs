@@ -62,9 +62,9 @@ impl Weighting {
     }
 
     /// Builds weights from reciprocity: swapping drive and measurement must give the same transfer impedance, so the
-    /// difference within such a pair shows the error of both channels. `partner[i]` is the reciprocal channel of `i`
-    /// and `ratio[i]` the factor that makes the two comparable (see `Protocol::reciprocal`); channels without a
-    /// partner get the median error. `floor` is the minimum standard deviation, in the unit of the voltages.
+    /// difference within such a pair shows the error of both channels. `partner[i]` holds the reciprocal channel of `i`
+    /// and the factor that makes the two comparable (see `Protocol::reciprocal_channels`); channels without a partner
+    /// get the median error. `floor` is the minimum standard deviation, in the unit of the voltages.
     ///
     /// # Errors
     /// Lists of different length, a floor that is not positive, or non-finite voltages.

@@ -118,14 +118,14 @@ impl Acceptance {
 /// Conditions under which a fit has settled; `None` disables a condition.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tolerances {
-    /// Maximum length of an accepted step, in the problem's own measure.
+    /// Settled once an accepted step is no longer than this, in the problem's own measure.
     pub moved: Option<f64>,
-    /// Maximum drop in cost of an accepted step, as a share of the cost before it.
+    /// Settled once an accepted step lowers the cost by at most this share of the cost before it.
     pub gain: Option<f64>,
-    /// Minimum predicted drop in cost; a step that promises less is not tried.
+    /// Settled once a step is predicted to lower the cost by less than this; that step is not tried.
     pub predicted: Option<f64>,
-    /// Maximum difference between actual and predicted drop in cost of an accepted step. If they agree, the cost is a
-    /// parabola and the step has reached its minimum.
+    /// Settled once the actual drop in cost of an accepted step differs from the predicted one by less than this: the
+    /// cost is then a parabola, and the step has reached its minimum.
     pub agreement: Option<f64>,
 }
 

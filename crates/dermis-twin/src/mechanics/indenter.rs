@@ -268,7 +268,7 @@ pub(super) struct PressureField {
 }
 
 impl PressureField {
-    /// False where the pressure is zero everywhere within `margin_m` of a position.
+    /// False if the pressure is zero everywhere within `margin_m` of a position.
     pub(super) fn reaches(&self, position_m: [f64; 2], margin_m: f64) -> bool {
         let reach = self.reach_m + margin_m;
         let [dx, dy] = [position_m[0] - self.centre_m[0], position_m[1] - self.centre_m[1]];

@@ -191,7 +191,8 @@ fn the_number_of_threads_changes_no_bit() {
 
 #[test]
 fn a_step_of_adam_is_that_of_the_paper() {
-    // Algorithm 1 by hand for slopes 0.5 and then -1: m = 0.05, 0.9 * 0.05 - 0.1; v = 0.00025, 0.999 * 0.00025 + 0.001.
+    // Algorithm 1 by hand for gradients 0.5 and then -1: m = 0.05, 0.9 * 0.05 - 0.1; v = 0.00025, 0.999 * 0.00025 +
+    // 0.001.
     let mut learned = Learned { value: vec![1.0], slope: vec![0.5], first: vec![0.0], second: vec![0.0] };
     learned.step(0.1, 1);
     assert!((learned.value[0] - 0.9).abs() < 1e-6, "the first step is the rate itself: {}", learned.value[0]);
