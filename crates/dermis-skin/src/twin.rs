@@ -58,7 +58,7 @@ pub struct Healing {
     pub room_c: f64,
     /// Activation energy.
     pub activation_kj_per_mol: f64,
-    /// Relative rise of the conductivity at the end of a full healing.
+    /// Relative rise of the conductivity at the end of a full heating.
     pub peak_rise: f64,
     /// Part of the rise that remains.
     pub lasting_rise: f64,

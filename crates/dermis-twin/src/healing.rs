@@ -35,7 +35,7 @@ pub struct HealingLaw {
     pub room_c: f64,
     /// E/R: activation energy over the gas constant, kelvin.
     pub activation_k: f64,
-    /// p: relative rise of the conductivity at the end of a full healing.
+    /// p: relative rise of the conductivity at the end of a full heating.
     pub peak_rise: f64,
     /// k: part of the rise that remains; at most `peak_rise`.
     pub lasting_rise: f64,

@@ -76,7 +76,7 @@ pub struct PatchFit {
     change_v: Vec<f64>,
     /// Common change of all voltages, as a share of the bare sheet's voltages.
     gain: f64,
-    /// Derivatives of the change by the patches, channels x parameters; computed on demand.
+    /// Derivatives of the change with respect to the patch parameters, channels x parameters; computed on demand.
     jacobian: Option<Vec<f64>>,
     damping: f64,
 }
