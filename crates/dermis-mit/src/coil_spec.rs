@@ -5,7 +5,7 @@
 //! one closed filament in the middle of its share. The conductor only affects the self inductance, through its
 //! geometric mean distance from itself: `e^(-1/4) d / 2` for round wire, `0.2235 (w + t)` for a track (Grover,
 //! Inductance Calculations, 1946, ch. 3). Windings of more than 128 turns are lumped: one filament stands for several
-//! turns, and its geometric mean distance is that of the rectangle they fill.
+//! turns, and has the geometric mean distance of the rectangle they fill.
 
 use crate::coil::{Coil, CoilShape, ROUND, WIRE_SHARE, WindingSection};
 use crate::error::{MitError, positive};

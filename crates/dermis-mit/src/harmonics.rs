@@ -32,7 +32,7 @@ const fn degrees() -> [usize; HARMONICS] {
     degrees
 }
 
-/// Index of a harmonic of order m: of the cosine (the only one for m = 0), with the sine right after it.
+/// Index of a harmonic of order m: the cosine (the only one for m = 0), with the sine right after it.
 pub(crate) fn index(degree: usize, order: usize) -> usize {
     degree * degree - 1 + if order == 0 { 0 } else { 2 * order - 1 }
 }

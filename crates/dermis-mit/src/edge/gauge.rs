@@ -3,7 +3,7 @@
 //!
 //! Only the circulation of a potential drives currents, yet far from a coil its potential is mostly a gradient, which
 //! elements with curved edges cancel only to their own order. Removing it first leaves the currents unchanged, since
-//! they are free of divergence and do not leave the body, and reduces the error to that of the remainder.
+//! they are free of divergence and do not leave the body, and leaves only the error of the remainder.
 
 use super::source::Samples;
 use crate::vector::{Vector, add, dot, scaled};
