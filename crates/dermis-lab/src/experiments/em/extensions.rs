@@ -272,7 +272,7 @@ fn bench(array: Array, metal: Metal) -> Result<Bench, Error> {
     array.bench_from(Rig::from_parts(skin, Box::new(frontend), instrument)?)
 }
 
-/// Share of elements located by a single touch, and no other, in one frame.
+/// Number of elements located by a single touch, and no other, in one frame.
 fn located(bench: &mut Bench) -> Result<f64, Error> {
     let mut count = 0;
     for element in 0..bench.places.len() {
