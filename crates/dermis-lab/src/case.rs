@@ -1,7 +1,7 @@
 //! The exchange format of EIT problems, `case.json`: a mesh, electrodes, explicit lists of stimulations and
-//! measurements, and named conductivities. Signs and units follow EIDORS (current into the body is positive, SI, 2D
-//! of thickness 1); indices count from zero. Unknown keys are ignored, since other tools write their results into the
-//! same file.
+//! measurements, and named conductivities. Signs and units follow EIDORS (current into the body is positive, SI,
+//! 2D of thickness 1); indices count from zero. Unknown keys are ignored, since other tools write their results into
+//! the same file.
 //!
 //! | key | holds |
 //! |---|---|
@@ -78,8 +78,8 @@ impl Case {
     /// Reads and checks a case.
     ///
     /// # Errors
-    /// The file cannot be read, isn't JSON, lacks a key or holds an invalid value: counts that disagree, indices out
-    /// of range, values that are not finite, meshes and electrodes that [`Mesh::new`] and [`ElectrodedMesh::new`]
+    /// The file cannot be read, isn't JSON, lacks a key or holds an invalid value: counts that disagree, indices
+    /// out of range, values that are not finite, meshes and electrodes that [`Mesh::new`] and [`ElectrodedMesh::new`]
     /// reject, stimulations that don't sum to zero. The message names file, key, index and value.
     pub fn open(file: &Path) -> Result<Self, Error> {
         Self::parse(&read_bytes(file)?, file)

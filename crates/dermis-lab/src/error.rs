@@ -1,4 +1,4 @@
-//! Errors of this crate: what failed, where, the value, and what was expected.
+//! Errors of this crate: each gives the failed operation, the place, the value found and the value expected.
 
 use std::path::PathBuf;
 

@@ -47,9 +47,9 @@ impl PressPlan {
     }
 }
 
-/// Presses the twin of a skin at its centre and on two rings around it (nine places), and reads the strongest touch
-/// of each image. Presses that are not detected are left out. `progress` gets the number of presses done and the
-/// total.
+/// Presses the twin of a skin at its centre and on two rings around it (nine places), and reads the strongest
+/// touch of each image. Presses that are not detected are left out. `progress` gets the number of presses done and
+/// the total.
 ///
 /// # Errors
 /// The skin has no twin, the forces or the indenter are invalid, or no press is detected.

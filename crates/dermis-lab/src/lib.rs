@@ -1,4 +1,4 @@
-//! What happens at a desk, not on a robot: twins as instruments, design, examination, offline images, calibration,
+//! Work done at a desk rather than on a robot: twins as instruments, design, diagnosis, offline images, calibration,
 //! training sets and the published experiments.
 //!
 //! ```

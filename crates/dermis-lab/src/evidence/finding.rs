@@ -93,9 +93,9 @@ impl Comparison {
 /// One row: a measurement and the results on it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
-    /// What was measured.
+    /// The measurement.
     pub measured: String,
-    /// What dermis was told or assumed.
+    /// Information that dermis was given, or assumed.
     pub known: String,
     /// Figures of dermis.
     pub here: Vec<Figure>,

@@ -12,13 +12,13 @@ use crate::Error;
 pub struct Set {
     /// Name for the command, and of the folder.
     pub name: &'static str,
-    /// What was measured, in one line.
+    /// The measurement in one line.
     pub title: &'static str,
-    /// Where the data come from.
+    /// Origin of the data.
     pub source: &'static str,
-    /// What was tuned on these data.
+    /// Parts of dermis that were tuned on these data.
     pub tuned: &'static str,
-    /// What was not tuned on them.
+    /// Parts that were not tuned on them.
     pub not_tuned: &'static str,
     measure: fn(&mut Bench<'_>) -> Result<(), Stop>,
 }
