@@ -215,7 +215,7 @@ pub fn sample(request: &SampleRequest, progress: impl FnMut(usize, usize)) -> Re
     Ok(Sampled { frames, presses: request.presses.len(), channels, outside_validity })
 }
 
-/// Like [`sample`], in memory: returns the frames of the untouched skin and one frame per press.
+/// Like `sample`, in memory: returns the frames of the untouched skin and one frame per press.
 ///
 /// # Errors
 /// The twin cannot be built, or a press is off the skin (named by its number).
