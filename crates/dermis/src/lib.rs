@@ -1,8 +1,8 @@
-//! Tomographic tactile skins, from their file to touches.
+//! Tomographic tactile skins, from skin file to touches.
 //!
-//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages read
-//! there, and from how the voltages change follows where and how hard the skin is touched. A [`Skin`] is its file; a
-//! [`Session`] reads one.
+//! A tomographic skin is a conductive sheet with a few electrodes at its rim. Currents are driven and voltages
+//! measured there, and the changes of the voltages reveal where and how hard the skin is touched. A [`Skin`] is its
+//! file; a [`Session`] reads one.
 //!
 //! ```
 //! use dermis::{Session, Skin};
