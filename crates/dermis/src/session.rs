@@ -91,7 +91,7 @@ impl Session {
         Self::open_with(source, skin, &SessionOptions::default())
     }
 
-    /// Like [`Session::open`], with options.
+    /// Like `open`, with options.
     ///
     /// # Errors
     /// As for [`Session::open`], and if a file cannot be read or belongs to another skin.

@@ -47,7 +47,7 @@ fn frames(count: usize, place: impl Fn(usize, &mut Random) -> Option<f64>) -> Ve
         .collect()
 }
 
-/// A median of so many numbers scatters by a few per cent, and using the quieter half lowers it by a few more.
+/// A median of this many numbers scatters by a few per cent, and using the quieter half lowers it by a few more.
 #[test]
 fn noise_is_found_whatever_is_touched() {
     let resting = ratio(&frames(40, |_, _| None));
