@@ -1,6 +1,5 @@
 //! Rigid transforms. `a_from_b` transforms coordinates in frame b to coordinates in frame a, so
 //! `a_from_c = a_from_b * b_from_c`.
-//! * b_from_c`.
 
 use std::ops::Mul;
 
