@@ -5,7 +5,7 @@ import type { Point, Scene } from "./protocol";
 /** Number of pixels painted beyond the rim. */
 const BEYOND = 2;
 
-/** True if a point lies in the rings, excluding holes: a line to the right crosses their edges an odd number of times. */
+/** True if a point lies in the rings, excluding holes: a line to the right has an odd number of crossings. */
 function isWithin([x, y]: Point, rings: Point[][]): boolean {
   let crossings = 0;
   for (const ring of rings) {

@@ -118,8 +118,8 @@ export async function processedFrames(page) {
   return Number(await page.locator("[data-counter='frames'] td").nth(1).textContent());
 }
 
-/** Waits until the result of `read` meets the condition, and returns it. Fails with the last result after the time limit,
- * and, if given, not before this many processed frames: on a slow machine frames may queue for a long time. */
+/** Waits until the result of `read` meets the condition, and returns it. Fails with the last result after the time
+ * limit and, if given, not before this many processed frames: on a slow machine frames may queue for long. */
 export async function waitUntil(page, what, read, isWanted, { ms = 30_000, frames = 0 } = {}) {
   const until = Date.now() + ms;
   const first = frames > 0 ? await processedFrames(page) : 0;

@@ -12,7 +12,7 @@ pub enum Extent {
     /// Everything: five or three random draws, all levels, the finer mesh.
     #[default]
     Full,
-    /// One draw, the first level, the coarser mesh: seconds in place of minutes.
+    /// One draw, the first level, the coarser mesh: seconds instead of minutes.
     Quick,
 }
 

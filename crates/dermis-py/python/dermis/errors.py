@@ -16,7 +16,7 @@ __all__ = [
 
 
 class Error(Exception):
-    """An operation failed."""
+    """Base class of all errors of dermis."""
 
 
 class SkinError(Error, ValueError):

@@ -138,10 +138,10 @@ impl PyProtocol {
     /// drive, measure : str or array_like, optional
     ///     ``adjacent``, ``opposite``, ``pseudo-polar``, ``skip-N``; drives also ``trigonometric``, measurements also
     ///     ``single-ended`` (against the mean) and ``single-ended-sink``; or pairs, shape (n, 2), from 0.
-    /// Start the measurements at the drive's own electrode.
-    ///     Measurements begin at the drive's own electrode.
-    /// Include channels with driven electrodes.
-    ///     Channels on driven electrodes are measured.
+    /// rotating : bool
+    ///     Start the measurements at the drive's own electrode.
+    /// keep_driven : bool
+    ///     Include channels with driven electrodes.
     /// amplitude_a : float
     ///     Current, amperes.
     #[staticmethod]

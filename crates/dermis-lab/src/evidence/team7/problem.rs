@@ -53,7 +53,7 @@ pub fn coil(across: usize, along: usize, bend: usize) -> Wires {
     Wires(wires)
 }
 
-/// Counter-clockwise; corners about points 50 mm from the centre each way.
+/// A counter-clockwise racetrack. Its corners are arcs about points 50 mm from the centre in x and y.
 fn racetrack(radius_m: f64, bend: usize) -> Vec<[f64; 2]> {
     let quarter = std::f64::consts::FRAC_PI_2;
     let step = quarter / bend as f64;

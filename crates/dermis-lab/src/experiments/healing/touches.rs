@@ -23,7 +23,7 @@ const COMPRESSED: &str = "compressed (0: not, 1: fully)";
 
 /// Scores of all steps over several cases, with images of each.
 struct Scores {
-    /// By step, by case: ICC, RIE, SSIM.
+    /// ICC, RIE and SSIM for each step and case.
     by_step: [Vec<[f64; 3]>; Step::ALL.len()],
     panels: Vec<ImagePanel>,
 }
