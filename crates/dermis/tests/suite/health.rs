@@ -366,8 +366,8 @@ fn places_hold_with_electrodes_lost() {
 
 #[test]
 fn places_on_the_liquid_disc_hold_without_any_two_electrodes_next_but_one() {
-    // The presses of the book's table, with the pairs that lose most: every other electrode of a pair, so that the
-    // sound one between them has no adjacent channel either.
+    // The presses of the book's table, without the pairs of electrodes that cost most: two with one electrode between
+    // them. With adjacent pairs as drives, the sound one in between has no channel left either.
     let places: Vec<[f64; 2]> = [0.0, 0.34, 0.69]
         .iter()
         .flat_map(|ring| (0..6).map(move |k| (*ring, 0.4 + std::f64::consts::TAU / 6.0 * f64::from(k))))

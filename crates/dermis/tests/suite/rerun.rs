@@ -186,7 +186,7 @@ fn a_recording_begun_in_the_middle_goes_on_from_the_baseline_in_use() {
         assert_eq!(second.sequence, first.sequence);
         assert_eq!(second.line.matches("\"id\"").count(), first.line.matches("\"id\"").count(), "{}", first.line);
         let difference: Vec<f32> = values(second).iter().zip(values(first)).map(|(a, b)| a - b).collect();
-        // The gain is matched to the baseline after drift: two frames' worth of 60 s, of noise.
+        // The gain is matched to the baseline, which has drifted since, with the noise, by two frames' share of 60 s.
         assert!(largest(&difference) < 1e-3 * peak, "image of frame {}: {}", first.sequence, largest(&difference));
     }
     assert!(second.iter().any(|result| result.line.contains("\"id\"")), "no touch");
