@@ -1,4 +1,4 @@
-//! What goes wrong in a workshop, and how much.
+//! The causes of manufacturing errors, and their sizes.
 
 use std::io::Read;
 use std::path::Path;
@@ -8,43 +8,45 @@ use serde::{Deserialize, Serialize};
 
 use crate::Error;
 
-/// What is read of a file of tolerances at most, bytes.
+/// Largest file of tolerances, bytes.
 const MOST_BYTES: u64 = 1 << 20;
 
-/// How much a workshop gets wrong. All are standard deviations unless they say otherwise.
+/// Sizes of manufacturing errors. All are standard deviations unless stated otherwise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tolerances {
-    /// Place of each electrode, along the rim, or along x and y for pads under the sheet. Electrodes stay on the sheet
-    /// and apart.
+    /// Position of each electrode, along the rim, or along x and y for pads under the sheet. Electrodes stay on the
+    /// sheet and apart.
     pub electrode_place_mm: f64,
     /// Width of each electrode, relative.
     pub electrode_width_percent: f64,
-    /// Contact impedance of each electrode: two in three lie within this factor of the file's, up or down (log-normal).
+    /// Contact impedance of each electrode: two in three lie within this factor of the file's, up or down
+    /// (log-normal).
     pub contact_impedance_factor: f64,
-    /// Conductivity from place to place (log-normal), a random field with Gaussian correlation.
+    /// Variation of conductivity over the sheet (log-normal), a random field with Gaussian correlation.
     pub conductivity_percent: f64,
     /// Correlation length of that field, as a share of the skin's shorter side: the distance L of
     /// `exp(-d^2 / (2 L^2))`.
     pub conductivity_length_share: f64,
     /// Thickness of the whole sheet, or depth of the liquid, relative.
     pub thickness_percent: f64,
-    /// How the layer answers pressure, relative: threshold, reference and saturation of the contact law, each on its
-    /// own; of a bare sheet modulus and pressure coefficient; of a liquid the membrane's tension.
+    /// Response of the layer to pressure, relative. For a contact law: threshold, reference and saturation, each
+    /// independently. For a bare sheet: modulus and pressure coefficient. For a liquid: tension of the membrane.
     pub contact_law_percent: f64,
     /// Gain of each channel, relative.
     pub gain_percent: f64,
-    /// Noise of the whole instrument (log-normal), about that of the skin file's electronics.
+    /// Noise of the whole instrument (log-normal), relative to the skin file's electronics.
     pub noise_percent: f64,
-    /// One electrode or coil, taken at random, has no contact. Its channels are left out, as a running skin does once
-    /// it has found it.
+    /// One random electrode or coil has no contact. Its channels are left out, as in a running skin that has detected
+    /// it.
     pub bad_electrode: bool,
-    /// Place of each coil along x and y. Coils stay clear of each other.
+    /// Position of each coil along x and y. Coils stay clear of each other.
     pub coil_place_mm: f64,
-    /// Height of each element at rest. Left out: 0.3 mm and the skin file's own `height_tolerance_mm`, squares added.
+    /// Height of each element at rest. If omitted, 0.3 mm combined with the skin file's own `height_tolerance_mm`
+    /// (root of the sum of squares).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub element_height_mm: Option<f64>,
-    /// Stiffness of the elements' springs, all alike, relative.
+    /// Stiffness of the elements' springs, relative; the same for all.
     pub stiffness_percent: f64,
 }
 
@@ -69,7 +71,7 @@ impl Default for Tolerances {
 }
 
 impl Tolerances {
-    /// Nothing goes wrong.
+    /// No errors at all.
     pub fn none() -> Self {
         Self {
             electrode_place_mm: 0.0,
@@ -88,10 +90,10 @@ impl Tolerances {
         }
     }
 
-    /// Reads a TOML file of tolerances; what it leaves out is as by default.
+    /// Reads a TOML file of tolerances; omitted keys keep their defaults.
     ///
     /// # Errors
-    /// No such file; keys that do not exist; values out of range, with key and value.
+    /// The file doesn't exist, has unknown keys, or has a value out of range (named with its key).
     pub fn read(path: &Path) -> Result<Self, Error> {
         let failed = |source| Error::Io { file: path.to_path_buf(), source };
         let mut text = String::new();
@@ -100,10 +102,10 @@ impl Tolerances {
         Self::parse(&text, path)
     }
 
-    /// As [`Tolerances::read`], of a text; `path` is for messages.
+    /// Like [`Tolerances::read`], from text; `path` is only used in messages.
     ///
     /// # Errors
-    /// As [`Tolerances::read`].
+    /// As for [`Tolerances::read`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, Error> {
         let content =
             |field: &str, reason: String| Error::Content { file: path.to_path_buf(), field: field.into(), reason };
@@ -131,12 +133,12 @@ impl Tolerances {
         Ok(read)
     }
 
-    /// As a file that [`Tolerances::read`] takes.
+    /// The content of a file that [`Tolerances::read`] accepts.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// What can go wrong with a skin.
+    /// The causes that apply to a skin.
     pub fn causes(&self, skin: &Skin) -> Vec<Cause> {
         let own: &[Cause] = match skin.frontend.coils {
             Some(_) => &[Cause::CoilPlaces, Cause::ElementHeights, Cause::Stiffness],
@@ -150,7 +152,7 @@ impl Tolerances {
             ],
         };
         let mut causes = own.to_vec();
-        // Objects in a tank without a membrane press nothing.
+        // Objects in a tank without a membrane don't press on anything.
         if matches!(&skin.frontend.layer, Layer::Liquid(liquid) if liquid.tension_n_per_m == 0.0) {
             causes.retain(|cause| *cause != Cause::ContactLaw);
         }
@@ -160,28 +162,28 @@ impl Tolerances {
     }
 }
 
-/// One thing that goes wrong; see [`Tolerances`] for each.
+/// One cause of error; see [`Tolerances`] for details.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Electrodes lie elsewhere.
+    /// Electrodes are displaced.
     ElectrodePlaces,
     /// Electrodes are wider or narrower.
     ElectrodeWidths,
-    /// Electrodes touch the sheet better or worse.
+    /// Contact impedances are higher or lower.
     ContactImpedance,
-    /// The sheet conducts unevenly.
+    /// The conductivity varies over the sheet.
     Conductivity,
     /// The sheet is thicker or thinner.
     Thickness,
-    /// The layer answers pressure otherwise.
+    /// The layer responds to pressure differently.
     ContactLaw,
-    /// Coils lie elsewhere.
+    /// Coils are displaced.
     CoilPlaces,
     /// Elements stand higher or lower.
     ElementHeights,
     /// Springs are stiffer or softer.
     Stiffness,
-    /// Channels read too much or too little.
+    /// Channel gains are too high or too low.
     Gain,
     /// The instrument is noisier or quieter.
     Noise,
@@ -190,7 +192,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// For people.
+    /// Name for people.
     pub fn name(self) -> &'static str {
         match self {
             Self::ElectrodePlaces => "electrode places",
