@@ -17,7 +17,7 @@ pub(crate) struct Blob {
     pub missed: u32,
     /// Frames in which it was measured: bit k is set for the frame k frames ago, bit 0 for the current one.
     pub seen: u64,
-    /// Frames since the first contact, 0 in that frame.
+    /// Frames since the first contact, counting that one.
     pub age: u32,
     pub first_time_ns: u64,
     /// The last contact.
