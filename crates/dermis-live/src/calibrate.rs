@@ -16,8 +16,8 @@ use crate::stages::refinement::Refinement;
 
 /// Maximum number of pokes, evenly drawn, that the model is tested on.
 const MOST_LOOKED_AT: usize = 200;
-/// Give up early if the number of the first n frames that show several touches exceeds the first number plus the
-/// second times n, or likewise for frames that show none.
+/// Give up early if more than the first number plus the second times n of the first n frames show several touches, or
+/// none.
 const SEVERAL_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.1);
 const UNSEEN_BEFORE_GIVING_UP: (f64, f64) = (2.0, 0.5);
 /// Lower bound on the variance of a position, m^2: a micrometre squared.

@@ -237,9 +237,9 @@ impl Calibration {
         }
     }
 
-    /// Channels to exclude from frames that were taken with these baselines, one for each. These are the channels
-    /// that the calibration excluded, that jump, or that scatter well above their earlier level. Without measurements
-    /// of its own, that is with too few baselines, the list is empty.
+    /// Channels to exclude from frames taken with these baselines, one for each frame: those that the calibration
+    /// excluded, those that jump, and those that scatter well above their earlier level. Empty with too few
+    /// baselines. If nearly all channels jump or scatter, only those that the calibration excluded.
     pub fn unsound_channels(&self, baselines: &[Vec<f64>]) -> Vec<u32> {
         let Some(scatter) = RestScatter::of(baselines) else { return Vec::new() };
         let mut unsound = scatter.unsound(Some(&self.review.rest_scatter));
