@@ -70,7 +70,7 @@ impl<'a> MeasuredNoise<'a> {
         let most = largest_by_chance(CHANCE * known.len() as f64, self.freedom);
         for ((channel, ratio), line) in known.into_iter().zip(ratios).zip(line) {
             if ratio <= most {
-                // The logarithm of an estimated variance is on average 1 / f below that of the true one.
+                // The logarithm of an estimated variance is on average 1 / f below the true one's.
                 let logarithm = own * ratio.ln() + (1.0 - own) * offset + 1.0 / self.freedom;
                 deviation[channel] = (line * logarithm.exp()).sqrt();
             }

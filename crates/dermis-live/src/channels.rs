@@ -1,5 +1,5 @@
-//! Converts an instrument's data (single-ended potentials, full matrices, channels; real or complex) to the channels
-//! of a skin's protocol, in their order, as real numbers.
+//! Converts an instrument's data (single-ended potentials, full matrices, channels; real or complex) to real channels
+//! in the order of a skin's protocol.
 
 use dermis_device::{FrameTable, Layout};
 use dermis_tomo::eit::{Pattern, Protocol};
@@ -173,8 +173,8 @@ fn drives_of(electrodes: usize, stimulations: &[(usize, usize)]) -> String {
 /// Converts an instrument's frames to channels of a protocol, as real numbers.
 ///
 /// On a skin that reads magnitudes, complex readings become their magnitude. On other skins they become their
-/// component along a common phase, that of the first frame read. That phase comes from the instrument, not from the
-/// body, so baselines and frames must go through the same reader, baseline first.
+/// component along a common phase, taken from the first frame read. This phase comes from the instrument, not from
+/// the body, so baselines and frames must go through the same reader, baseline first.
 #[derive(Clone, Debug)]
 pub struct ChannelReader {
     layout: ChannelLayout,

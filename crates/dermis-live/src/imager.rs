@@ -95,8 +95,8 @@ impl Imager {
         Ok(imager)
     }
 
-    /// As [`Imager::new`], from a given problem (such as a calibrated one) at a given lambda. `polarity` is the sign
-    /// of its unknowns in images.
+    /// As [`Imager::new`], from a given problem (such as a calibrated one) at a given lambda. `polarity` is its
+    /// unknowns' sign in images.
     ///
     /// # Errors
     /// A lambda that is not positive and finite.

@@ -85,7 +85,7 @@ struct Timing {
     clock: FrameClock,
 }
 
-/// What a frame has shown of the skin.
+/// Evidence of one frame about the skin.
 #[derive(Clone, Copy, Debug)]
 struct Seen {
     /// Something touches the skin.
@@ -99,7 +99,7 @@ impl Pipeline {
     /// Pipelines of identical skins may share the prepared model.
     ///
     /// # Errors
-    /// A layout that does not contain the skin's channels; a circuit that is to be found but cannot be found in the
+    /// A layout that does not contain the skin's channels; a requested search for the circuit that cannot run in the
     /// background.
     pub fn new(
         prepared: impl Into<Arc<Prepared>>,
@@ -339,8 +339,8 @@ impl Pipeline {
         Ok(sight)
     }
 
-    /// Looks for damage in the current frame, and applies the result: confirmed damage becomes part of the baseline
-    /// of touches. True if nothing lies on the skin, even if that baseline suggests otherwise.
+    /// Looks for damage in the current frame, and applies the result: confirmed damage becomes part of the touches'
+    /// baseline. True if nothing lies on the skin, even if that baseline suggests otherwise.
     fn watch_damage(&mut self, time_ns: u64, at: (u64, u64), loaded: bool) -> Result<bool, Error> {
         let (Some(damage), State::Running(running)) = (&mut self.damage, &mut self.state) else { return Ok(false) };
         let Running { reference, reconstructor } = &mut **running;

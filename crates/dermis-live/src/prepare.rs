@@ -12,7 +12,7 @@ use crate::magnetic_model::MagneticModel;
 use dermis_skin::budget::Budget;
 use dermis_skin::{CircuitChoice, Imaging, MixturePart, Modality, PriorChoice, Reads, Skin, SkinBody};
 
-/// Pixels of which the skin covers less than this share are ignored.
+/// Minimum share of a pixel that the skin must cover; pixels below it are ignored.
 const LEAST_RIM_COVERAGE: f64 = 5e-3;
 
 /// Announce preparations that take longer than this, seconds.

@@ -62,7 +62,7 @@ pub struct Reference {
     pub covariance: Option<Vec<f64>>,
     /// Differences of successive baseline frames, as measured: examples of drift and noise.
     pub successive: Vec<Vec<f64>>,
-    /// Whether the baseline looks like the model.
+    /// Comparison of the baseline with the model.
     pub order: OrderReport,
 }
 
@@ -266,7 +266,7 @@ fn match_gain(prepared: &Prepared, baseline: &[f64]) -> Result<Vec<f64>, Error> 
 }
 
 /// Weight of a channel's own gain against the common one, given its model voltage as a share of the largest. Gains
-/// scatter about the common one, and the model is off by a share of its largest voltage. The weight is that of the
+/// scatter about the common one, and the model is off by a share of its largest voltage. The weight gives the
 /// posterior mean if both are normal.
 fn believed(share_of_largest: f64) -> f64 {
     let off = MODEL_ERROR / share_of_largest;

@@ -1,13 +1,13 @@
 //! The baseline that difference data refer to: compensated = raw - baseline, per channel.
 //!
 //! The baseline starts as a robust mean of the first frames. Later an explicit tare or the caller can replace it. It
-//! may follow slow drift as an exponential mean, b += (1 - exp(-dt/tau)) (raw - b), but only while nothing touches
+//! may follow slow drift as an exponential mean, `b += (1 - exp(-dt/tau)) (raw - b)`, but only while nothing touches
 //! the skin. Under contact it is frozen, so a held touch keeps its value for any length of time.
 //!
-//! Where touch and damage may develop as slowly as drift, only the uniform part of the change is followed: b += (1 -
-//! exp(-dt/tau)) a b, where a is the least-squares share of (raw - b) along b. Warming a sheet under constant current
-//! changes all its voltages by the same share; a touch or a cut does not. Every baseline that was in use is kept with
-//! its time and reason, and can be restored.
+//! If touch and damage may develop as slowly as drift, only the uniform part of the change is followed:
+//! `b += (1 - exp(-dt/tau)) a b`, where a is the least-squares share of (raw - b) along b. Warming a sheet under
+//! constant current changes all its voltages by the same share; a touch or a cut does not. Every baseline that was in
+//! use is kept with its time and reason, and can be restored.
 
 mod statistics;
 mod types;
@@ -61,7 +61,7 @@ pub struct Baseline {
     records: Vec<ReferenceRecord>,
     /// Values of each record; empty once they have been dropped.
     kept: Vec<Vec<f64>>,
-    /// Product of all uniform drift factors applied so far.
+    /// Product of all uniform drift factors since the start.
     drift_factor: f64,
     drift_held: bool,
     follows_rest: bool,
@@ -136,7 +136,7 @@ impl Baseline {
         &self.noise_std
     }
 
-    /// Every baseline set so far, oldest first.
+    /// All baselines since the start, oldest first.
     #[must_use]
     pub fn records(&self) -> &[ReferenceRecord] {
         &self.records

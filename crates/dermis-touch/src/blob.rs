@@ -26,7 +26,7 @@ pub(crate) struct Blob {
     pub predicted: (Vec2, Vec2),
 }
 
-/// Whether a blob carries touches yet.
+/// Stage in the life of a blob.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Stage {
     /// Seen in this many strong contacts; no identity yet.

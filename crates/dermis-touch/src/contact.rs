@@ -12,7 +12,7 @@ use crate::hypotheses::PlaceHypothesis;
 use crate::touch_load::TouchLoad;
 use serde::{Deserialize, Serialize};
 
-/// Whether a contact rises above the background or sinks below it.
+/// Side of the background that a contact is on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactSign {
@@ -72,7 +72,7 @@ pub enum CentroidWeight {
     Excess,
 }
 
-/// Whether a contact is clear enough to begin a touch.
+/// Thresholds that a contact exceeds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ContactStrength {
@@ -212,9 +212,9 @@ pub struct Contact {
     pub covariance_m2: [[f64; 2]; 2],
     /// |value| of the peak cell over its noise. Infinite if the noise is zero.
     pub significance: f64,
-    /// Whether it is above or below the background.
+    /// Sign of the contact.
     pub sign: ContactSign,
-    /// Whether it may begin a touch or only hold one.
+    /// Strength: it may begin a touch, or only hold one.
     pub strength: ContactStrength,
     /// Normal force, if a calibration has estimated one; the finder sets `None`.
     pub force: Option<ForceReading>,

@@ -2,9 +2,9 @@
 //!
 //! A watershed from the peaks splits probabilities over places into modes. Modes are merged if their saddle is more
 //! than half as high as the lower peak, if they are closer than a separation, or if they overlap. The odds between
-//! the two heaviest modes are followed over the frames of a press. Their logarithm is averaged, first over all frames
-//! of the press and later over the last half second. It is averaged rather than added because model errors at a place
-//! repeat in every frame of a press.
+//! the two heaviest modes are tracked over a press. Their logarithm is averaged, first over all frames so far and
+//! later over the last half second. It is averaged rather than added, since the model's error at a place repeats in
+//! every frame of a press.
 
 use serde::{Deserialize, Serialize};
 
@@ -247,7 +247,7 @@ pub struct PlaceHypotheses {
     held: Option<Held>,
 }
 
-/// State of a press after its frames so far.
+/// State of a press.
 #[derive(Debug, Clone, Copy)]
 struct Held {
     /// The reported place of the touch, and the other.
@@ -389,8 +389,8 @@ mod tests {
         let (one, other) = ([0.021, 0.013], [-0.03, -0.011]);
         let (first, second) = modes.find(&bells(&places, &[(other, 0.3, 0.005), (one, 0.7, 0.004)])).unwrap();
         let second = second.unwrap();
-        // Values below a thousandth of the higher peak belong to neither mode. For the lower Gaussian that is 0.4 %
-        // of the weight, at its edge, and 2.4 % of the variance.
+        // Values below a thousandth of the higher peak belong to neither mode. This cuts 0.4 % of the weight and
+        // 2.4 % of the variance off the lower Gaussian.
         assert!((first.probability - 0.7).abs() < 2e-3 && (second.probability - 0.3).abs() < 2e-3, "{first:?}");
         assert!(distance(first.position_m, one) < 1e-4 && distance(second.position_m, other) < 1e-4, "{second:?}");
         let expected = [0.004_f64, 0.005].map(|sigma| sigma.powi(2) + STEP_M.powi(2) / 12.0);

@@ -41,7 +41,7 @@ pub struct Touch {
     pub phase: TouchPhase,
     /// Source of the values.
     pub observation: Observation,
-    /// Whether it is above or below the background.
+    /// Sign of the contact.
     pub sign: ContactSign,
     /// Position as measured in the contact.
     pub position_m: [f64; 2],

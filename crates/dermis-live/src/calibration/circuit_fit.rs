@@ -54,7 +54,7 @@ impl CircuitFit {
         self.fits() && self.is_clear()
     }
 
-    /// Whether the circuit is reliable, in words, with the reason.
+    /// Statement on the circuit's reliability, with the reason.
     pub fn trust(&self) -> String {
         if self.is_trusted() {
             "trusted: yes; a turn or mirror of the layout that leaves the skin alike cannot be told from frames".into()

@@ -3,9 +3,9 @@
 //! Circuits are then ranked by the likelihood of the frames as single touches at their best positions, without using
 //! labels. The reported score of a circuit is the median correlation of frames with the best of its touch templates.
 //!
-//! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear, `J = sum_ab I_a K_b
-//! J_ab`, with J_ab for a unit current from electrode 0 to a, read between 0 and b. The J_ab are computed once, and
-//! every circuit costs one matrix product.
+//! With currents I and readings K of a channel's effective patterns, its Jacobian is bilinear,
+//! `J = sum_ab I_a K_b J_ab`, with J_ab for a unit current from electrode 0 to a, read between 0 and b. The J_ab are
+//! computed once, and every circuit costs one matrix product.
 
 use dermis_skin::{Circuit, CircuitChoice, Polarity};
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol, Solution};
@@ -209,7 +209,7 @@ pub(crate) fn find_circuit_while(
 struct Point {
     load: f64,
     idle: f64,
-    /// Of unit length.
+    /// Normalised to unit length.
     reading: [f64; 3],
 }
 

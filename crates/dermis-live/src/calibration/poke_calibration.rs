@@ -158,7 +158,7 @@ impl Calibration {
             picked(MOST_WEIGHED).map(|i| Ok(weigh(&differences[i])?.amplitude)).collect();
         let resting = match measured {
             PokeFrames::Readings { baselines, .. } if baselines.len() > 1 => {
-                // The difference of two frames is noisier than that of a frame from the mean of all.
+                // The difference of two frames is noisier than a frame's difference from the mean of all.
                 let of_a_poke = if measured.has_pairs() { 1.0 } else { (0.5 + 0.5 / baselines.len() as f64).sqrt() };
                 baselines
                     .windows(2)

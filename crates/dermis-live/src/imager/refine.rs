@@ -55,8 +55,9 @@ impl Refiner {
         Ok(Self { problem, parameters, polarity, pixels, inside, reduced: HashMap::new() })
     }
 
-    /// Images of difference frames (model volts, `NaN` where missing): for each frame a row-major image of `log(sigma
-    /// / sigma at rest)`, polarity included, `NaN` outside. `step_done` is called once for every step of every frame.
+    /// Images of difference frames (model volts, `NaN` where missing): for each frame a row-major image of
+    /// `log(sigma / sigma at rest)`, polarity included, `NaN` outside. `step_done` is called once for every step of
+    /// every frame.
     ///
     /// # Errors
     /// All channels missing, or a forward problem that cannot be solved.

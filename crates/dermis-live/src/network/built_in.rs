@@ -3,8 +3,8 @@
 
 use dermis_learn::{LearnError, Model};
 
-/// The network of a built-in skin; `None` if there is none. It is valid only while nothing that the skin's images
-/// depend on is changed ([`Model::check_skin`]).
+/// The network of a built-in skin; `None` if the skin has none. It is valid only while nothing changes that the
+/// skin's images depend on ([`Model::check_skin`]).
 ///
 /// # Errors
 /// Never for models as committed; damage is reported as for files.

@@ -25,8 +25,8 @@ pub struct FittedTouches {
 }
 
 impl FittedTouches {
-    /// Sets the result for a frame (model volts, `NaN` where missing) with these contacts, which explain `explained`
-    /// of it.
+    /// Sets the result for a frame (model volts, `NaN` where missing) with these contacts. `explained` is their part
+    /// of the frame.
     pub(crate) fn set(&mut self, frame: &[f64], contacts: &[Contact], explained: Option<&[f64]>) {
         self.discs.clear();
         self.left.clear();

@@ -1,4 +1,4 @@
-//! Whether a network matches a skin.
+//! Checks that a network matches a skin.
 
 use dermis_learn::Model;
 use dermis_skin::{Backend, Electronics, Skin};

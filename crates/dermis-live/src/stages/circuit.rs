@@ -77,7 +77,7 @@ impl Search {
 }
 
 impl CircuitStage {
-    /// A stage for a skin whose circuit is to be found; `None` for others.
+    /// A stage for a skin that asks for a search of its circuit; `None` for others.
     ///
     /// # Errors
     /// A skin whose circuit cannot be found in the background.

@@ -212,8 +212,8 @@ impl Background {
         Ok(Self { mailbox, thread: Some(thread), asked_ns: None, from_sequence: 0 })
     }
 
-    /// Collects finished classes into `classes`, and hands over this frame if the network is free. Returns the number
-    /// of the frame that `classes` belong to.
+    /// Collects finished classes into `classes`, and hands over this frame if the network is free. Returns the
+    /// sequence number of these classes' frame.
     fn exchange(
         &mut self,
         sequence: u64,

@@ -28,6 +28,6 @@ pub struct Placement {
     pub vague: bool,
     /// Another possible position, if the frame cannot decide.
     pub other_place: Option<PlaceHypothesis>,
-    /// The second touch, if the frame shows two; the position above is that of the stronger.
+    /// The second touch, if the frame shows two. The position above is then the stronger one's.
     pub second: Option<SecondTouch>,
 }

@@ -44,7 +44,7 @@ impl Default for BaselineParams {
     }
 }
 
-/// Whether the skin is touched in a frame, as judged by the caller, for example from the contacts in its image.
+/// Load on the skin in a frame, as judged by the caller, for example from the contacts in its image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Load {
     /// Nothing touches the skin.

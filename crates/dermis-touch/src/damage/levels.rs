@@ -53,8 +53,9 @@ const OF_MEDIAN_DEVIATION: f64 = 1.482_602_218_505_602;
 pub struct LevelParams {
     /// Time constant of the levels, seconds, above 0; infinite to freeze them.
     pub follow_s: f64,
-    /// Threshold of a jump: this many standard deviations above the usual RMS of the innovations. Also the threshold
-    /// of a change that counts, in standard deviations of the channels' noise (RMS over the channels). Above 0.
+    /// Threshold of a jump: this many standard deviations above the usual RMS of the innovations. It is also the
+    /// minimum size of a change that counts, in standard deviations of the channels' noise (RMS over the channels).
+    /// Above 0.
     pub jump_sigma: f64,
     /// Readings have come to rest if they are steady for this long and for at least three frames, seconds. At least
     /// 0.

@@ -10,7 +10,7 @@ use crate::touch::Touch;
 
 /// Drop a suspicion that has not been seen for this long, seconds.
 const DROP_S: f64 = 0.3;
-/// A damage has grown if its volume exceeds its worst so far by this factor.
+/// A damage has grown if its volume exceeds its previous worst by this factor.
 const GROWN: f64 = 1.25;
 /// Minimum share of a low region's depth that known damage must leave unexplained for the region to be a new damage.
 const OF_ITS_OWN: f64 = 0.5;
@@ -29,7 +29,7 @@ pub struct ClassProbabilities<'a> {
 /// The inputs from one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct DamageFrame<'a> {
-    /// Time of the frame, nanoseconds; not before that of the previous frame.
+    /// Time of the frame, nanoseconds; must not decrease.
     pub time_ns: u64,
     /// Image against the intact reference: below zero is damage. NaN outside the skin.
     pub image: &'a [f32],

@@ -1,6 +1,6 @@
 //! Low regions of an image: the cells connected over edges to a minimum that are below half of it, with their
-//! moments. The length of a line follows from the larger second moment minus that of a point: a line of length L has
-//! the variance L^2/12.
+//! moments. The length of a line follows from the larger second moment minus a point's: a line of length L has the
+//! variance L^2/12.
 
 use super::{DamageParams, DamageShape};
 use crate::cells::ImageCells;

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What is currently known of a damage.
+/// State of a damage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DamageState {
@@ -73,7 +73,7 @@ impl DamageShape {
 pub struct Damage {
     /// Identity; counts up from 1, never reused.
     pub id: u64,
-    /// What is currently known of it.
+    /// Its current state.
     pub state: DamageState,
     /// Its position and extent.
     pub shape: DamageShape,
@@ -81,8 +81,8 @@ pub struct Damage {
     pub depth: f64,
     /// Drop of the image integrated over its area at its worst, image units times m^2.
     pub volume_m2: f64,
-    /// Share of the worst that is left: 1 if nothing has healed, 0 if nothing is left. Healing progress is `1 -
-    /// share`.
+    /// Share of the worst that is left: 1 if nothing has healed, 0 if nothing is left. Healing progress is
+    /// `1 - share`.
     pub share: f64,
     /// Depth over the noise of the averaged image, when it was last measured.
     pub significance: f64,

@@ -26,8 +26,8 @@ pub enum GainMap {
 }
 
 impl GainMap {
-    /// A smooth map fitted to gains measured at some positions (for example, slopes of signal against force), divided
-    /// by their geometric mean.
+    /// A smooth map fitted to measured gains (for example, slopes of signal against force), divided by their
+    /// geometric mean.
     ///
     /// # Errors
     /// Different lengths, fewer than 6 positions, positions on one conic, values that are not positive and finite.

@@ -90,7 +90,7 @@ impl ChannelState {
         (self.repeats + f64::from(self.run)) / (self.pairs + f64::from(self.run)).max(1.0)
     }
 
-    /// True if all readings so far were equal.
+    /// True if no reading has differed from the first.
     pub fn never_moved(&self) -> bool {
         self.pairs == 0.0 && self.run > 0
     }
@@ -194,7 +194,7 @@ impl ChannelState {
         self.clean = if evidence < 16.0 && self.direct.is_none() { self.clean + 1 } else { 0 };
     }
 
-    /// The most likely fault of the channel so far.
+    /// The most likely fault of the channel.
     pub fn kind(&self) -> ChannelFaultKind {
         let noisy = if self.is_noisy() { ChannelFaultKind::Noisy } else { ChannelFaultKind::Inconsistent };
         self.direct.unwrap_or(noisy)

@@ -51,7 +51,7 @@ pub(super) struct FrameJudge {
     rests_at_one_magnitude: bool,
     full_scale: Option<f64>,
     repeats: u32,
-    /// Start-up frames so far.
+    /// Number of start-up frames seen.
     started: u32,
     /// Longest run of repetitions in start-up, and whether any frame differed from the previous one.
     longest_at_start: u32,
@@ -97,8 +97,8 @@ impl FrameJudge {
         self.begun = true;
     }
 
-    /// Takes the readings of a frame. `left_out` marks channels known to be broken. `repeat_chance` is the logarithm
-    /// of each channel's probability to repeat itself.
+    /// Takes the readings of a frame. `left_out` marks channels known to be broken. `repeat_chance` is the log
+    /// probability that a channel repeats itself.
     pub fn read(&mut self, readings: &[f64], left_out: &[bool], repeat_chance: impl Fn(usize) -> f64) {
         let is_in = |channel: usize| !left_out[channel] && readings[channel].is_finite();
         let mut counted = 0_usize;

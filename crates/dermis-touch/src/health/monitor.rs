@@ -11,7 +11,7 @@ use crate::error::{TouchError, require_length};
 const LEAST_SIGNAL: f64 = 50.0;
 /// Minimum number of channels whose agreement counts.
 pub(super) const FEWEST_TOGETHER: usize = 3;
-/// Of two reciprocal channels, blame only the one whose residual against the others is this many times the larger.
+/// Blame only one of two reciprocal channels if its residual against the others is this many times the other's.
 const FARTHER: f64 = 3.0;
 /// Suspect a channel only if its residual is at least this share of the largest: one bad channel disturbs all
 /// residuals.

@@ -27,8 +27,8 @@ pub struct HealthReference<'a> {
 }
 
 impl HealthMonitor {
-    /// Looks for channels that are broken while the baseline is taken. `baseline` and `noise` are as measured (NaN
-    /// where missing), `expected` is from the model in any unit. Broken channels are declared as of frame `at`.
+    /// Looks for channels that are broken while the baseline is taken. `baseline` and `noise` are as measured (NaN if
+    /// missing), `expected` is from the model in any unit. Broken channels are declared as of frame `at`.
     ///
     /// # Errors
     /// [`TouchError::Length`].

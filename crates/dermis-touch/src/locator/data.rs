@@ -163,7 +163,7 @@ pub struct Hyperparameters {
 /// How hyperparameters are chosen.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Selection {
-    /// By the leave-one-out predictive score of the examples, one coordinate at a time starting from a default.
+    /// Coordinate search from a default, by the leave-one-out predictive score of the examples.
     #[default]
     LeaveOneOut,
     /// As given.

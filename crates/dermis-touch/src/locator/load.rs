@@ -60,7 +60,7 @@ pub(super) fn root_mean_square(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
 }
 
-/// Trend (c0, c1) by generalised least squares, and K^-1 times the residual. `None` if the exponent is not above zero
+/// Trend (c0, c1) by generalised least squares, and K^-1 times the residual. `None` unless the exponent exceeds zero
 /// by two standard errors.
 fn generalised_least_squares(inverse: &Mat<f64>, x: &[f64], y: &[f64]) -> Option<([f64; 2], Vec<f64>)> {
     let n = x.len();

@@ -386,8 +386,8 @@ mod tests {
         (design, prior, map)
     }
 
-    /// Leaving an example out by the closed form agrees with refitting without it. Without shrinkage, the sample
-    /// covariance over n - 1 examples is n / (n - 1) times that of the closed form, which keeps n.
+    /// The closed form for leaving an example out agrees with refitting without it. Without shrinkage the two sample
+    /// covariances differ by a factor: n - 1 examples give n / (n - 1) times the closed form's, which keeps n.
     #[test]
     fn leaving_out_equals_refitting() {
         let (n, channels, out) = (40, 6, 11);
@@ -438,8 +438,8 @@ mod tests {
         }
     }
 
-    /// With few examples and no prior, products of signatures are summed over the examples. They agree with products
-    /// of the signatures themselves, up to rounding.
+    /// With few examples and no prior, products of signatures are summed over the examples. Up to rounding, they
+    /// agree with direct products.
     #[test]
     fn products_without_signatures_are_those_of_signatures() {
         let (design, prior, map) = made_up(10, 60);

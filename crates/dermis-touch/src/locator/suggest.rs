@@ -1,6 +1,6 @@
 //! Suggests where more pokes would help: the position uncertainty expected across the map, and the positions where a
-//! poke reduces it most. A poke at q lowers the map's variance by c(p)^2 / (c(q) + s), where c(p) is the covariance
-//! of the signatures at p and q given the examples.
+//! poke reduces it most. A poke at q lowers the map's variance by c(p)^2 / (c(q) + s), where c(p) is the signatures'
+//! covariance between p and q given the examples.
 
 use faer::Mat;
 

@@ -20,8 +20,8 @@ const PLACES: usize = 18;
 const WITHIN: f64 = 0.8;
 /// Maximum number of rounds of shifting every block.
 const ROUNDS: usize = 6;
-/// Minimum information that the rotated channels of a map must give about each other: mean drop in the log variance
-/// of a channel.
+/// Minimum information that the rotated channels of a map must give about each other: the mean drop in a channel's
+/// log variance.
 const LEAST_TOLD: f64 = 0.3;
 /// Minimum share of a channel's variance that the other channels cannot explain.
 const UNTOLD_VARIANCE: f64 = 1e-3;

@@ -106,7 +106,7 @@ impl SmallestAmplitude {
     }
 }
 
-/// The `share` quantile, one of the values; `None` if there are none.
+/// The `share` quantile, one of the values; `None` for an empty list.
 fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().checked_sub(1)?;

@@ -1,11 +1,13 @@
-//! Effect of a straight cut on the voltages of a sheet, from the fields of the intact sheet alone. Across a cut of
-//! half length a the potential jumps by `w(x) = sum_k c_k sqrt(1 - x^2) U_k(x)`, `x` in units of a, `U_k` the
-//! Chebyshev polynomials of the second kind, for which the normal field of the jump is `-(k + 1) c_k U_k / 2a`
-//! (finite part of `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai and Korsunsky, *Solution
-//! of Crack Problems*, 1996). The current that crosses it is `s E_n = g w`, with s the sheet's conductance and g that
-//! of the joined faces per length. With `l = s/g` and E the normal field of the intact sheet, `sum_k ((pi/4a) (l+1)
-//! delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes by `s int w E' dx`, E' the adjoint
-//! field. The rim's response to the cut is neglected: it is of order (a / distance)^2 / 4.
+//! Effect of a straight cut on the voltages of a sheet, from the fields of the intact sheet alone.
+//!
+//! Across a cut of half length a the potential jumps by `w(x) = sum_k c_k sqrt(1 - x^2) U_k(x)`, `x` in units of a,
+//! `U_k` the Chebyshev polynomials of the second kind, for which the normal field of the jump is
+//! `-(k + 1) c_k U_k / 2a` (finite part of `(1/pi) int sqrt(1-t^2) U_k / (x-t)^2 dt = -(k+1) U_k`; Hills, Kelly, Dai
+//! and Korsunsky, *Solution of Crack Problems*, 1996). The current across it is `s E_n = g w`, with s the conductance
+//! of the sheet and g the conductance of the joined faces per length. With `l = s/g` and E the normal field of the
+//! intact sheet, `sum_k ((pi/4a) (l+1) delta_lk + M_lk / l) c_k = (pi/2) e_l`, and by reciprocity a channel changes
+//! by `s int w E' dx`, E' the adjoint field. The rim's response to the cut is neglected: it is of order (a /
+//! distance)^2 / 4.
 
 use dermis_skin::Modality;
 use dermis_tomo::eit::{ForwardModel, Pattern, Protocol};
@@ -28,7 +30,7 @@ pub struct Crack {
     pub length_m: f64,
     /// Direction, counter-clockwise from +x.
     pub direction_rad: f64,
-    /// 1/l: conductance of its partly joined faces over that of the sheet; 0 when open. 1/m.
+    /// 1/l: conductance of its partly joined faces relative to the sheet's; 0 when open. 1/m.
     pub joined_per_m: f64,
 }
 

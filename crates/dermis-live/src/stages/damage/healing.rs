@@ -29,7 +29,7 @@ pub struct Healing {
     pub id: u64,
     /// Remaining share of the open cut's response. A healed scar keeps some of it.
     pub left: f64,
-    /// Joined share of the faces: conductance across them over that of a healed scar, 0 to about 1.
+    /// Joined share of the faces: conductance across them relative to a healed scar's, 0 to about 1.
     pub joined: f64,
     /// Relative rise of the conductivity around it.
     pub rise: f64,

@@ -1,8 +1,8 @@
 //! Damage on skins where a cut and a press look alike, because both lower the conductivity. They are distinguished by
-//! what remains. [`LevelWatch`] follows the drift of each channel, which gives the baseline of touches, and reports
-//! when the readings have come to rest at other values. A change that remains after a load was released is imaged. If
-//! its image is deep enough, it is damage, with position and extent from the image. A change that merely stays is
-//! treated as a touch for ten minutes.
+//! their remainder. [`LevelWatch`] follows the drift of each channel, which gives the baseline of touches, and
+//! reports when the readings have come to rest at other values. A change that remains after a load was released is
+//! imaged. If its image is deep enough, it is damage, with position and extent from the image. A change that merely
+//! stays is treated as a touch for ten minutes.
 
 use dermis_skin::Polarity;
 use dermis_touch::damage::{DamageMonitor, LevelChange, LevelParams, LevelWatch};

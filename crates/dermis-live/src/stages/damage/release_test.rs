@@ -42,9 +42,9 @@ pub(super) fn is_release(look: &mut ReleaseLook, frame: &DamageFrame<'_>) -> Opt
     }
 }
 
-/// Share of a change that leads from the reference's offset towards zero offset, ignoring the common gain: `-<offset,
-/// change> / <change, change>`. Model errors do not resemble the change, so the value is about 1 if the change
-/// removes an excess in the reference, and about 0 if it is unrelated. `None` without a change.
+/// Share of a change that leads from the reference's offset towards zero offset, ignoring the common gain:
+/// `-<offset, change> / <change, change>`. Model errors do not resemble the change, so the value is about 1 if the
+/// change removes an excess in the reference, and about 0 if it is unrelated. `None` without a change.
 fn nearer(change: &[f64], offset: &[f64], model: &[f64]) -> Option<f64> {
     let present = |values: &[f64]| -> Vec<f64> {
         let both = values.iter().zip(change).zip(offset);

@@ -167,7 +167,7 @@ pub(super) fn moments_along(
             if cost > least + NOT_POSSIBLE {
                 break;
             }
-            // Sums are relative to the lowest cost so far.
+            // Sums are relative to the lowest cost found.
             let (scale, weight) = (((cost - least).min(0.0) * 0.5).exp(), (-0.5 * (cost - least).max(0.0)).exp());
             least = least.min(cost);
             sums = sums.map(|sum| sum * scale);

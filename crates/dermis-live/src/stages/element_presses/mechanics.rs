@@ -1,7 +1,7 @@
 //! Effect of round presses on elements on sponge or springs. A press is a disc of uniform pressure with a soft edge.
-//! Each element carries the load on its cell, `F = p area(disc within cell)`, drags its neighbours along, `(k + c L)
-//! x = F` with L the Laplacian of the grid's graph, and its spring stiffens near the end of its travel, `t = x / (1 +
-//! (x/l)^n)^(1/n)`.
+//! Each element carries the load on its cell, `F = p area(disc within cell)`. It drags its neighbours along,
+//! `(k + c L) x = F` with L the Laplacian of the grid's graph, and its spring stiffens near the end of its travel,
+//! `t = x / (1 + (x/l)^n)^(1/n)`.
 
 use dermis_mit::MitError;
 use dermis_skin::{Elements, ElementsLayer};

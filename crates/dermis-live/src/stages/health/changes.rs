@@ -24,7 +24,7 @@ pub struct HealthChange {
     pub is_fault: bool,
 }
 
-/// Compares the health of every frame with that of the previous one. Allocates only if something has changed.
+/// Compares the health of every frame with the previous frame's. Allocates only if something has changed.
 #[derive(Clone, Debug)]
 pub struct HealthWatch {
     electrode: &'static str,

@@ -22,7 +22,7 @@ const AGREEING: f64 = 0.1;
 pub(crate) struct HealthStage {
     monitor: HealthMonitor,
     residual_of: Option<LeaveOneOutResidual>,
-    /// Difference data without the channels excluded so far.
+    /// Difference data without the channels already excluded.
     masked: Vec<f64>,
     residuals: Vec<f64>,
     /// Readings at which excluded channels would agree with the others.

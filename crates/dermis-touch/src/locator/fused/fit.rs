@@ -387,7 +387,7 @@ struct Far<'a> {
 }
 
 impl Far<'_> {
-    /// Some of the examples as located by those of the other sectors: by both experts, and by the forward expert
+    /// Some examples as located from those of the other sectors: first by both experts, then by the forward expert
     /// alone. Empty if too few would be left.
     fn trials(
         &self,

@@ -1,8 +1,8 @@
-//! The inverse expert: kernel ridge regression from a frame's features to the position, y = m + k(f) a with (K + r I)
-//! a = Y - m and k Matern 5/2 over the features' principal components. Leaving example i out changes its prediction
-//! by a_i / (K + r I)^-1_ii (Rasmussen & Williams 2006, section 5.4.2). Length and ridge minimise the left-out
-//! errors. With more examples than can be solved exactly, the kernel is evaluated only at evenly drawn landmarks
-//! ([`landmarks`]).
+//! The inverse expert: kernel ridge regression from a frame's features to the position, y = m + k(f) a, where (K + r
+//! I) a = Y - m and k is Matern 5/2 over the features' principal components. Leaving example i out shifts its
+//! prediction by a_i / (K + r I)^-1_ii (Rasmussen & Williams 2006, section 5.4.2). Length and ridge minimise the
+//! left-out errors. With more examples than can be solved exactly, the kernel is evaluated only at evenly drawn
+//! landmarks ([`landmarks`]).
 //!
 //! Its variance at f is local: the mean of left-out squared errors weighted by a sharpened kernel. If the nearest
 //! example is further away than usual, the variance is multiplied by the square of that ratio, so that a frame unlike

@@ -5,8 +5,9 @@
 //! V = L^-1 K_mn, K_mm = L L', q_i = |V_i|^2, s_i = r + t (1 - q_i), a = L^-T (I + V S^-1 V')^-1 V S^-1 y,
 //!
 //! where 1 - q_i is the variance of example i that the landmarks cannot explain. With t = 1 such an example has less
-//! weight (FITC), so that slightly more examples than landmarks do no harm. With t = 0 all have equal weight (subset
-//! of regressors). Leaving example i out divides its residual by 1 - h_i, h_i = V_i' (I + V S^-1 V')^-1 V_i / s_i.
+//! weight (FITC), so that slightly more examples than landmarks do no harm. With t = 0 all have equal weight (a
+//! subset of regressors). Leaving example i out divides its residual by 1 - h_i, h_i = V_i' (I + V S^-1 V')^-1 V_i /
+//! s_i.
 //!
 //! Memory is three matrices of m x m and two of m x 1,000; time is 2 n m^2 + 2 m^3 operations.
 

@@ -23,7 +23,7 @@ impl Accuracy {
     }
 }
 
-/// Whether additional prior information was used.
+/// Use of additional prior information.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PriorUse {
