@@ -41,8 +41,8 @@ pub fn calibrate(
     let mut calibration = Calibration::fit_with(prepared, measured, pokes, options)?;
     let backend = &prepared.skin.backend;
     if options.physics && backend.wiring.is_known() && backend.circuit.is_none() {
-        // Pokes that the model cannot explain (for example, because of a different channel order) still train the
-        // locator.
+        // If the model cannot read the frames, for example because of a different channel order, the pokes alone
+        // locate touches.
         match seen_by_model(prepared, measured, pokes) {
             Ok(seen) => {
                 calibration.try_model(&seen, prepared)?;

@@ -66,7 +66,7 @@ pub trait Observer<F: Feed> {
     /// Any error ends the run.
     fn result(&mut self, output: &Output<'_>) -> Result<ControlFlow<()>, F::Error>;
 
-    /// Called before the feed is asked for the next item; may issue any command. False ends the run.
+    /// Called before the feed is asked for the next item; may command the pipeline. False ends the run.
     ///
     /// # Errors
     /// Any error ends the run.

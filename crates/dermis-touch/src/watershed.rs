@@ -237,7 +237,7 @@ pub(crate) fn largest_of(values: &[f32], size: impl Fn(f32) -> f32) -> f32 {
     most.into_iter().fold(0.0, f32::max)
 }
 
-/// Like [`largest_of`], over cells with usable noise. Also returns the smallest usable noise (infinite if there is
+/// Like `largest_of`, over cells with usable noise. Also returns the smallest usable noise (infinite if there is
 /// none).
 pub(crate) fn largest_with_noise(values: &[f32], sigma: &[f32], size: impl Fn(f32) -> f32) -> (f32, f32) {
     let (mut most, mut least) = ([0.0_f32; LANES], [f32::INFINITY; LANES]);

@@ -17,7 +17,7 @@ pub struct CircuitFit {
     pub score: f64,
     /// The score of the skin file's own circuit, or of an ideal voltmeter if it has none.
     pub score_before: f64,
-    /// Log-likelihood gain over that circuit, nats per reading.
+    /// Log-likelihood gain over the circuit of `score_before`, nats per reading.
     pub gain: f64,
     /// The best circuit that reads other lines, which shows how clear the choice is.
     pub runner_up: Option<RunnerUp>,

@@ -22,9 +22,9 @@ const LEAST_ALIKE: f64 = 0.4;
 /// than the templates looks like two adjacent presses.
 pub(super) const TOUCHES_APART: f64 = 1.5;
 
-/// The two parts of a coordinate's sigma. `OF_GRAIN` is a share of the standard deviation of positions uniform within
-/// a grid cell; `SIZES` is in touch sizes, times the share of the frame's energy left by its touches. The twin and
-/// the measured gel leave 5 and 31 % of a press, and locate it to 1.2 and 4.7 mm (68 % of errors).
+/// A coordinate's sigma has two parts: `OF_GRAIN` times the standard deviation of positions spread evenly over a grid
+/// cell, and `SIZES` touch sizes times the share of the frame's energy that its touches leave. The twin and the
+/// measured gel leave 5 and 31 % of a press, and locate it to 1.2 and 4.7 mm (68 % of errors).
 const OF_GRAIN: f64 = 0.8;
 const SIZES: f64 = 1.5;
 

@@ -34,8 +34,8 @@ const NEAR_CELLS: f64 = 2.5;
 const HALF_APART_CELLS: f64 = 0.6;
 /// Maximum number of trials of a fit while such divisions are compared.
 const FEW_TRIALS: usize = 5;
-/// Accept a fit if it leaves at most this share of the frame beyond `BELIEVED` per channel, both in units of noise
-/// and model error squared. Noise estimated from few frames at rest is itself uncertain.
+/// Accept a fit if its residual is at most this share of the frame's energy plus `BELIEVED` per channel, in units of
+/// noise and model error squared. Noise estimated from few frames at rest is itself uncertain.
 const MOST_LEFT: f64 = 0.02;
 const BELIEVED: f64 = 2.0;
 /// Maximum residual from noise, in standard deviations above its mean.
@@ -327,7 +327,7 @@ mod tests {
         found_in_noise(name, pressed, shown_mm, 0.0)
     }
 
-    /// As [`found`], with `noise` times the stated noise of the readings.
+    /// As `found`, with `noise` times the stated noise of the readings.
     fn found_in_noise(name: &str, pressed: &[[f64; 4]], shown_mm: &[[f64; 2]], noise: f64) -> Vec<Contact> {
         let (mut stage, mut coils, noise_h) = bench(name);
         let press = |[x, y, radius, pressure]: &[f64; 4]| Press {

@@ -21,8 +21,8 @@ impl DamageMonitor {
     }
 
     /// Declares the image of a permanent change as damage (below zero is damage). The deepest region gives its
-    /// position; the others are treated as side lobes. If damage is already known there, it has grown. Returns the
-    /// identity of the damage, or `None` if no region is deep enough.
+    /// position; the others are treated as side lobes. If a damage site is already known there, it has grown. Returns
+    /// the identity of the site, or `None` if no region is deep enough.
     ///
     /// # Errors
     /// [`TouchError::Length`].
@@ -60,9 +60,9 @@ impl DamageMonitor {
         Ok(Some(damage.id))
     }
 
-    /// Updates position, extent and depth of a known damage from an image of its remainder, made by another operator.
+    /// Updates position, extent and depth of a known damage site from an image of its remainder, made by another operator.
     /// Nothing else changes. `left` is the share of its worst state that the image shows. If the image shows only
-    /// this damage, the deepest region is used, otherwise the nearest. If no region is deep enough, position and
+    /// this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position and
     /// extent stay.
     ///
     /// # Errors
@@ -94,7 +94,7 @@ impl DamageMonitor {
         Ok(())
     }
 
-    /// Sets how much of a damage is left, as known by the caller. This may mark it as healing or healed.
+    /// Sets how much of a damage site is left, as known by the caller. This may mark it as healing or healed.
     pub fn set_share(&mut self, id: u64, share: f64) {
         let [healing, healed] = [self.params.healing_share, self.params.healed_share];
         let open = self.records.iter_mut().find(|record| record.damage.id == id && record.damage.is_open());

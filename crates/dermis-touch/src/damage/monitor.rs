@@ -1,4 +1,4 @@
-//! The damage monitor: a mean over free frames, low regions in it, and the life of each damage.
+//! The damage monitor: a mean over free frames, low regions in it, and the life of each damage site.
 
 use super::region::{Region, RegionFinder};
 use super::{Damage, DamageEvent, DamageParams, DamageShape, DamageState};
@@ -10,11 +10,11 @@ use crate::touch::Touch;
 
 /// Drop a suspicion that has not been seen for this long, seconds.
 const DROP_S: f64 = 0.3;
-/// A damage has grown if its volume exceeds its previous worst by this factor.
+/// A damage site has grown if its volume exceeds its previous worst by this factor.
 const GROWN: f64 = 1.25;
-/// Minimum share of a low region's depth that known damage must leave unexplained for the region to be a new damage.
+/// Minimum share of a low region's depth that known damage must leave unexplained for the region to be a new site.
 const OF_ITS_OWN: f64 = 0.5;
-/// A healed damage has reopened above this share of its worst.
+/// A healed site has reopened above this share of its worst.
 const REOPENED: f64 = 0.6;
 
 /// A network's class probabilities for each cell, in image order, 0 to 1; NaN outside the skin.
@@ -39,14 +39,14 @@ pub struct DamageFrame<'a> {
     pub touches: &'a [Touch],
     /// True while anything touches the skin, including contacts that are not yet touches.
     pub loaded: bool,
-    /// Model image of the known damage. A low region that it explains is a side lobe and begins no damage.
+    /// Model image of the known damage. A low region that it explains is a side lobe and begins no new site.
     pub known: Option<&'a [f32]>,
     /// Class probabilities of the cells, if a network provides them. A damage then begins only where most of its area
     /// is classified as damaged, and counts as covered where most of it is classified as compressed.
     pub classes: Option<ClassProbabilities<'a>>,
 }
 
-/// A damage with the monitor's private state.
+/// A damage site with the monitor's private state.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Record {
     pub(super) damage: Damage,
@@ -105,7 +105,7 @@ impl DamageMonitor {
             time_ns: None,
             records: Vec::with_capacity(params.most),
             damages: Vec::with_capacity(params.most),
-            // At most two events per damage and frame, and one more from a model.
+            // At most two events per site and frame, and one more from a model.
             events: Vec::with_capacity(3 * params.most),
             masks: vec![0; count],
             next_id: 1,
@@ -118,7 +118,7 @@ impl DamageMonitor {
         &self.params
     }
 
-    /// All damages, suspected and healed ones included, oldest first.
+    /// All damage sites, suspected and healed ones included, oldest first.
     #[must_use]
     pub fn damages(&self) -> &[Damage] {
         &self.damages
@@ -174,7 +174,7 @@ impl DamageMonitor {
         Ok(())
     }
 
-    /// Takes a model's estimate of a damage: its shape, and the share of its worst that is left, if the model has
+    /// Takes a model's estimate of a damage site: its shape, and the share of its worst that is left, if the model has
     /// one.
     pub fn refine(&mut self, id: u64, shape: DamageShape, share: Option<f64>) {
         if let Some(record) = self.records.iter_mut().find(|record| record.damage.id == id) {
@@ -249,7 +249,7 @@ impl DamageMonitor {
         }
     }
 
-    /// Updates which damages are covered by touches.
+    /// Updates which damage sites are covered by touches.
     fn cover(&mut self, frame: &DamageFrame<'_>) {
         let DamageParams { reach_m, settle_s, .. } = self.params;
         for index in 0..self.records.len() {
@@ -272,7 +272,7 @@ impl DamageMonitor {
                 }
             } else if damage.state == DamageState::Covered {
                 let since_ns = *record.clear_ns.get_or_insert(frame.time_ns);
-                // The touch has moved elsewhere for long enough: the damage counts as visible again. Without load,
+                // The touch has moved elsewhere for long enough: the site counts as visible again. Without load,
                 // `follow` decides.
                 if frame.loaded && seconds_between(since_ns, frame.time_ns) >= settle_s {
                     record.damage.state = DamageState::Confirmed;

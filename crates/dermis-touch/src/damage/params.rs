@@ -27,10 +27,10 @@ pub struct DamageParams {
     pub healed_share: f64,
     /// A touch covers damage within its radius plus this margin, metres. At least 0.
     pub reach_m: f64,
-    /// Standard deviation, along an axis, of the region that a point-like damage makes in the image, metres. At least
+    /// Standard deviation, along an axis, of the region that point-like damage makes in the image, metres. At least
     /// 0.
     pub point_spread_m: f64,
-    /// Maximum number of damages kept, from 1 to 16.
+    /// Maximum number of damage sites kept, from 1 to 16.
     pub most: usize,
 }
 

@@ -1,8 +1,8 @@
-//! State of a damage, and events in its life.
+//! State of a damage site, and events in its life.
 
 use serde::{Deserialize, Serialize};
 
-/// State of a damage.
+/// State of a damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DamageState {
@@ -14,7 +14,7 @@ pub enum DamageState {
     Covered,
     /// Less of it is left than before.
     Healing,
-    /// Nothing is left of it, or only a scar.
+    /// Nothing is left of it but a scar at most.
     Healed,
 }
 
@@ -32,7 +32,7 @@ impl DamageState {
     }
 }
 
-/// Position and extent of a damage: a line segment, or a spot if `length_m` is 0.
+/// Position and extent of a damage site: a line segment, or a spot if `length_m` is 0.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DamageShape {
     /// Centre, in the skin's frame, metres.
@@ -68,7 +68,7 @@ impl DamageShape {
     }
 }
 
-/// One damage.
+/// One damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Damage {
     /// Identity; counts up from 1, never reused.
@@ -100,7 +100,7 @@ impl Damage {
     }
 }
 
-/// An event in the life of a damage.
+/// An event in the life of a damage site.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DamageEvent {
@@ -112,12 +112,12 @@ pub enum DamageEvent {
     Covered(Damage),
     /// Nothing presses on it any more, and it is visible again.
     Uncovered(Damage),
-    /// Nothing is left of it, or only a scar.
+    /// Nothing is left of it but a scar at most.
     Healed(Damage),
 }
 
 impl DamageEvent {
-    /// The damage after the event.
+    /// The damage site after the event.
     #[must_use]
     pub fn damage(&self) -> &Damage {
         match self {

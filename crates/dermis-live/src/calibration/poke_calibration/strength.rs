@@ -7,8 +7,8 @@ const WEAK_SHARE: f64 = 0.02;
 /// Quantile of frames at rest: this share is below the amplitude of rest, and above its standard deviation of
 /// positions.
 const REST_SHARE: f64 = 0.95;
-/// A touch must exceed the upper bound of rest by the factor `ABOVE_REST`, but need not exceed `BELOW_WEAK` times the
-/// amplitude of weak pokes.
+/// A touch must exceed the upper bound of rest by the factor `ABOVE_REST`. If its position is precise, `BELOW_WEAK`
+/// times the amplitude of weak pokes is enough.
 const ABOVE_REST: f64 = 1.2;
 const BELOW_WEAK: f64 = 0.7;
 /// A frame no stronger than rest still shows a touch if its position is precise. Its standard deviation must be below

@@ -95,7 +95,7 @@ impl KnownCuts {
         Some((&self.present, &mut self.image))
     }
 
-    /// True if a cut other than that of this damage is known.
+    /// True if the cut of another damage site is known.
     pub fn knows_others(&self, damage: u64) -> bool {
         self.fitted.iter().any(|(id, _)| *id != damage)
     }
@@ -144,7 +144,7 @@ impl KnownCuts {
         }
     }
 
-    /// Forgets the cuts of all other damages.
+    /// Forgets the cuts of all other damage sites.
     pub fn retain(&mut self, damages: &[Damage]) {
         let stands = |id: u64| damages.iter().any(|damage| damage.id == id);
         self.fitted.retain(|(id, _)| stands(*id));

@@ -22,7 +22,7 @@ const MOST_HISTORY: usize = 512;
 /// The rise has settled if it changes by less than this in half of the time since its maximum.
 const SETTLED: f64 = 0.02;
 
-/// Healing of a damage.
+/// Healing of a damage site.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Healing {
     /// The damage.

@@ -76,7 +76,7 @@ impl IntactReference {
         (&self.difference, &mut self.image)
     }
 
-    /// As [`IntactReference::compare`] for mean readings, without some channels.
+    /// As `compare` for mean readings, without some channels.
     pub fn compare_mean(
         &mut self,
         mean: &[f64],

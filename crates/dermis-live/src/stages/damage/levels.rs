@@ -16,7 +16,7 @@ use crate::prepare::Prepared;
 
 /// A change that stays this long without a release is no longer treated as a touch, seconds.
 const HELD_S: f64 = 600.0;
-/// A change undoes a damage if their cosine, apart from the sign, is at least this (channels in standard deviations).
+/// A change undoes damage if their cosine, apart from the sign, is at least this (channels in standard deviations).
 const UNDOES: f64 = 0.7;
 
 /// The level watch of a skin, and the monitor of the damage it finds.
@@ -31,7 +31,7 @@ pub(crate) struct LevelStage {
     /// This change, model volts, NaN in excluded channels, and its image, in which damage is below zero.
     change: Vec<f64>,
     fall: Vec<f32>,
-    /// Changes due to open damages, as measured, by their identities.
+    /// Changes due to open damage sites, as measured, by identity.
     known: Vec<(u64, Vec<f64>)>,
     /// Difference of the current frame from the intact skin, and its image, in the form of touch images.
     difference: Vec<f64>,
@@ -129,7 +129,7 @@ impl LevelStage {
         self.noise = noise;
     }
 
-    /// Number of damages whose changes are known.
+    /// Number of damage sites whose changes are known.
     pub fn known_count(&self) -> usize {
         self.known.len()
     }
@@ -144,7 +144,7 @@ impl LevelStage {
         (&self.change, &mut self.fall)
     }
 
-    /// After a change of the model that makes the images, moves a known damage to its position in the new image.
+    /// After a change of the model that makes the images, moves a known damage site to its position in the new image.
     ///
     /// # Errors
     /// An image of the wrong size.
@@ -207,7 +207,7 @@ impl LevelStage {
         Ok(Some(Adoption { readings, frames: 3, reason: format!("includes damage {id}") }))
     }
 
-    /// Stores the change due to a damage, added to its earlier change.
+    /// Adds the change due to a damage site to its earlier change.
     fn remember(&mut self, id: u64) {
         let change = || self.watch.change().iter().map(|value| if value.is_finite() { *value } else { 0.0 });
         match self.known.iter_mut().find(|(known, _)| *known == id) {
@@ -216,7 +216,7 @@ impl LevelStage {
         }
     }
 
-    /// Treats a change that undoes the effect of a damage as its healing.
+    /// Treats a change that undoes the effect of a damage site as its healing.
     fn heal(&mut self) {
         let noise = self.watch.noise();
         let weighted = |values: &[f64], channel: usize| values[channel] / noise[channel];

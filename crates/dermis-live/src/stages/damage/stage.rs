@@ -117,7 +117,7 @@ impl DamageStage {
         self.monitor.restart();
     }
 
-    /// Reports a change of the model that makes the images; the intact skin and the damages are kept. Returns the
+    /// Reports a change of the model that makes the images; the intact skin and the damage sites are kept. Returns the
     /// total effect of the damage, model volts, NaN in `left_out`, and the image to write for
     /// [`DamageStage::redraw`].
     pub fn see_anew(
@@ -133,7 +133,7 @@ impl DamageStage {
         self.intact.compare_mean(readings, baseline, scale, left_out)
     }
 
-    /// Moves known damages to their positions in the new image.
+    /// Moves known damage sites to their positions in the new image.
     ///
     /// # Errors
     /// An image of the wrong size.

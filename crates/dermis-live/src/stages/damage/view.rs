@@ -46,7 +46,7 @@ pub struct DamageView<'a> {
     pub watched: bool,
     /// Time of the frame on the axis of all times here, nanoseconds.
     pub now_ns: u64,
-    /// All damages, including suspected and healed ones.
+    /// All damage sites, including suspected and healed ones.
     pub damages: &'a [Damage],
     /// Their events in this frame.
     pub events: &'a [DamageEvent],

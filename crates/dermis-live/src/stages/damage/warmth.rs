@@ -9,7 +9,7 @@ use super::readings::Readings;
 
 /// Interval between estimates of healing, seconds.
 const HEALING_S: f64 = 0.5;
-/// A contact on a damage that stays this long, no higher than `WARM_HEIGHT` in the image and within `WARM_TRAVEL_M`,
+/// A contact on damage that stays this long, no higher than `WARM_HEIGHT` in the image and within `WARM_TRAVEL_M`,
 /// is warmth rather than touch. Published indenters reach 0.7 and more on a cut.
 const WARM_S: f64 = 20.0;
 const WARM_HEIGHT: f64 = 0.45;
@@ -32,7 +32,7 @@ pub(super) enum Look {
     Course,
 }
 
-/// A contact that rests on a damage.
+/// A contact that rests on damage.
 #[derive(Debug)]
 struct Resting {
     at_m: [f64; 2],
@@ -40,7 +40,7 @@ struct Resting {
     readings: Readings,
 }
 
-/// A change that has developed steadily around a damage.
+/// A change that has developed steadily around damage.
 #[derive(Debug, Default)]
 struct Course {
     since_ns: u64,
