@@ -47,8 +47,8 @@ impl Pipeline {
         Ok(())
     }
 
-    /// Switches damage monitoring to the model that now makes the images. Levels, intact skin and damage sites are kept;
-    /// the sites move to their positions in the new images.
+    /// Switches damage monitoring to the model that now makes the images. Levels, intact skin and damage sites are
+    /// kept; the sites move to their positions in the new images.
     fn see_damage_anew(&mut self) -> Result<(), Error> {
         let State::Running(running) = &mut self.state else { return Ok(()) };
         let Running { reference, reconstructor } = &mut **running;

@@ -60,10 +60,10 @@ impl DamageMonitor {
         Ok(Some(damage.id))
     }
 
-    /// Updates position, extent and depth of a known damage site from an image of its remainder, made by another operator.
-    /// Nothing else changes. `left` is the share of its worst state that the image shows. If the image shows only
-    /// this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position and
-    /// extent stay.
+    /// Updates position, extent and depth of a known damage site from an image of its remainder, made by another
+    /// operator. Nothing else changes. `left` is the share of its worst state that the image shows. If the image
+    /// shows only this site, the deepest region is used, otherwise the nearest. If no region is deep enough, position
+    /// and extent stay.
     ///
     /// # Errors
     /// [`TouchError::Length`].
